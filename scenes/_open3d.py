@@ -1,0 +1,48 @@
+"""The one place that imports Open3D: it preloads the libusb its wheel needs and names what else is missing."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib
+import os
+from functools import cache
+from types import ModuleType
+
+from scenes.errors import SystemLibraryError
+
+
+@cache
+def open3d() -> ModuleType:
+    """The open3d module, ready to use.
+
+    Its wheel links libusb-1.0, which a bare machine lacks; the libusb-package wheel carries it, and once loaded
+    globally the linker is content. Raises SystemLibraryError, naming the Debian package, for anything else.
+    """
+    import libusb_package
+
+    path = libusb_package.get_library_path()
+    if path is not None:
+        ctypes.CDLL(os.fspath(path), mode=ctypes.RTLD_GLOBAL)
+    try:
+        return importlib.import_module("open3d")
+    except (OSError, ImportError) as error:
+        raise SystemLibraryError(_missing_library_message(error)) from error
+
+
+PACKAGES = {
+    "libGL.so.1": "libgl1",
+    "libEGL.so.1": "libegl1",
+    "libX11.so.6": "libx11-6",
+    "libgomp.so.1": "libgomp1",
+    "libudev.so.1": "libudev1",
+    "libidn2.so.0": "libidn2-0",
+    "libstdc++.so.6": "libstdc++6",
+}
+
+
+def _missing_library_message(error: Exception) -> str:
+    text = str(error)
+    for library, package in PACKAGES.items():
+        if library in text:
+            return f"Open3D needs {library}, which this machine lacks: install the system package {package}"
+    return f"Open3D could not be loaded: {text}"

@@ -1,0 +1,178 @@
+"""What one instant of a recording holds: plain data, no files. SI units; world frame where not said.
+
+A `Frame` carries only what was recorded; every sensor is optional and `None` (or empty) when absent.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scenes.errors import InputError
+
+if TYPE_CHECKING:
+    from scenes.cameras import Camera
+    from scenes.hands import Hand
+
+Array = NDArray[np.float64]
+
+# What a contact is worth when the recording does not say (T1 section 4.3: 0.9 mm and 5 degrees).
+DEFAULT_SIGMA_POINT = 0.9e-3
+DEFAULT_SIGMA_NORMAL = np.deg2rad(5.0)
+
+
+class Contacts:
+    """Points that lie on the object's surface, sensed by touch.
+
+    Attributes (one row a contact): points (n, 3) metres; normals (n, 3) unit, out of the object, rows of
+    NaN where unknown; sigma_point (n,) metres; sigma_normal (n,) radians; sensors, n names (may repeat);
+    forces (n, 3) newtons, NaN where unknown.
+    """
+
+    def __init__(
+        self,
+        points: ArrayLike,
+        normals: ArrayLike | None = None,
+        sigma_point: ArrayLike | None = None,
+        sigma_normal: ArrayLike | None = None,
+        sensors: list[str] | None = None,
+        forces: ArrayLike | None = None,
+    ) -> None:
+        """Check and keep; raises InputError for wrong shapes, non-finite points or a sigma that is not positive."""
+        self.points = np.array(points, dtype=np.float64).reshape(-1, 3) if np.size(points) else np.zeros((0, 3))
+        n = len(self.points)
+        if np.size(points) != 3 * n:
+            raise InputError(f"contacts: expected points of shape (n, 3), got {np.shape(points)}")
+        bad = ~np.isfinite(self.points).all(axis=1)
+        if bad.any():
+            raise InputError(f"contacts: expected finite points, got row {int(np.argmax(bad))} = {self.points[bad][0]}")
+        self.normals = self._rows(normals, n, 3, "normals")
+        length = np.linalg.norm(self.normals, axis=1)
+        with np.errstate(invalid="ignore"):
+            known = np.isfinite(length) & (length > 1e-9)
+        self.normals[~known] = np.nan
+        self.normals[known] /= length[known, None]
+        self.forces = self._rows(forces, n, 3, "forces")
+        self.sigma_point = self._sigma(sigma_point, n, DEFAULT_SIGMA_POINT, "sigma_point")
+        self.sigma_normal = self._sigma(sigma_normal, n, DEFAULT_SIGMA_NORMAL, "sigma_normal")
+        self.sensors = list(sensors) if sensors is not None else [f"contact{i}" for i in range(n)]
+        if len(self.sensors) != n:
+            raise InputError(f"contacts: expected {n} sensor names, got {len(self.sensors)}")
+
+    @staticmethod
+    def _rows(values: ArrayLike | None, n: int, width: int, name: str) -> Array:
+        if values is None or np.size(values) == 0:
+            return np.full((n, width), np.nan)
+        array = np.array(values, dtype=np.float64)
+        if array.shape != (n, width):
+            raise InputError(f"contacts: expected {name} of shape ({n}, {width}), got {array.shape}")
+        return array
+
+    @staticmethod
+    def _sigma(values: ArrayLike | None, n: int, default: float, name: str) -> Array:
+        array = np.full(n, default) if values is None else np.array(np.broadcast_to(values, (n,)), dtype=np.float64)
+        array[np.isnan(array)] = default
+        if (array <= 0).any() or not np.isfinite(array).all():
+            raise InputError(f"contacts: expected {name} above 0, got {array.min() if n else 0}")
+        return array
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @property
+    def has_normal(self) -> NDArray[np.bool_]:
+        """(n,) true where the outward normal is known."""
+        return np.isfinite(self.normals[:, 0])
+
+    def take(self, rows: ArrayLike) -> Contacts:
+        """The chosen rows (indices or mask), in that order."""
+        index = np.arange(len(self))[np.asarray(rows)]
+        return Contacts(
+            self.points[index],
+            self.normals[index],
+            self.sigma_point[index],
+            self.sigma_normal[index],
+            [self.sensors[i] for i in index],
+            self.forces[index],
+        )
+
+    def moved(self, target_from_source: Array) -> Contacts:
+        """The same contacts in another frame."""
+        rotation, translation = target_from_source[:3, :3], target_from_source[:3, 3]
+        return Contacts(
+            self.points @ rotation.T + translation,
+            self.normals @ rotation.T,
+            self.sigma_point,
+            self.sigma_normal,
+            self.sensors,
+            self.forces @ rotation.T,
+        )
+
+    @staticmethod
+    def concatenate(parts: list[Contacts]) -> Contacts:
+        """All rows of all parts, in order."""
+        if not parts:
+            return Contacts(np.zeros((0, 3)))
+        return Contacts(
+            np.concatenate([p.points for p in parts]),
+            np.concatenate([p.normals for p in parts]),
+            np.concatenate([p.sigma_point for p in parts]),
+            np.concatenate([p.sigma_normal for p in parts]),
+            [name for p in parts for name in p.sensors],
+            np.concatenate([p.forces for p in parts]),
+        )
+
+
+@dataclass(frozen=True)
+class EmptyRegions:
+    """Balls felt to be empty: points (n, 3) world, metres; radius (n,) metres; sensors, n names."""
+
+    points: Array
+    radius: Array
+    sensors: list[str]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+@dataclass(frozen=True)
+class Wrench:
+    """Raw force (3,) N and torque (3,) N m of one force/torque sensor, in the sensor's frame."""
+
+    sensor: str
+    force: Array
+    torque: Array
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One instant of a capture.
+
+    camera: intrinsics, None when there is no camera. camera_from_world (4, 4).
+    depth (h, w) float32 metres along z, 0 = no reading. rgb (h, w, 3) uint8. mask (h, w) bool, the object's pixels.
+    cloud (n, 3) world frame. joints: name -> radians or metres. world_from_hand (4, 4).
+    camera_from_object_truth and prior (4, 4): ground truth and coarse start, when the recording has them.
+    where: file and frame, for messages.
+    """
+
+    index: int
+    where: str = ""
+    camera: Camera | None = None
+    camera_from_world: Array = field(default_factory=lambda: np.eye(4))
+    depth: NDArray[np.float32] | None = None
+    rgb: NDArray[np.uint8] | None = None
+    mask: NDArray[np.bool_] | None = None
+    cloud: Array | None = None
+    cloud_colours: NDArray[np.uint8] | None = None
+    hand: Hand | None = None
+    joints: dict[str, float] | None = None
+    world_from_hand: Array | None = None
+    contacts: Contacts = field(default_factory=lambda: Contacts(np.zeros((0, 3))))
+    no_contact: EmptyRegions | None = None
+    wrenches: tuple[Wrench, ...] = ()
+    tactile: dict[str, Array] = field(default_factory=dict)
+    prior: Array | None = None
+    camera_from_object_truth: Array | None = None

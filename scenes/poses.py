@@ -1,0 +1,238 @@
+"""Rigid transforms: 4x4 float64 arrays named target_from_source, metres and radians.
+
+Tangent vectors are ordered (rotation, translation). Two charts are used:
+- `exp`, `log`: the SE(3) exponential (twist applied from the left, in the target frame);
+- `perturb`, `difference`: rotation and translation applied separately *about a point of the
+  object* (its centroid), the chart of every covariance in this package. There a millimetre means
+  a millimetre of the object, however far the camera is.
+
+Small angles use Taylor branches (Solà et al., "A micro Lie theory", 2018, appendix B).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scenes.errors import InputError
+
+Array = NDArray[np.float64]
+
+# Rotations whose columns are off orthonormal by more than this are refused, not silently repaired.
+ORTHONORMAL_TOLERANCE = 1e-4
+
+
+def check_pose(pose: ArrayLike, name: str = "pose") -> Array:
+    """Validate a rigid transform.
+
+    Parameters: pose, shape (4, 4) or (..., 4, 4), target_from_source.
+    Returns the same as a contiguous float64 array, rotation re-orthonormalised to double precision.
+    Raises InputError when the shape is wrong, a value is not finite, the last row is not
+    (0, 0, 0, 1), or the rotation is scaled, sheared or mirrored.
+    """
+    array = np.array(pose, dtype=np.float64)
+    if array.shape[-2:] != (4, 4):
+        raise InputError(f"{name}: expected a 4x4 transform, got shape {array.shape}")
+    if not np.isfinite(array).all():
+        raise InputError(f"{name}: expected finite numbers, got {int((~np.isfinite(array)).sum())} not finite")
+    if not np.allclose(array[..., 3, :], (0.0, 0.0, 0.0, 1.0), atol=1e-9):
+        raise InputError(f"{name}: expected last row 0 0 0 1, got {array[..., 3, :].reshape(-1, 4)[0]}")
+    rotation = array[..., :3, :3]
+    gram = np.swapaxes(rotation, -1, -2) @ rotation
+    error = float(np.abs(gram - np.eye(3)).max())
+    if error > ORTHONORMAL_TOLERANCE:
+        raise InputError(f"{name}: expected a rotation matrix, got columns off orthonormal by {error:.2g}")
+    if np.any(np.linalg.det(rotation) < 0):
+        raise InputError(f"{name}: expected a rotation matrix, got a mirrored one (determinant -1)")
+    array[..., :3, :3] = project_to_rotation(rotation)
+    return array
+
+
+def project_to_rotation(matrix: Array) -> Array:
+    """Nearest rotation (Frobenius) to each (..., 3, 3) matrix, by singular value decomposition."""
+    u, _, vt = np.linalg.svd(matrix)
+    sign = np.linalg.det(u @ vt)
+    u = u.copy()
+    u[..., :, 2] *= sign[..., None]
+    return u @ vt
+
+
+def make_pose(rotation: ArrayLike | None = None, translation: ArrayLike | None = None) -> Array:
+    """4x4 transform from a (3, 3) rotation (default identity) and a (3,) translation (default zero)."""
+    pose = np.eye(4)
+    if rotation is not None:
+        pose[:3, :3] = rotation
+    if translation is not None:
+        pose[:3, 3] = translation
+    return pose
+
+
+def inverse(pose: Array) -> Array:
+    """source_from_target of each (..., 4, 4) target_from_source."""
+    rotation_t = np.swapaxes(pose[..., :3, :3], -1, -2)
+    out = np.zeros_like(pose)
+    out[..., :3, :3] = rotation_t
+    out[..., :3, 3] = -(rotation_t @ pose[..., :3, 3, None])[..., 0]
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def apply(pose: Array, points: Array) -> Array:
+    """Points (n, 3) of the source frame in the target frame; pose (4, 4) or (b, 4, 4) -> (b, n, 3)."""
+    return points @ np.swapaxes(pose[..., :3, :3], -1, -2) + pose[..., None, :3, 3]
+
+
+def skew(vector: Array) -> Array:
+    """Cross-product matrices (..., 3, 3) of (..., 3) vectors."""
+    vector = np.asarray(vector, dtype=np.float64)
+    out = np.zeros((*vector.shape[:-1], 3, 3))
+    out[..., 0, 1], out[..., 0, 2] = -vector[..., 2], vector[..., 1]
+    out[..., 1, 0], out[..., 1, 2] = vector[..., 2], -vector[..., 0]
+    out[..., 2, 0], out[..., 2, 1] = -vector[..., 1], vector[..., 0]
+    return out
+
+
+def exp_rotation(vector: ArrayLike) -> Array:
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), radians (Rodrigues)."""
+    vector = np.asarray(vector, dtype=np.float64)
+    square = np.sum(vector * vector, axis=-1)[..., None, None]
+    angle = np.sqrt(square)
+    small = square < 1e-8
+    safe = np.where(small, 1.0, angle)
+    a = np.where(small, 1.0 - square / 6.0, np.sin(safe) / safe)
+    # 2 sin^2(x/2)/x^2 does not cancel near zero as (1 - cos x)/x^2 does
+    b = np.where(small, 0.5 - square / 24.0, 2.0 * (np.sin(0.5 * safe) / safe) ** 2)
+    k = skew(vector)
+    return np.eye(3) + a * k + b * (k @ k)
+
+
+def to_quaternion(rotation: Array) -> Array:
+    """Unit quaternions (..., 4), scalar first and non-negative, of rotations (..., 3, 3).
+
+    Shepperd's method: the largest of four candidates is divided by, so no rotation is singular.
+    """
+    r = np.asarray(rotation, dtype=np.float64)
+    d = np.diagonal(r, axis1=-2, axis2=-1)
+    trace = d.sum(-1)
+    picks = np.argmax(np.concatenate([trace[..., None], d], axis=-1), axis=-1)
+    w0 = np.stack([1 + trace, r[..., 2, 1] - r[..., 1, 2], r[..., 0, 2] - r[..., 2, 0], r[..., 1, 0] - r[..., 0, 1]], -1)
+    candidates = [w0]
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        q = np.zeros((*r.shape[:-2], 4))
+        q[..., 0] = r[..., k, j] - r[..., j, k]
+        q[..., 1 + i] = 1 + d[..., i] - d[..., j] - d[..., k]
+        q[..., 1 + j] = r[..., j, i] + r[..., i, j]
+        q[..., 1 + k] = r[..., k, i] + r[..., i, k]
+        candidates.append(q)
+    q = np.take_along_axis(np.stack(candidates, -2), picks[..., None, None], axis=-2)[..., 0, :]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.where(q[..., :1] < 0, -q, q)
+
+
+def from_quaternion(quaternion: ArrayLike) -> Array:
+    """Rotations (..., 3, 3) of quaternions (..., 4), scalar first; any non-zero length."""
+    q = np.asarray(quaternion, dtype=np.float64)
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    w, v = q[..., 0, None, None], q[..., 1:]
+    k = skew(v)
+    return np.eye(3) + 2 * w * k + 2 * (k @ k)
+
+
+def log_rotation(rotation: Array) -> Array:
+    """Rotation vectors (..., 3) of length at most pi; exact near 0 and near pi (through quaternions)."""
+    q = to_quaternion(rotation)
+    w, v = q[..., 0], q[..., 1:]
+    norm = np.linalg.norm(v, axis=-1)
+    small = norm < 1e-7
+    factor = np.where(small, 2.0, 2.0 * np.arctan2(norm, w) / np.where(small, 1.0, norm))
+    return v * factor[..., None]
+
+
+def rotation_angle(rotation: Array) -> Array:
+    """Angle in [0, pi] of each (..., 3, 3) rotation; no arccos, so no loss near 0 and pi."""
+    q = to_quaternion(rotation)
+    return 2.0 * np.arctan2(np.linalg.norm(q[..., 1:], axis=-1), q[..., 0])
+
+
+def _left_jacobian(vector: Array) -> Array:
+    square = np.sum(vector * vector, axis=-1)[..., None, None]
+    angle = np.sqrt(square)
+    small = square < 1e-6
+    safe = np.where(small, 1.0, angle)
+    b = np.where(small, 0.5 - square / 24.0, 2.0 * (np.sin(0.5 * safe) / safe) ** 2)
+    c = np.where(small, 1.0 / 6.0 - square / 120.0, (safe - np.sin(safe)) / safe**3)
+    k = skew(vector)
+    return np.eye(3) + b * k + c * (k @ k)
+
+
+def exp(twist: ArrayLike) -> Array:
+    """SE(3) exponential: (..., 6) twists (rotation, translation) to (..., 4, 4) transforms."""
+    twist = np.asarray(twist, dtype=np.float64)
+    pose = np.zeros((*twist.shape[:-1], 4, 4))
+    pose[..., :3, :3] = exp_rotation(twist[..., :3])
+    pose[..., :3, 3] = (_left_jacobian(twist[..., :3]) @ twist[..., 3:, None])[..., 0]
+    pose[..., 3, 3] = 1.0
+    return pose
+
+
+def log(pose: Array) -> Array:
+    """SE(3) logarithm: (..., 4, 4) transforms to (..., 6) twists, rotation part at most pi long."""
+    rotation = log_rotation(pose[..., :3, :3])
+    jacobian = _left_jacobian(rotation)
+    translation = np.linalg.solve(jacobian, pose[..., :3, 3, None])[..., 0]
+    return np.concatenate([rotation, translation], axis=-1)
+
+
+def adjoint(pose: Array) -> Array:
+    """(..., 6, 6) adjoint: pose @ exp(x) @ inverse(pose) = exp(adjoint(pose) @ x)."""
+    rotation, translation = pose[..., :3, :3], pose[..., :3, 3]
+    out = np.zeros((*pose.shape[:-2], 6, 6))
+    out[..., :3, :3] = rotation
+    out[..., 3:, 3:] = rotation
+    out[..., 3:, :3] = skew(translation) @ rotation
+    return out
+
+
+def perturb(pose: Array, delta: ArrayLike, centre: ArrayLike) -> Array:
+    """Turn by delta[:3] about the object's `centre` (object frame, metres), then move it by delta[3:].
+
+    pose (..., 4, 4) target_from_object, delta (..., 6): rotation vector and displacement of the
+    centre, both in target axes. Inverse of `difference`.
+    """
+    pose, delta = np.asarray(pose, dtype=np.float64), np.asarray(delta, dtype=np.float64)
+    centre = np.asarray(centre, dtype=np.float64)
+    turn = exp_rotation(delta[..., :3])
+    rotation = turn @ pose[..., :3, :3]
+    middle = (pose[..., :3, :3] @ centre[..., None])[..., 0] + pose[..., :3, 3] + delta[..., 3:]
+    out = np.zeros((*np.broadcast_shapes(pose.shape[:-2], delta.shape[:-1]), 4, 4))
+    out[..., :3, :3] = rotation
+    out[..., :3, 3] = middle - (rotation @ centre[..., None])[..., 0]
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def difference(pose: Array, reference: Array, centre: ArrayLike) -> Array:
+    """The (..., 6) delta with perturb(reference, delta, centre) == pose."""
+    centre = np.asarray(centre, dtype=np.float64)
+    rotation = log_rotation(pose[..., :3, :3] @ np.swapaxes(reference[..., :3, :3], -1, -2))
+    moved = ((pose[..., :3, :3] - reference[..., :3, :3]) @ centre[..., None])[..., 0]
+    return np.concatenate([rotation, moved + pose[..., :3, 3] - reference[..., :3, 3]], axis=-1)
+
+
+def random_rotations(count: int, rng: np.random.Generator) -> Array:
+    """(count, 3, 3) rotations, uniform over SO(3)."""
+    return from_quaternion(rng.normal(size=(count, 4)))
+
+
+def random_unit_vectors(count: int, rng: np.random.Generator) -> Array:
+    """(count, 3) directions, uniform over the sphere."""
+    vectors = rng.normal(size=(count, 3))
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def displaced(pose: Array, angle: float, distance: float, centre: ArrayLike, rng: np.random.Generator) -> Array:
+    """The pose turned by exactly `angle` (rad) about a random axis through `centre` and its centre
+    moved by exactly `distance` (m) in a random direction: a coarse start as in T1 section 4.3."""
+    directions = random_unit_vectors(2, rng)
+    return perturb(pose, np.concatenate([angle * directions[0], distance * directions[1]]), centre)
