@@ -1,0 +1,197 @@
+"""Compiled look-ups in a signed-distance lattice: trilinear value, gradient and second differences.
+
+Inside the box the value is the trilinear interpolation of eight nodes and its gradient is that
+polynomial's own derivative. Outside, the distance to the box is added to the value at the nearest point
+of the box, so that a point anywhere in space still knows the way back.
+Input is assumed finite (checked at the door by the callers); object frame, metres.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+# Nodes are addressed by the lower corner of their cell; the last cell ends this little before the last node.
+_INSIDE = 1e-4
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _clamp(value, upper):
+    return min(max(value, 0.0), upper)
+
+
+@numba.njit(cache=True, nogil=True)
+def distance_at(values, origin, spacing, x, y, z):
+    """Signed distance and its gradient at one point: (d, gx, gy, gz)."""
+    nx, ny, nz = values.shape
+    inverse = 1.0 / spacing
+    u = (x - origin[0]) * inverse
+    v = (y - origin[1]) * inverse
+    w = (z - origin[2]) * inverse
+    cu = _clamp(u, nx - 1 - _INSIDE)
+    cv = _clamp(v, ny - 1 - _INSIDE)
+    cw = _clamp(w, nz - 1 - _INSIDE)
+    i = int(cu)
+    j = int(cv)
+    k = int(cw)
+    a = cu - i
+    b = cv - j
+    c = cw - k
+    d000 = values[i, j, k]
+    d001 = values[i, j, k + 1]
+    d010 = values[i, j + 1, k]
+    d011 = values[i, j + 1, k + 1]
+    d100 = values[i + 1, j, k]
+    d101 = values[i + 1, j, k + 1]
+    d110 = values[i + 1, j + 1, k]
+    d111 = values[i + 1, j + 1, k + 1]
+    c00 = d000 + (d001 - d000) * c
+    c01 = d010 + (d011 - d010) * c
+    c10 = d100 + (d101 - d100) * c
+    c11 = d110 + (d111 - d110) * c
+    c0 = c00 + (c01 - c00) * b
+    c1 = c10 + (c11 - c10) * b
+    d = c0 + (c1 - c0) * a
+    gx = (c1 - c0) * inverse
+    gy = ((c01 - c00) * (1.0 - a) + (c11 - c10) * a) * inverse
+    gz = (
+        ((d001 - d000) * (1.0 - b) + (d011 - d010) * b) * (1.0 - a)
+        + ((d101 - d100) * (1.0 - b) + (d111 - d110) * b) * a
+    ) * inverse
+    ou = u - cu
+    ov = v - cv
+    ow = w - cw
+    beyond = ou * ou + ov * ov + ow * ow
+    if beyond > 4.0 * _INSIDE * _INSIDE:
+        length = math.sqrt(beyond)
+        d += length * spacing
+        # the clamped coordinates no longer move the interpolated part
+        gx = (0.0 if ou != 0.0 else gx) + ou / length
+        gy = (0.0 if ov != 0.0 else gy) + ov / length
+        gz = (0.0 if ow != 0.0 else gz) + ow / length
+    return d, gx, gy, gz
+
+
+@numba.njit(cache=True, nogil=True)
+def value_at(values, origin, spacing, x, y, z):
+    """Signed distance alone, for searches that only rank."""
+    nx, ny, nz = values.shape
+    inverse = 1.0 / spacing
+    u = (x - origin[0]) * inverse
+    v = (y - origin[1]) * inverse
+    w = (z - origin[2]) * inverse
+    cu = _clamp(u, nx - 1 - _INSIDE)
+    cv = _clamp(v, ny - 1 - _INSIDE)
+    cw = _clamp(w, nz - 1 - _INSIDE)
+    i = int(cu)
+    j = int(cv)
+    k = int(cw)
+    a = cu - i
+    b = cv - j
+    c = cw - k
+    c00 = values[i, j, k] + (values[i, j, k + 1] - values[i, j, k]) * c
+    c01 = values[i, j + 1, k] + (values[i, j + 1, k + 1] - values[i, j + 1, k]) * c
+    c10 = values[i + 1, j, k] + (values[i + 1, j, k + 1] - values[i + 1, j, k]) * c
+    c11 = values[i + 1, j + 1, k] + (values[i + 1, j + 1, k + 1] - values[i + 1, j + 1, k]) * c
+    c0 = c00 + (c01 - c00) * b
+    c1 = c10 + (c11 - c10) * b
+    d = c0 + (c1 - c0) * a
+    ou = u - cu
+    ov = v - cv
+    ow = w - cw
+    beyond = ou * ou + ov * ov + ow * ow
+    if beyond > 4.0 * _INSIDE * _INSIDE:
+        d += math.sqrt(beyond) * spacing
+    return d
+
+
+@numba.njit(cache=True, nogil=True)
+def normal_at(values, origin, spacing, x, y, z, gradient, hessian):
+    """Smooth gradient g and its Jacobian, for normals: fills gradient (3,) and hessian (3, 3).
+
+    g interpolates the nodes' central differences, so it is continuous where the plain trilinear
+    gradient jumps; its Jacobian is exact, the lattice's second differences. Outside the box both are
+    those of the nearest point of the box.
+    """
+    nx, ny, nz = values.shape
+    inverse = 1.0 / spacing
+    half = 0.5 * inverse
+    u = _clamp((x - origin[0]) * inverse, nx - 1 - _INSIDE)
+    v = _clamp((y - origin[1]) * inverse, ny - 1 - _INSIDE)
+    w = _clamp((z - origin[2]) * inverse, nz - 1 - _INSIDE)
+    i = int(u)
+    j = int(v)
+    k = int(w)
+    a = u - i
+    b = v - j
+    c = w - k
+    for m in range(3):
+        gradient[m] = 0.0
+        for n in range(3):
+            hessian[m, n] = 0.0
+    for di in range(2):
+        wa = a if di else 1.0 - a
+        sa = inverse if di else -inverse
+        ii = i + di
+        il = max(ii - 1, 0)
+        ih = min(ii + 1, nx - 1)
+        for dj in range(2):
+            wb = b if dj else 1.0 - b
+            sb = inverse if dj else -inverse
+            jj = j + dj
+            jl = max(jj - 1, 0)
+            jh = min(jj + 1, ny - 1)
+            for dk in range(2):
+                wc = c if dk else 1.0 - c
+                sc = inverse if dk else -inverse
+                kk = k + dk
+                kl = max(kk - 1, 0)
+                kh = min(kk + 1, nz - 1)
+                gx = (values[ih, jj, kk] - values[il, jj, kk]) * half
+                gy = (values[ii, jh, kk] - values[ii, jl, kk]) * half
+                gz = (values[ii, jj, kh] - values[ii, jj, kl]) * half
+                weight = wa * wb * wc
+                ta = sa * wb * wc
+                tb = wa * sb * wc
+                tc = wa * wb * sc
+                gradient[0] += weight * gx
+                gradient[1] += weight * gy
+                gradient[2] += weight * gz
+                hessian[0, 0] += gx * ta
+                hessian[0, 1] += gx * tb
+                hessian[0, 2] += gx * tc
+                hessian[1, 0] += gy * ta
+                hessian[1, 1] += gy * tb
+                hessian[1, 2] += gy * tc
+                hessian[2, 0] += gz * ta
+                hessian[2, 1] += gz * tb
+                hessian[2, 2] += gz * tc
+
+
+@numba.njit(cache=True, nogil=True)
+def distances(values, origin, spacing, points, out, gradients):
+    """Fill out (n,) and, when it has n rows, gradients (n, 3) at points (n, 3)."""
+    want = gradients.shape[0] == points.shape[0]
+    for n in range(points.shape[0]):
+        d, gx, gy, gz = distance_at(values, origin, spacing, points[n, 0], points[n, 1], points[n, 2])
+        out[n] = d
+        if want:
+            gradients[n, 0] = gx
+            gradients[n, 1] = gy
+            gradients[n, 2] = gz
+
+
+def check_finite(points: np.ndarray, name: str) -> np.ndarray:
+    """(n, 3) contiguous float64 copy-if-needed; raises InputError when a value is not finite."""
+    from scenes.errors import InputError
+
+    array = np.ascontiguousarray(points, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise InputError(f"{name}: expected points of shape (n, 3), got {array.shape}")
+    if not np.isfinite(array).all():
+        raise InputError(
+            f"{name}: expected finite points, got {int((~np.isfinite(array)).any(axis=1).sum())} rows not finite"
+        )
+    return array

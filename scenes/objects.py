@@ -1,0 +1,181 @@
+"""A known rigid object: its mesh in metres, its signed-distance lattice, surface samples and symmetries."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes import distance_field, mesh_repair
+from scenes.distance_field import DistanceField
+from scenes.errors import InputError, MeshError
+from scenes.symmetries import Symmetries
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int64]
+
+METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
+
+# What a hand can meet. Outside, the unit is almost surely wrong.
+SMALLEST_DIAMETER = 0.005
+LARGEST_DIAMETER = 2.0
+
+
+class ObjectModel:
+    """A closed rigid object in its own frame, metres.
+
+    Attributes: name; vertices (n, 3); faces (m, 3), wound outwards; centroid (3,) of the volume; diameter, largest
+    extent across the vertices; symmetries; mended, what was repaired when it was read, in words.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        vertices: Array,
+        faces: Faces,
+        symmetries: Symmetries | None = None,
+        mended: tuple[str, ...] = (),
+    ) -> None:
+        """Use `load` or `from_mesh`, which check and repair."""
+        self.name = name
+        self.vertices = np.ascontiguousarray(vertices, dtype=np.float64)
+        self.faces = np.ascontiguousarray(faces, dtype=np.int64)
+        self.symmetries = symmetries or Symmetries.none()
+        self.mended = mended
+
+    @staticmethod
+    def load(path: str | Path, unit: str = "m", name: str | None = None) -> ObjectModel:
+        """Read any mesh that trimesh reads, and the OFF files that strict parsers refuse.
+
+        unit: "m", "cm", "mm" or "inch", of the file's numbers. Raises MeshError for a file that is not a mesh, has no
+        triangles, cannot be closed, or whose size tells that the unit is wrong.
+        """
+        path = Path(path)
+        if unit not in METRES_PER_UNIT:
+            raise InputError(f"unit: expected one of {', '.join(METRES_PER_UNIT)}, got {unit!r}")
+        if not path.is_file():
+            raise MeshError(f"{path}: expected a mesh file, found none")
+        vertices, faces = _read_mesh(path)
+        return ObjectModel.from_mesh(vertices * METRES_PER_UNIT[unit], faces, name or path.stem, where=str(path))
+
+    @staticmethod
+    def from_mesh(
+        vertices: Array,
+        faces: Faces,
+        name: str = "object",
+        symmetries: Symmetries | None = None,
+        where: str | None = None,
+    ) -> ObjectModel:
+        """Check, repair and keep a mesh given as vertices (n, 3) metres and faces (m, 3)."""
+        where = where or name
+        vertices, faces, mended = mesh_repair.close(vertices, faces, where)
+        model = ObjectModel(name, vertices, faces, symmetries, tuple(mended))
+        check_size(model.diameter, where)
+        return model
+
+    @cached_property
+    def diameter(self) -> float:
+        """Largest distance between two vertices, metres."""
+        from scipy.spatial import ConvexHull, QhullError
+        from scipy.spatial.distance import pdist
+
+        try:
+            hull = self.vertices[ConvexHull(self.vertices).vertices]
+        except QhullError:
+            hull = self.vertices
+        if len(hull) > 2000:
+            hull = hull[:: len(hull) // 2000 + 1]
+        return float(pdist(hull).max())
+
+    @cached_property
+    def _moments(self) -> tuple[float, Array]:
+        corners = self.vertices[self.faces] - self.vertices.mean(axis=0)
+        volumes = np.einsum("ni,ni->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
+        total = float(volumes.sum())
+        centre = (volumes[:, None] * corners.sum(axis=1) / 4.0).sum(axis=0) / total
+        return total, centre + self.vertices.mean(axis=0)
+
+    @property
+    def volume(self) -> float:
+        """Cubic metres."""
+        return self._moments[0]
+
+    @property
+    def centroid(self) -> Array:
+        """(3,) centre of the volume: the point about which poses are perturbed and covariances expressed."""
+        return self._moments[1]
+
+    @cached_property
+    def radius(self) -> float:
+        """Distance of the farthest vertex from the centroid, metres."""
+        return float(np.linalg.norm(self.vertices - self.centroid, axis=1).max())
+
+    @cached_property
+    def field(self) -> DistanceField:
+        """The signed-distance lattice; built at the first use, then read from the disk cache."""
+        return distance_field.load_or_build(self.vertices, self.faces)
+
+    @cached_property
+    def face_normals(self) -> Array:
+        """(m, 3) outward unit normals."""
+        corners = self.vertices[self.faces]
+        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        return cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
+
+    def sample_surface(self, count: int, seed: int = 0) -> tuple[Array, Array]:
+        """Points (count, 3) uniform over the surface's area and their outward normals (count, 3)."""
+        rng = np.random.default_rng(seed)
+        corners = self.vertices[self.faces]
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        face = rng.choice(len(self.faces), size=count, p=area / area.sum())
+        u, v = rng.random((2, count))
+        root = np.sqrt(u)
+        weights = np.stack([1 - root, root * (1 - v), root * v], axis=1)
+        return np.einsum("nk,nkd->nd", weights, corners[face]), self.face_normals[face]
+
+    def symmetry_poses(self, steps: int = 36) -> Array:
+        """(k, 4, 4) object_from_object that leave the object unchanged."""
+        return self.symmetries.poses(steps)
+
+
+def check_size(diameter: float, where: str) -> None:
+    """Raise MeshError when an object of `diameter` metres cannot be in a hand, and name the likely unit."""
+    if SMALLEST_DIAMETER <= diameter <= LARGEST_DIAMETER:
+        return
+    guesses = [u for u, f in METRES_PER_UNIT.items() if u != "m" and 0.02 <= diameter * f <= 0.5]
+    hint = f" ({diameter:.3g} {guesses[-1 if 'mm' not in guesses else guesses.index('mm')]}?)" if guesses else ""
+    raise MeshError(
+        f"{where}: expected an object of {SMALLEST_DIAMETER * 1e3:.0f} mm to {LARGEST_DIAMETER:.0f} m,"
+        f" got a diameter of {diameter:.4g} m{hint}: is the unit right?"
+    )
+
+
+def _read_mesh(path: Path) -> tuple[Array, Faces]:
+    if path.suffix.lower() == ".off":
+        from scenes.formats.off import read_off
+
+        data = read_off(path)
+        return data.points, data.faces
+    import trimesh
+
+    try:
+        mesh = trimesh.load(path, force="mesh", process=False)
+    except (
+        ValueError,
+        KeyError,
+        IndexError,
+        TypeError,
+        AttributeError,
+        NotImplementedError,
+        OSError,
+        EOFError,
+    ) as error:
+        raise MeshError(f"{path}: expected a mesh file, got one that cannot be read: {error}") from error
+    vertices = getattr(mesh, "vertices", None)
+    faces = getattr(mesh, "faces", None)
+    if vertices is None or faces is None or len(faces) == 0:
+        count = 0 if vertices is None else len(vertices)
+        raise MeshError(f"{path}: expected a mesh with triangles, got {count} vertices and no triangle")
+    return np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
