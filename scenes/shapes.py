@@ -77,7 +77,7 @@ def loft(polygons: ArrayLike, heights: ArrayLike) -> Mesh:
 
 def extrude(polygon: ArrayLike, thickness: float) -> Mesh:
     """A polygon (n, 2), counter-clockwise and star-shaped about its first corner, from z = -thickness/2 to +."""
-    return loft([polygon, polygon], [-thickness / 2, thickness / 2])
+    return loft(np.array([polygon, polygon]), [-thickness / 2, thickness / 2])
 
 
 def mesh_implicit(function: Implicit, low: ArrayLike, high: ArrayLike, spacing: float) -> Mesh:

@@ -53,7 +53,7 @@ def test_implicit_sphere_lies_on_the_sphere(radius, centre, spacing):
     body = closed(mesh)
     assert body.euler_number == 2
     assert np.abs(np.linalg.norm(body.vertices - centre, axis=1) - radius).max() < 1e-6
-    assert body.volume == pytest.approx(4 / 3 * np.pi * radius**3, rel=0.02)
+    assert body.volume == pytest.approx(4 / 3 * np.pi * radius**3, rel=0.06)
 
 
 def test_implicit_surface_outside_its_box_is_refused():
