@@ -8,24 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenes.alignment.modes import Mode
+
 Array = NDArray[np.float64]
 
+__all__ = ["ContactResidual", "Estimate", "Mode", "Stage"]
+
 VERDICTS = ("ok", "ambiguous", "lost")
-
-
-@dataclass(frozen=True)
-class Mode:
-    """One pose that the data cannot tell from the others.
-
-    pose (4, 4) camera_from_object; weight: its share of the posterior, all modes sum to 1; cost: negative log
-    posterior density at the pose, up to a constant shared by the modes of one frame; covariance (6, 6): rotation
-    (rad) then translation (m) in camera axes, about the object's centroid.
-    """
-
-    pose: Array
-    weight: float
-    cost: float
-    covariance: Array
 
 
 @dataclass(frozen=True)
@@ -42,7 +31,8 @@ class Stage:
 @dataclass(frozen=True)
 class ContactResidual:
     """How one contact agrees: distance to the surface (mm, signed, outside positive), angle between the sensed
-    and the model's normal (degrees, NaN without a normal), probability that it lies."""
+    and the model's normal (degrees, NaN without a normal), probability that it lies.
+    """
 
     sensor: str
     residual_mm: float
@@ -93,9 +83,7 @@ class Estimate:
             "unobservable": list(self.unobservable),
             "visible_fraction": number(self.visible_fraction),
             "time_ms": self.time_ms,
-            "trace": [
-                {"stage": s.name, "ran": s.ran, "why": s.why, "ms": s.ms, "rows": s.rows} for s in self.trace
-            ],
+            "trace": [{"stage": s.name, "ran": s.ran, "why": s.why, "ms": s.ms, "rows": s.rows} for s in self.trace],
             "contacts": [
                 {
                     "sensor": c.sensor,

@@ -44,7 +44,8 @@ class FieldSettings:
 @dataclass(frozen=True)
 class DistanceField:
     """values (nx, ny, nz) float32 metres at origin (3,) + spacing * (i, j, k); rms_error, max_error: distance of
-    surface samples to the zero level, metres, as measured when it was built."""
+    surface samples to the zero level, metres, as measured when it was built.
+    """
 
     values: NDArray[np.float32]
     origin: Array
@@ -172,7 +173,7 @@ def build(vertices: Array, faces: NDArray[np.int64], settings: FieldSettings) ->
     )
 
 
-def _choose_spacing(scene, vertices, faces, extent, diameter, settings) -> float:  # noqa: ANN001
+def _choose_spacing(scene, vertices, faces, extent, diameter, settings) -> float:
     """Finest of the size's and the thinnest wall's demand, as far as the memory goes."""
     spacing = diameter / settings.cells_per_diameter
     wall = thinnest_wall(scene, vertices, faces)
@@ -182,7 +183,7 @@ def _choose_spacing(scene, vertices, faces, extent, diameter, settings) -> float
     return max(spacing, smallest)
 
 
-def thinnest_wall(scene, vertices: Array, faces: NDArray[np.int64]) -> float:  # noqa: ANN001
+def thinnest_wall(scene, vertices: Array, faces: NDArray[np.int64]) -> float:
     """Thickness (m) under which 2 % of the surface lies, by rays cast inwards from surface samples."""
     o3d = open3d()
     points, normals = _surface_points(vertices, faces, 2000, with_normals=True)
@@ -193,7 +194,7 @@ def thinnest_wall(scene, vertices: Array, faces: NDArray[np.int64]) -> float:  #
     return float(np.quantile(hits, 0.02)) if len(hits) else np.inf
 
 
-def _surface_points(vertices, faces, count, with_normals=False):  # noqa: ANN001, ANN202
+def _surface_points(vertices, faces, count, with_normals=False):
     """Area-uniform surface points by a fixed low-discrepancy sequence (no randomness to seed)."""
     corners = vertices[faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -211,7 +212,7 @@ def _surface_points(vertices, faces, count, with_normals=False):  # noqa: ANN001
     return points, cross[face] / np.maximum(area[face], 1e-300)[:, None]
 
 
-def _unsigned(scene, grids) -> NDArray[np.float32]:  # noqa: ANN001
+def _unsigned(scene, grids) -> NDArray[np.float32]:
     o3d = open3d()
     points = np.stack([g.ravel() for g in grids], axis=1).astype(np.float32)
     return scene.compute_distance(o3d.core.Tensor(points)).numpy().reshape(grids[0].shape)
@@ -229,7 +230,7 @@ def _interpolate_nodes(coarse: NDArray[np.float32], stride: int) -> NDArray[np.f
     return np.array(fine)
 
 
-def _inside(scene, axes, faces, vertices, spacing) -> NDArray[np.bool_]:  # noqa: ANN001
+def _inside(scene, axes, faces, vertices, spacing) -> NDArray[np.bool_]:
     """Nodes inside the mesh: majority over three axes of winding numbers counted along grid lines."""
     o3d = open3d()
     shape = tuple(len(a) for a in axes)

@@ -29,7 +29,7 @@ class Contacts:
 
     Attributes (one row a contact): points (n, 3) metres; normals (n, 3) unit, out of the object, rows of
     NaN where unknown; sigma_point (n,) metres; sigma_normal (n,) radians; sensors, n names (may repeat);
-    forces (n, 3) newtons, NaN where unknown.
+    forces (n, 3) newtons, NaN where unknown. sigma_known: False when no sigma was given and the default stands in.
     """
 
     def __init__(
@@ -40,6 +40,7 @@ class Contacts:
         sigma_normal: ArrayLike | None = None,
         sensors: list[str] | None = None,
         forces: ArrayLike | None = None,
+        sigma_known: bool | None = None,
     ) -> None:
         """Check and keep; raises InputError for wrong shapes, non-finite points or a sigma that is not positive."""
         self.points = np.array(points, dtype=np.float64).reshape(-1, 3) if np.size(points) else np.zeros((0, 3))
@@ -55,6 +56,8 @@ class Contacts:
             known = np.isfinite(length) & (length > 1e-9)
         self.normals[~known] = np.nan
         self.normals[known] /= length[known, None]
+        given = sigma_point is not None and not np.isnan(sigma_point).all()
+        self.sigma_known = given if sigma_known is None else sigma_known
         self.forces = self._rows(forces, n, 3, "forces")
         self.sigma_point = self._sigma(sigma_point, n, DEFAULT_SIGMA_POINT, "sigma_point")
         self.sigma_normal = self._sigma(sigma_normal, n, DEFAULT_SIGMA_NORMAL, "sigma_normal")
@@ -97,6 +100,7 @@ class Contacts:
             self.sigma_normal[index],
             [self.sensors[i] for i in index],
             self.forces[index],
+            self.sigma_known,
         )
 
     def moved(self, target_from_source: Array) -> Contacts:
@@ -109,6 +113,7 @@ class Contacts:
             self.sigma_normal,
             self.sensors,
             self.forces @ rotation.T,
+            self.sigma_known,
         )
 
     @staticmethod
@@ -123,6 +128,7 @@ class Contacts:
             np.concatenate([p.sigma_normal for p in parts]),
             [name for p in parts for name in p.sensors],
             np.concatenate([p.forces for p in parts]),
+            all(p.sigma_known for p in parts),
         )
 
 

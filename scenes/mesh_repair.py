@@ -19,9 +19,14 @@ class RepairSettings:
 
     # Vertices nearer than this share of the diameter are one vertex (export round-off).
     merge_share: float = 1e-6
-    # Holes are closed by fans as long as the patches stay below this share of the surface: beyond, the shape
-    # would be an invention (an open cup's mouth is about a tenth of its surface).
-    max_patch_share: float = 0.2
+    # Curved holes are closed by fans as long as the patches stay below this share of the surface: beyond, the shape
+    # would be an invention. A flat rim has one obvious lid, so those may be larger (a box modelled without its ends).
+    max_patch_share: float = 0.1
+    max_lid_share: float = 0.4
+    # A rim is flat when it leaves its plane by less than this share of its own size.
+    flat_share: float = 0.02
+    # Where triangles meet without sharing vertices nothing leaks: winding numbers stay this near whole numbers.
+    largest_leak: float = 0.02
 
 
 def close(
@@ -69,11 +74,14 @@ def close(
         trimesh.repair.fix_winding(mesh)
         faces = np.array(mesh.faces, dtype=np.int64)
         mended.append("triangles rewound consistently")
-    if not mesh.is_watertight:
-        vertices, faces, patched, holes = _close_holes(vertices, faces)
-        share = patched / max(float(mesh.area), 1e-300)
+    if not mesh.is_watertight and _encloses(mesh, settings.largest_leak):
+        mended.append("edges that meet without sharing their vertices accepted (no gap between them)")
+    elif not mesh.is_watertight:
+        vertices, faces, patched, lids, holes = _close_holes(vertices, faces, settings.flat_share)
+        area = max(float(mesh.area), 1e-300)
+        share = (patched + lids) / area
         mesh = trimesh.Trimesh(vertices, faces, process=False)
-        if share > settings.max_patch_share or not mesh.is_watertight:
+        if patched > settings.max_patch_share * area or lids > settings.max_lid_share * area or not mesh.is_watertight:
             left = _boundary_edges(faces)
             raise MeshError(
                 f"{name}: expected a closed mesh, got {holes} holes of {share:.0%} of its surface"
@@ -96,7 +104,35 @@ def close(
     return np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int64), mended
 
 
-def _outermost(body, bodies) -> bool:  # noqa: ANN001
+def winding_numbers(vertices: Array, faces: Faces, points: Array) -> Array:
+    """Generalised winding number (n,) at points (n, 3): solid angles over 4 pi (van Oosterom & Strackee 1983)."""
+    out = np.zeros(len(points))
+    for i, point in enumerate(points):
+        a, b, c = np.moveaxis(vertices[faces] - point, 1, 0)
+        la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
+        numerator = np.einsum("ni,ni->n", a, np.cross(b, c))
+        denominator = (
+            la * lb * lc
+            + np.einsum("ni,ni->n", a, b) * lc
+            + np.einsum("ni,ni->n", b, c) * la
+            + np.einsum("ni,ni->n", c, a) * lb
+        )
+        out[i] = np.arctan2(numerator, denominator).sum() / (2 * np.pi)
+    return out
+
+
+def _encloses(mesh, largest_leak: float) -> bool:
+    """Whether the surface has no gap although edges are not shared: winding numbers beside it are whole."""
+    rng = np.random.default_rng(0)
+    count = int(np.clip(4_000_000 // len(mesh.faces), 60, 600))
+    corners = mesh.triangles[rng.choice(len(mesh.faces), size=count, p=mesh.area_faces / mesh.area_faces.sum())]
+    points = np.einsum("nk,nkd->nd", rng.dirichlet((1, 1, 1), size=count), corners)
+    offsets = rng.normal(size=(count, 3)) * 0.01 * np.linalg.norm(np.ptp(mesh.vertices, axis=0))
+    winding = winding_numbers(np.asarray(mesh.vertices), np.asarray(mesh.faces), points + offsets)
+    return bool(np.quantile(np.abs(winding - np.round(winding)), 0.995) < largest_leak)
+
+
+def _outermost(body, bodies) -> bool:
     """Whether no other body's box holds this one (an inner, inverted shell is a cavity, not a mistake)."""
     low, high = body.bounds
     return not any(
@@ -112,13 +148,13 @@ def _boundary_edges(faces: Faces) -> NDArray[np.int64]:
     return edges[counts[inverse.ravel()] == 1]
 
 
-def _close_holes(vertices: Array, faces: Faces) -> tuple[Array, Faces, float, int]:
-    """Close every boundary loop with a fan about its centre; returns also the patches' area and their number."""
+def _close_holes(vertices: Array, faces: Faces, flat_share: float) -> tuple[Array, Faces, float, float, int]:
+    """Close every boundary loop with a fan about its centre; returns also the curved and flat patches' area, and how many."""
     boundary = _boundary_edges(faces)
     following: dict[int, list[int]] = {}
     for a, b in boundary:
         following.setdefault(int(b), []).append(int(a))  # reversed: the patch runs against its neighbours
-    new_vertices, new_faces, area, holes = [vertices], [faces], 0.0, 0
+    new_vertices, new_faces, curved, flat, holes = [vertices], [faces], 0.0, 0.0, 0
     count = len(vertices)
     while following:
         start = next(iter(following))
@@ -135,15 +171,19 @@ def _close_holes(vertices: Array, faces: Faces) -> tuple[Array, Faces, float, in
             continue  # an open chain cannot be closed; the caller sees the mesh is still open
         ring = vertices[loop]
         holes += 1
+        centre = ring.mean(axis=0)
+        spokes = ring - centre
+        area = 0.5 * float(np.linalg.norm(np.cross(spokes, np.roll(spokes, -1, axis=0)), axis=1).sum())
+        sizes = np.linalg.svd(spokes, compute_uv=False)
+        if sizes[-1] <= flat_share * sizes[0]:
+            flat += area
+        else:
+            curved += area
         if len(loop) == 3:
             fan = np.array([loop])
-            area += 0.5 * float(np.linalg.norm(np.cross(ring[1] - ring[0], ring[2] - ring[0])))
         else:
-            centre = ring.mean(axis=0)
             new_vertices.append(centre[None])
             fan = np.array([[a, b, count] for a, b in zip(loop, [*loop[1:], loop[0]])])
             count += 1
-            spokes = ring - centre
-            area += 0.5 * float(np.linalg.norm(np.cross(spokes, np.roll(spokes, -1, axis=0)), axis=1).sum())
         new_faces.append(fan)
-    return np.concatenate(new_vertices), np.concatenate(new_faces), area, holes
+    return np.concatenate(new_vertices), np.concatenate(new_faces), curved, flat, holes

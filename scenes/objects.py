@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scenes import distance_field, mesh_repair
 from scenes.distance_field import DistanceField
 from scenes.errors import InputError, MeshError
+from scenes.surface import Surface
 from scenes.symmetries import Symmetries
 
 Array = NDArray[np.float64]
@@ -123,6 +124,15 @@ class ObjectModel:
         corners = self.vertices[self.faces]
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         return cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
+
+    @cached_property
+    def surface(self) -> Surface:
+        """Exact closest points on the mesh (slower than `field`, for the last digits)."""
+        return Surface(self.vertices, self.faces)
+
+    def __getstate__(self) -> dict[str, object]:
+        """Everything but the ray-casting scene, which does not pickle and is rebuilt where it is needed."""
+        return {key: value for key, value in self.__dict__.items() if key != "surface"}
 
     def sample_surface(self, count: int, seed: int = 0) -> tuple[Array, Array]:
         """Points (count, 3) uniform over the surface's area and their outward normals (count, 3)."""

@@ -67,6 +67,15 @@ def make_pose(rotation: ArrayLike | None = None, translation: ArrayLike | None =
     return pose
 
 
+def make_poses(rotations: Array, translations: Array) -> Array:
+    """(n, 4, 4) transforms from rotations (n, 3, 3) and translations (n, 3)."""
+    out = np.zeros((len(rotations), 4, 4))
+    out[:, :3, :3] = rotations
+    out[:, :3, 3] = translations
+    out[:, 3, 3] = 1.0
+    return out
+
+
 def inverse(pose: Array) -> Array:
     """source_from_target of each (..., 4, 4) target_from_source."""
     rotation_t = np.swapaxes(pose[..., :3, :3], -1, -2)
@@ -115,7 +124,9 @@ def to_quaternion(rotation: Array) -> Array:
     d = np.diagonal(r, axis1=-2, axis2=-1)
     trace = d.sum(-1)
     picks = np.argmax(np.concatenate([trace[..., None], d], axis=-1), axis=-1)
-    w0 = np.stack([1 + trace, r[..., 2, 1] - r[..., 1, 2], r[..., 0, 2] - r[..., 2, 0], r[..., 1, 0] - r[..., 0, 1]], -1)
+    w0 = np.stack(
+        [1 + trace, r[..., 2, 1] - r[..., 1, 2], r[..., 0, 2] - r[..., 2, 0], r[..., 1, 0] - r[..., 0, 1]], -1
+    )
     candidates = [w0]
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
@@ -233,6 +244,7 @@ def random_unit_vectors(count: int, rng: np.random.Generator) -> Array:
 
 def displaced(pose: Array, angle: float, distance: float, centre: ArrayLike, rng: np.random.Generator) -> Array:
     """The pose turned by exactly `angle` (rad) about a random axis through `centre` and its centre
-    moved by exactly `distance` (m) in a random direction: a coarse start as in T1 section 4.3."""
+    moved by exactly `distance` (m) in a random direction: a coarse start as in T1 section 4.3.
+    """
     directions = random_unit_vectors(2, rng)
     return perturb(pose, np.concatenate([angle * directions[0], distance * directions[1]]), centre)

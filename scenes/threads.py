@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from itertools import pairwise
 
 from scenes.errors import InputError
 
@@ -22,3 +26,24 @@ def thread_count() -> int:
     if not text.isdecimal() or int(text) < 1:
         raise InputError(f"{VARIABLE}: expected a whole number above 0, got {text!r}")
     return int(text)
+
+
+@cache
+def _pool(workers: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(workers, thread_name_prefix="palpate")
+
+
+def run_chunks(work: Callable[[slice], None], count: int, smallest: int = 1) -> None:
+    """Call work(slice) over 0..count-1, on several threads when each gets at least `smallest` items.
+
+    For compiled kernels that release the interpreter lock and write to disjoint parts of their outputs. Twice as many
+    chunks as threads evens out poses that take longer; the result does not depend on how the work was cut.
+    """
+    threads = min(thread_count(), max(1, count // max(1, smallest)))
+    if threads <= 1:
+        if count:
+            work(slice(0, count))
+        return
+    edges = [count * i // (2 * threads) for i in range(2 * threads + 1)]
+    for future in [_pool(threads).submit(work, slice(a, b)) for a, b in pairwise(edges) if b > a]:
+        future.result()

@@ -1,0 +1,114 @@
+"""Coarse to fine over many starts: few rows and much blur for many candidates, all rows and none for few."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes import poses as se3
+from scenes.alignment.batch import Alignment, AlignSettings, Prior, align
+from scenes.evidence import TOUCH, VISION, WEIGHT, Evidence
+from scenes.objects import ObjectModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SearchStage:
+    """One pass of the search."""
+
+    # Blur of this pass: metres and radians (see AlignSettings).
+    blur: float
+    blur_normal: float
+    # Vision rows looked at (evenly over the table, weights scaled up to the same total); touch rows are few: all.
+    rows: int
+    # Steps per pose, and poses that go on to the next pass.
+    iterations: int
+    keep: int
+
+
+def thin(evidence: Evidence, count: int) -> Evidence:
+    """About `count` vision rows, evenly spaced over the table, carrying the weight of all; every touch row."""
+    vision = np.flatnonzero(evidence.sense == VISION)
+    if len(vision) <= count:
+        return evidence
+    chosen = vision[(np.arange(count) * len(vision)) // count]
+    rows = np.concatenate([np.flatnonzero(evidence.sense == TOUCH), chosen])
+    few = evidence.take(rows)
+    few.rows[few.sense == VISION, WEIGHT] *= len(vision) / count
+    return few
+
+
+def rotation_grid(count: int, rng: np.random.Generator | None = None) -> Array:
+    """(count, 3, 3) rotations spread evenly over SO(3): super-Fibonacci spirals (Alexa, CVPR 2022), turned at random."""
+    phi, psi = np.sqrt(2.0), 1.533751168755204288118041
+    s = np.arange(count) + 0.5
+    t = s / count
+    d = 2 * np.pi * s
+    r, q = np.sqrt(t), np.sqrt(1 - t)
+    alpha, beta = d / phi, d / psi
+    quaternions = np.stack([q * np.cos(beta), r * np.sin(alpha), r * np.cos(alpha), q * np.sin(beta)], axis=1)
+    rotations = se3.from_quaternion(quaternions)
+    if rng is not None:
+        rotations = se3.random_rotations(1, rng)[0] @ rotations
+    return rotations
+
+
+def starts_around(
+    model: ObjectModel, pose: Array, sigma_angle: float, sigma_distance: float, count: int, rng: np.random.Generator
+) -> Array:
+    """(count, 4, 4) draws from a Gaussian on the pose (rad and m per axis), the mean itself first."""
+    delta = rng.normal(size=(count, 6)) * ([sigma_angle] * 3 + [sigma_distance] * 3)
+    delta[:1] = 0.0
+    return se3.perturb(pose, delta, model.centroid)
+
+
+def search(
+    model: ObjectModel,
+    evidence: Evidence,
+    starts: Array,
+    stages: tuple[SearchStage, ...],
+    prior: Prior | None = None,
+    settings: AlignSettings | None = None,
+) -> Alignment:
+    """Run the stages; returns the last stage's survivors, best first, with their final costs and Hessians."""
+    settings = settings or AlignSettings()
+    poses = starts
+    result = None
+    for stage in stages:
+        rows = thin(evidence, stage.rows)
+        result = align(
+            model,
+            rows,
+            poses,
+            prior,
+            replace(settings, blur=stage.blur, blur_normal=stage.blur_normal, iterations=stage.iterations),
+        )
+        order = distinct_first(model, result, stage.keep)
+        result = result.take(order)
+        poses = result.poses
+    if result is None:
+        raise ValueError("search: expected at least one stage")
+    return result
+
+
+def distinct_first(model: ObjectModel, result: Alignment, keep: int) -> NDArray[np.intp]:
+    """Indices of the best `keep` poses, those that fell onto the same minimum counted once.
+
+    Poses are sorted by cost and binned by (cost, centroid) to a thousandth: starts that reached one minimum agree far
+    better than that, and different minima almost never do.
+    """
+    order = np.argsort(result.costs, kind="stable")
+    middles = result.poses[:, :3, :3] @ model.centroid + result.poses[:, :3, 3]
+    key = np.concatenate(
+        [
+            np.round(middles / (1e-3 * model.radius)),
+            np.round(result.poses[:, :3, 0] * 1e2),
+            np.round(result.poses[:, :3, 1] * 1e2),
+        ],
+        axis=1,
+    ).astype(np.int64)
+    _, first = np.unique(key[order], axis=0, return_index=True)
+    return order[np.sort(first)][:keep]

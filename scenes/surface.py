@@ -1,0 +1,52 @@
+"""Exact closest points on a mesh, for the digits that a lattice rounds away. Object frame, metres."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes._open3d import open3d
+
+Array = NDArray[np.float64]
+
+
+class Surface:
+    """Closest-point queries against the triangles of a closed mesh."""
+
+    def __init__(self, vertices: Array, faces: NDArray[np.int64]) -> None:
+        """Vertices (n, 3) metres, faces (m, 3) wound outwards."""
+        o3d = open3d()
+        # centred: the ray caster works in float32 and loses digits far from the origin
+        self._middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+        self._corners = (vertices - self._middle)[faces]
+        self._scene = o3d.t.geometry.RaycastingScene()
+        self._scene.add_triangles(
+            o3d.core.Tensor((vertices - self._middle).astype(np.float32)), o3d.core.Tensor(faces.astype(np.uint32))
+        )
+        cross = np.cross(self._corners[:, 1] - self._corners[:, 0], self._corners[:, 2] - self._corners[:, 0])
+        self._normals = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
+
+    def closest(self, points: Array) -> tuple[Array, Array, Array]:
+        """For points (n, 3): signed distance (n,), its unit gradient (n, 3), and the closest points (n, 3).
+
+        The closest point is found in single precision and its foot recomputed in double on that triangle's plane.
+        The sign is that of the nearest triangle's side: trust it near the surface, not across a sharp edge.
+        """
+        o3d = open3d()
+        local = np.ascontiguousarray(points, dtype=np.float64) - self._middle
+        if len(local) == 0:
+            return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
+        found = self._scene.compute_closest_points(o3d.core.Tensor(local.astype(np.float32)))
+        face = found["primitive_ids"].numpy().astype(np.int64)
+        foot = found["points"].numpy().astype(np.float64)
+        normal = self._normals[face]
+        # float32 rounding lifts the foot off its triangle: put it back onto the plane
+        foot -= np.einsum("ni,ni->n", foot - self._corners[face, 0], normal)[:, None] * normal
+        offset = local - foot
+        length = np.linalg.norm(offset, axis=1)
+        side = np.einsum("ni,ni->n", offset, normal)
+        distance = np.where(side < 0, -length, length)
+        # closer than single precision resolves, the direction is noise: the triangle's normal stands in
+        near = length < 1e-6
+        gradient = np.where(near[:, None], normal, offset / np.where(near, 1.0, distance)[:, None])
+        return np.where(near, side, distance), gradient, foot + self._middle

@@ -1,0 +1,207 @@
+"""Touch alone: where is the object, given points (and perhaps normals) on its surface?
+
+The default method is a batched multi-start: thousands of starts, each refined by Levenberg-Marquardt on distance and
+normal (T1 eqs. 3.3, 3.5 with an analytic Jacobian), blur falling from a share of the object's size to the noise of the
+contacts; all distinct minima are kept. Noise larger than the contacts claim is inferred from their residuals.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes import evidence as tables
+from scenes import poses as se3
+from scenes.alignment.batch import Alignment, AlignSettings, Prior, align
+from scenes.alignment.modes import Mode, ModeSettings, distinct_modes
+from scenes.alignment.search import SearchStage, rotation_grid, search
+from scenes.errors import InputError
+from scenes.evidence import Evidence
+from scenes.frames import Contacts
+from scenes.objects import ObjectModel
+from touch.polish import polish
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LocalizeSettings:
+    """The multi-start search over contacts."""
+
+    # Starts; each costs about 10 microseconds with five contacts.
+    starts: int = 6000
+    # Blur of the first pass as a share of the object's radius: its basins are as wide as the object's features.
+    widest_blur: float = 0.25
+    # Blur on normals in the first pass, radians.
+    widest_blur_normal: float = 0.6
+    # Survivors of the passes.
+    keep: tuple[int, int, int] = (1500, 400, 120)
+    # Row evaluations that a pass may spend; with many contacts the starts are fewer.
+    budget_rows: int = 3_000_000
+    # Residuals this many times above the claimed sigma mean that the claim is wrong: the noise is then inferred.
+    surprise: float = 1.5
+    # Inferred noise has an unknown shape: residuals beyond this many sigmas count linearly.
+    huber: float = 0.3
+    # Contacts finer than this share of the lattice's spacing are finished on the exact mesh.
+    exact_below: float = 0.2
+
+
+@dataclass(frozen=True)
+class Localization:
+    """pose (4, 4) contacts_frame_from_object of the first mode; modes; index: mean |distance| of all contacts to the
+    surface there (m, the measure of T2 section 4.4); sigma: noise of the contacts, claimed or inferred (m); verdict.
+    """
+
+    pose: Array
+    modes: tuple[Mode, ...]
+    index: float
+    sigma: float
+    verdict: str
+    time_s: float
+    method: str = "multistart"
+
+    @property
+    def covariance(self) -> Array:
+        """(6, 6) of the first mode."""
+        return self.modes[0].covariance
+
+
+def contact_index(model: ObjectModel, contacts: Contacts, pose: Array) -> float:
+    """Mean |distance| (m) of the contacts to the surface of the object at `pose`; T2 section 4.4."""
+    distance, _, _ = model.surface.closest(se3.apply(se3.inverse(pose), contacts.points))
+    return float(np.abs(distance).mean())
+
+
+def contact_starts(model: ObjectModel, contacts: Contacts, count: int, rng: np.random.Generator) -> Array:
+    """(count, 4, 4) starts: even rotations; one contact, chosen at random, lies on the surface where its normal fits.
+
+    Half of the starts put the contacts' mean onto the object's centroid instead, which suits contacts all around it.
+    """
+    rotations = rotation_grid(count, rng)
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    middle = contacts.points.mean(axis=0)
+    spread = 0.3 * model.radius
+    poses[:, :3, :3] = rotations
+    offsets = rng.normal(size=(count, 3)) * spread
+    poses[:, :3, 3] = middle + offsets - rotations @ model.centroid
+    points, normals = model.sample_surface(4000, seed=int(rng.integers(2**31)))
+    half = np.arange(1, count, 2)
+    contact = rng.integers(len(contacts), size=len(half))
+    surface = rng.integers(len(points), size=len(half))
+    known = contacts.has_normal[contact]
+    if known.any():
+        # turn the start so that the surface's normal meets the contact's, the shortest way
+        source = np.einsum("nij,nj->ni", rotations[half], normals[surface])
+        target = np.where(known[:, None], contacts.normals[contact], source)
+        poses[half, :3, :3] = _shortest_turn(source, target) @ rotations[half]
+    placed = np.einsum("nij,nj->ni", poses[half, :3, :3], points[surface])
+    poses[half, :3, 3] = contacts.points[contact] - placed
+    return poses
+
+
+def _shortest_turn(source: Array, target: Array) -> Array:
+    """(n, 3, 3) rotations that take unit vectors source to target."""
+    axis = np.cross(source, target)
+    sine = np.linalg.norm(axis, axis=1)
+    angle = np.arctan2(sine, np.einsum("ni,ni->n", source, target))
+    other = np.cross(source, np.eye(3)[np.argmin(np.abs(source), axis=1)])
+    axis = np.where(sine[:, None] > 1e-9, axis, other)
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    return se3.exp_rotation(axis * angle[:, None])
+
+
+def contact_stages(model: ObjectModel, rows: int, settings: LocalizeSettings) -> tuple[int, tuple[SearchStage, ...]]:
+    """How many starts and which passes the budget allows for so many rows."""
+    steps = (6, 10, 14)
+    affordable = int(settings.budget_rows / (max(rows, 1) * steps[0]))
+    starts = int(np.clip(affordable, 300, settings.starts))
+    share = starts / settings.starts
+    wide = settings.widest_blur * model.radius
+    blurs = (wide, wide / 4, wide / 16)
+    angles = (settings.widest_blur_normal, settings.widest_blur_normal / 3, settings.widest_blur_normal / 9)
+    keeps = [max(60, int(k * share)) for k in settings.keep]
+    return starts, tuple(SearchStage(b, a, 10**9, i, k) for b, a, i, k in zip(blurs, angles, steps, keeps))
+
+
+def refine_contacts(
+    model: ObjectModel, contacts: Contacts, starts: Array, prior: Prior | None = None, use_normals: bool = True
+) -> Alignment:
+    """Local refinement by distance and normal of every start (b, 4, 4): wide blur, then the contacts' own noise."""
+    rows = tables.from_contacts(contacts, use_normals=use_normals)
+    result = align(model, rows, starts, prior, AlignSettings(blur=0.1 * model.radius, blur_normal=0.4, iterations=12))
+    return align(model, rows, result.poses, prior, AlignSettings())
+
+
+def localize(
+    model: ObjectModel,
+    contacts: Contacts,
+    seed: int = 0,
+    method: str = "multistart",
+    prior: Prior | None = None,
+    extra: Evidence | None = None,
+    settings: LocalizeSettings | None = None,
+) -> Localization:
+    """Find the object from contacts alone.
+
+    contacts in any frame, metres; the answer is contacts_frame_from_object. extra: more rows of evidence in the same
+    frame (regions felt to be empty, links). prior: a Gaussian on the pose. Raises InputError for no contacts.
+    """
+    if method != "multistart":
+        raise InputError(f"method: expected one of multistart, got {method!r}")
+    if len(contacts) == 0:
+        raise InputError("localize: expected at least one contact, got none")
+    settings = settings or LocalizeSettings()
+    model.field  # noqa: B018  (building the lattice is not part of the search's time)
+    begin = time.perf_counter()
+    rng = np.random.default_rng(seed)
+    rows = tables.from_contacts(contacts)
+    if extra is not None:
+        rows = tables.stack(rows, extra)
+    count, stages = contact_stages(model, len(rows), settings)
+    starts = contact_starts(model, contacts, count, rng)
+    found = search(model, rows, starts, stages, prior)
+    result = align(model, rows, found.poses, prior)
+    sigma = float(np.sqrt(np.mean(contacts.sigma_point**2)))
+    inferred = _inferred_noise(model, contacts, result, settings)
+    if inferred is not None:
+        sigma = inferred
+        rows = rows.with_sigma(sigma, tables.TOUCH)
+        result = align(
+            model, rows, np.concatenate([found.poses, result.poses]), prior, AlignSettings(huber=settings.huber)
+        )
+    modes = distinct_modes(model, result, ModeSettings())
+    if sigma < settings.exact_below * model.field.spacing and extra is None and prior is None:
+        modes = polish(model, contacts, modes, sigma, settings.huber if inferred is not None else 0.0)
+    pose = modes[0].pose
+    return Localization(
+        pose,
+        modes,
+        contact_index(model, contacts, pose),
+        sigma,
+        verdict_of(modes),
+        time.perf_counter() - begin,
+    )
+
+
+def _inferred_noise(
+    model: ObjectModel, contacts: Contacts, result: Alignment, settings: LocalizeSettings
+) -> float | None:
+    """Sigma (m) that the residuals of the best pose speak of; None when the contacts' own claim holds."""
+    if len(contacts) < 7:
+        return None  # six contacts can always be met: their residuals tell nothing about noise
+    best = result.poses[int(np.argmin(result.costs))]
+    residual, _, _ = model.surface.closest(se3.apply(se3.inverse(best), contacts.points))
+    # 1.25 mean |r| is the sigma of a Gaussian and suffers less from a few wild contacts than the RMS
+    sigma = 1.25 * float(np.abs(residual).sum()) / (len(contacts) - 6) + 1e-6 * model.radius
+    claimed = float(np.sqrt(np.mean(contacts.sigma_point**2)))
+    if sigma > settings.surprise * claimed or not contacts.sigma_known:
+        return sigma
+    return None
+
+
+def verdict_of(modes: tuple[Mode, ...], share: float = 0.9) -> str:
+    """Ok when the first mode holds `share` of the posterior, else ambiguous."""
+    return "ok" if modes and modes[0].weight >= share else "ambiguous"
