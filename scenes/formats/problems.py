@@ -1,0 +1,35 @@
+"""What is wrong with a file, and the two ways to take it: refuse at the first problem, or collect them all.
+
+Readers of captures call `report(Problem(...))` and go on with what is left. Reading a capture passes `refuse`, which
+raises; validating one passes the `append` of a list: both judge by the same code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NoReturn
+
+from scenes.errors import CaptureError
+
+
+@dataclass(frozen=True)
+class Problem:
+    """file: path as the user gave it; frame: its number, None when the problem is not one frame's; message: one line."""
+
+    file: str
+    frame: int | None
+    message: str
+
+    def __str__(self) -> str:
+        where = self.file if self.frame is None else f"{self.file}, frame {self.frame}"
+        message = " ".join(self.message.split())
+        return message if self.frame is None and message.startswith(self.file) else f"{where}: {message}"
+
+
+Report = Callable[[Problem], None]
+
+
+def refuse(problem: Problem) -> NoReturn:
+    """Raise the problem as a CaptureError."""
+    raise CaptureError(str(problem))
