@@ -30,8 +30,11 @@ POSES_HEADER = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
 
 @dataclass(frozen=True)
 class SceneCamera:
-    """One entry of scene_camera.json: K (3, 3) pixels; depth_scale, millimetres per count of the depth image;
-    camera_from_world (4, 4), None when not given; size (width, height), None when not given (not in BOP)."""
+    """One entry of scene_camera.json.
+
+    matrix: K (3, 3), pixels; depth_scale: millimetres per count of the depth image;
+    camera_from_world (4, 4), None when not given; size (width, height), None when not given (not in BOP).
+    """
 
     matrix: Array
     depth_scale: float
@@ -162,13 +165,16 @@ def prior_entry(entry: Any) -> Array:
 
 def read_priors(path: str | Path, report: Report) -> dict[int, Array]:
     """A prior.json: frame -> camera_from_object (4, 4) metres."""
-    priors = {}
-    for frame, entry in read_frames(path, report).items():
+
+    def checked(frame: int, entry: Any) -> Array | None:
         try:
-            priors[frame] = prior_entry(entry)
+            return prior_entry(entry)
         except InputError as error:
             report(Problem(str(path), frame, str(error)))
-    return priors
+            return None
+
+    priors = {frame: checked(frame, entry) for frame, entry in read_frames(path, report).items()}
+    return {frame: prior for frame, prior in priors.items() if prior is not None}
 
 
 def symmetries_entry(entry: dict[str, Any]) -> Symmetries:

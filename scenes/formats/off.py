@@ -7,6 +7,7 @@ into lines. Numbers stay in the file's unit and frame. Format: Geomview's OFF(5)
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +27,8 @@ _HEADER = re.compile(r"^(ST)?(C)?(N)?(4)?(n)?OFF(?![A-Za-z])\s*", re.IGNORECASE)
 @dataclass(frozen=True)
 class OffData:
     """points (n, 3); faces (m, 3) triangles, m = 0 for a point list; colours (n, 3) 0..255 or None; normals (n, 3) or
-    None, as in the file (not normalised)."""
+    None, as in the file (not normalised).
+    """
 
     points: Array
     faces: NDArray[np.int64]
@@ -67,7 +69,7 @@ def write_off(
     colours: ArrayLike | None = None,
     normals: ArrayLike | None = None,
 ) -> None:
-    """Write points (n, 3), triangles (m, 3), colours (n, 3) 0..255, normals (n, 3); every number reads back the same."""
+    """Write points (n, 3), triangles (m, 3), colours (n, 3) 0..255, normals (n, 3); numbers read back the same."""
     points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     triangles = np.zeros((0, 3), dtype=np.int64) if faces is None else np.asarray(faces, dtype=np.int64).reshape(-1, 3)
     columns: list[list[str]] = [[" ".join(map(repr, row)) for row in points.tolist()]]
@@ -124,7 +126,7 @@ def _whole(word: str) -> int | None:
 
 
 def _rebroken(path: Path, lines: Lines, counts: tuple[int, int], kind: str) -> Lines:
-    """One vertex or face a line again, of a file whose numbers run on; its vertices have the width their header says."""
+    """One vertex or face a line again, of a file whose numbers run on; the header tells the width of its vertices."""
     last = lines[-1][0] if lines else 1
     words = [word for _, line in lines for word in line.split()]
     width = 3 + 3 * ("N" in kind) + 4 * ("C" in kind)
@@ -174,13 +176,16 @@ def _numbers(path: Path, lines: Lines, rows: list[list[str]], width: int) -> Arr
     if np.isfinite(values).all():
         return values
     for (number, line), row in zip(lines, rows):
-        try:
-            good = np.isfinite([float(word) for word in row]).all()
-        except ValueError:
-            good = False
-        if not good:
+        if any(not _is_finite(word) for word in row):
             raise MeshError(f"{path}, line {number}: expected finite numbers, got {line[:60]!r}")
     raise MeshError(f"{path}: expected finite numbers")
+
+
+def _is_finite(word: str) -> bool:
+    try:
+        return math.isfinite(float(word))
+    except ValueError:
+        return False
 
 
 def _faces(path: Path, lines: Lines, points: int) -> NDArray[np.int64]:

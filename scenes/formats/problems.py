@@ -15,7 +15,7 @@ from scenes.errors import CaptureError
 
 @dataclass(frozen=True)
 class Problem:
-    """file: path as the user gave it; frame: its number, None when the problem is not one frame's; message: one line."""
+    """file: path as the user gave it; frame: number, None when it is not one frame's problem; message: one line."""
 
     file: str
     frame: int | None

@@ -9,6 +9,7 @@ import csv
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +51,7 @@ TACTILE = (Column("taxel", "index"), Column("pressure"))
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of a CSV: numbers and indices by column name, each (n,); texts by column name; `lines`, where each row was."""
+    """Rows of a CSV: numbers (and indices) and texts by column name, each n long; `lines`, where each row was."""
 
     file: str
     numbers: dict[str, Array] = field(default_factory=dict)
@@ -95,9 +96,8 @@ def read_table(path: str | Path, columns: Sequence[Column], report: Report) -> T
         report(Problem(file, None, f"cannot be read: {error.strerror}"))
         return Table(file)
     rows = csv.reader(text.splitlines())
-    try:
-        header = [name.strip() for name in next(rows)]
-    except StopIteration:
+    header = [name.strip() for name in next(rows, [])]
+    if not header:
         report(Problem(file, None, f"expected the header {','.join(c.name for c in columns)}, got an empty file"))
         return Table(file)
     missing = [c.name for c in columns if not c.optional and c.name not in header]
@@ -105,22 +105,19 @@ def read_table(path: str | Path, columns: Sequence[Column], report: Report) -> T
         got = ",".join(header)[:80]
         report(Problem(file, None, f"expected the column{'s'[: len(missing) > 1]} {', '.join(missing)}, got {got}"))
         return Table(file)
-    return _parse(file, rows, header, columns, report)
+    try:
+        return _parse(file, rows, header, columns, report)
+    except csv.Error as error:
+        report(Problem(file, None, f"line {rows.line_num}: {error}"))
+        return Table(file)
 
 
-def _parse(file: str, rows: csv._reader, header: list[str], columns: Sequence[Column], report: Report) -> Table:
+def _parse(file: str, rows: Any, header: list[str], columns: Sequence[Column], report: Report) -> Table:
     at = {c.name: header.index(c.name) for c in columns if c.name in header}
     numbers: dict[str, list[float]] = {c.name: [] for c in columns if c.kind != "text"}
     texts: dict[str, list[str]] = {c.name: [] for c in columns if c.kind == "text"}
     lines: list[int] = []
-    while True:
-        try:
-            row = next(rows)
-        except StopIteration:
-            break
-        except csv.Error as error:
-            report(Problem(file, None, f"line {rows.line_num}: {error}"))
-            continue
+    for row in rows:
         line = rows.line_num
         if not any(cell.strip() for cell in row):
             continue

@@ -1,0 +1,142 @@
+"""Every problem of a capture at once, and the suspicion that a unit is wrong.
+
+Validation reads the capture with the very code that an estimate reads it with, only that problems are collected.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes import poses
+from scenes.captures import Capture
+from scenes.errors import CaptureError, PalpateError
+from scenes.formats.problems import Problem
+from scenes.frames import Frame
+from scenes.objects import ObjectModel
+
+__all__ = ["Problem", "check_scale", "scale_problem", "validate"]
+
+Array = NDArray[np.float64]
+
+# Sizes or distances that disagree by more than this were written in different units (the closest confusion is m and
+# cm, a factor of 10; a half-hidden view or a rough start explains a factor of 2).
+SUSPICIOUS_RATIO = 5.0
+# A cloud may show the whole scene: only a size that no table-top has is suspicious then.
+LARGEST_SCENE_RATIO = 50.0
+# With fewer points the extent of a cloud says nothing about the size of what it shows.
+FEWEST_POINTS = 30
+
+
+def validate(folder: str | Path) -> list[Problem]:
+    """Every problem of a capture, in the order of its files and frames; an empty list means that it can be used."""
+    problems: list[Problem] = []
+    try:
+        capture = Capture(folder, problems.append)
+    except CaptureError as error:
+        return [*problems, Problem(str(folder), None, str(error))]
+    model = _attempt(capture, problems)
+    for number in capture.frame_ids:
+        frame = capture.frame(number)
+        problems += _frame_problems(capture, frame)
+        message = None if model is None else scale_problem(frame, model)
+        if message is not None:
+            problems.append(Problem(str(capture.path), number, message))
+    return list(dict.fromkeys(problems))
+
+
+def _attempt(capture: Capture, problems: list[Problem]) -> ObjectModel | None:
+    try:
+        return capture.model
+    except PalpateError as error:
+        problems.append(Problem(str(capture.path / capture.settings.model), None, str(error)))
+        return None
+
+
+def _frame_problems(capture: Capture, frame: Frame) -> list[Problem]:
+    """What is well formed and still useless: nothing sensed, a depth image without a reading, joints out of range."""
+    found = []
+    depth_file = str(capture.path / f"depth/{frame.index:06d}.png")
+    if frame.depth is not None and not (frame.depth > 0).any():
+        found.append(Problem(depth_file, frame.index, "expected depth readings, got an image of zeros"))
+    sensed = (frame.depth is not None, frame.cloud is not None, len(frame.contacts) > 0, len(frame.wrenches) > 0)
+    if not any(sensed) and not frame.tactile:
+        expected = "expected a depth image, a cloud, contacts, wrenches or tactile arrays, found none"
+        found.append(Problem(str(capture.path), frame.index, expected))
+    if frame.hand is not None and frame.joints is not None:
+        for joint, excess in frame.hand.limit_excess(frame.joints).items():
+            message = f"expected {joint} within its limits, got {excess:.3g} beyond"
+            found.append(Problem(str(capture.path / "joints.csv"), frame.index, message))
+    if frame.hand is not None and frame.joints is not None and frame.world_from_hand is None:
+        message = "expected the hand's pose for its joints, found none"
+        found.append(Problem(str(capture.path / "hand_poses.csv"), frame.index, message))
+    return found
+
+
+def check_scale(frame: Frame, model: ObjectModel) -> None:
+    """Raise CaptureError, naming both sizes, when the model's unit and the frame's cannot both be metres."""
+    message = scale_problem(frame, model)
+    if message is not None:
+        raise CaptureError(f"{frame.where or f'frame {frame.index}'}: {message}")
+
+
+def scale_problem(frame: Frame, model: ObjectModel) -> str | None:
+    """What makes one suspect a wrong unit in this frame, with both sizes; None when all agree.
+
+    Compared with the object's diameter: the extents of the contacts and of the cloud. Compared with the pose known
+    from ground truth or prior: the depths around the object's projection and the contacts' distance from it.
+    """
+    diameter = model.diameter
+    points = frame.contacts.points
+    if len(points) > 1:
+        extent = _extent(points)
+        if extent > SUSPICIOUS_RATIO * diameter:
+            return _says("contacts spread over", extent, "an object of", diameter)
+    if frame.cloud is not None and len(frame.cloud) >= FEWEST_POINTS:
+        extent = _extent(frame.cloud)
+        if not diameter / SUSPICIOUS_RATIO < extent < LARGEST_SCENE_RATIO * diameter:
+            return _says("a cloud that spreads over", extent, "an object of", diameter)
+    pose = frame.camera_from_object_truth if frame.camera_from_object_truth is not None else frame.prior
+    if pose is None:
+        return None
+    centre = poses.apply(pose, model.centroid[None])[0]
+    if len(points):
+        felt = poses.apply(frame.camera_from_world, points)
+        away = float(np.linalg.norm(felt - centre, axis=1).min())
+        if away > SUSPICIOUS_RATIO * diameter:
+            return _says(
+                "contacts no nearer than", away, "the centre, by ground truth or prior, of an object of", diameter
+            )
+    seen = _depth_at(frame, centre, diameter)
+    if seen is not None and max(seen / centre[2], centre[2] / seen) > SUSPICIOUS_RATIO:
+        return _says("depth readings about", seen, "an object, by ground truth or prior, at", float(centre[2]))
+    return None
+
+
+def _says(what: str, size: float, other: str, reference: float) -> str:
+    ratio = size / reference
+    unit = next((u for u, low in (("mm", 200.0), ("cm", 4.0)) if max(ratio, 1 / ratio) > low), "")
+    hint = f": {unit} read as m?" if unit else ""
+    return f"expected sizes that agree, got {what} {size:.4g} m and {other} {reference:.4g} m{hint}"
+
+
+def _extent(points: Array) -> float:
+    """Diagonal of the box of the points; of a large cloud without the farthest 2 % on each side, which may be stray."""
+    cut = 2.0 if len(points) >= FEWEST_POINTS else 0.0
+    low, high = np.percentile(points, [cut, 100.0 - cut], axis=0)
+    return float(np.linalg.norm(high - low))
+
+
+def _depth_at(frame: Frame, centre: Array, diameter: float) -> float | None:
+    """Median depth (m) of the pixels about the object's centre; None without enough of them."""
+    if frame.depth is None or frame.camera is None or centre[2] <= 0:
+        return None
+    (u, v), reach = frame.camera.project(centre[None])[0][0], 0.5 * diameter * frame.camera.fx / centre[2]
+    # an object that a wrong unit puts onto the lens would fill the image: look at what is there
+    rows = slice(max(0, int(v - reach)), max(0, int(v + reach) + 1))
+    columns = slice(max(0, int(u - reach)), max(0, int(u + reach) + 1))
+    patch = frame.depth[rows, columns]
+    patch = patch[patch > 0]
+    return float(np.median(patch)) if len(patch) >= FEWEST_POINTS else None
