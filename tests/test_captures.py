@@ -290,6 +290,12 @@ def sound(tmp_path_factory) -> Path:
     return write_capture(tmp_path_factory.mktemp("sound") / "c", frames, make("box"), hand)
 
 
+def read_everything(folder: Path) -> None:
+    capture = read_capture(folder)
+    assert capture.model
+    assert len(list(capture)) == 2
+
+
 @pytest.mark.parametrize("name", DAMAGES)
 def test_damage_is_named(tmp_path, sound, name):
     damage, message = DAMAGES[name]
@@ -297,9 +303,7 @@ def test_damage_is_named(tmp_path, sound, name):
     shutil.copytree(sound, folder)
     damage(folder)
     with pytest.raises(PalpateError) as caught:
-        capture = read_capture(folder)
-        assert capture.model
-        assert len(list(capture)) == 2
+        read_everything(folder)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
     problems = validate(folder)
@@ -329,7 +333,7 @@ def test_wrong_units_are_suspected():
     assert scale_problem(frame, model) is None
     check_scale(frame, model)
     touched = replace(frame, contacts=Contacts(frame.contacts.points * 1e3), camera_from_object_truth=None, prior=None)
-    with pytest.raises(CaptureError, match="contacts spread over .* an object of 0.175.*mm read as m"):
+    with pytest.raises(CaptureError, match=r"contacts spread over .* an object of 0.175.*mm read as m"):
         check_scale(touched, model)
     for factor in (1e3, 1e2, 1e-2, 1e-3):
         assert "cloud" in (scale_problem(replace(frame, cloud=frame.cloud * factor), model) or "")

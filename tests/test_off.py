@@ -109,7 +109,7 @@ def test_broken_files_are_refused_with_their_line(tmp_path, text, message):
 
 
 def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(MeshError, match="none.off"):
+    with pytest.raises(MeshError, match="none\\.off"):
         read_off(tmp_path / "none.off")
 
 
