@@ -17,7 +17,7 @@ from scenes.formats.problems import Problem
 from scenes.frames import Frame
 from scenes.objects import ObjectModel
 
-__all__ = ["Problem", "check_scale", "scale_problem", "validate"]
+__all__ = ["Problem", "check_scale", "check_usable", "scale_problem", "validate"]
 
 Array = NDArray[np.float64]
 
@@ -73,6 +73,15 @@ def _frame_problems(capture: Capture, frame: Frame) -> list[Problem]:
         message = "expected the hand's pose for its joints, found none"
         found.append(Problem(str(capture.path / "hand_poses.csv"), frame.index, message))
     return found
+
+
+def check_usable(frame: Frame, model: ObjectModel, vision: bool = True) -> None:
+    """Raise CaptureError for a frame that no estimate should be made of: a depth image without a single reading (when
+    `vision` is asked for), or sizes that tell of a wrong unit.
+    """
+    if vision and frame.depth is not None and not (frame.depth > 0).any():
+        raise CaptureError(f"{frame.where or f'frame {frame.index}'}: expected depth readings, got an image of zeros")
+    check_scale(frame, model)
 
 
 def check_scale(frame: Frame, model: ObjectModel) -> None:

@@ -44,8 +44,11 @@ CONTACTS = (
     *_numbers("x", "y", "z"),
     *_numbers("nx", "ny", "nz", "fx", "fy", "fz", "sigma_point", "sigma_normal", optional=True),
 )
+# A list of contacts by itself: one frame, sensors that need no name.
+LOOSE_CONTACTS = (Column("frame", "index", optional=True), Column("sensor", "text", optional=True), *CONTACTS[2:])
 NO_CONTACT = (FRAME, SENSOR, *_numbers("x", "y", "z", "radius"))
 WRENCHES = (FRAME, SENSOR, *_numbers("fx", "fy", "fz", "mx", "my", "mz"))
+NO_FACES: NDArray[np.int64] = np.zeros((0, 3), dtype=np.int64)
 TACTILE = (Column("taxel", "index"), Column("pressure"))
 
 
@@ -66,8 +69,10 @@ class Table:
         return np.stack([self.numbers[name] for name in names], axis=1) if len(self) else np.zeros((0, len(names)))
 
     def frames(self) -> NDArray[np.int64]:
-        """(n,) the frame of each row; empty for a table without that column."""
-        return self.numbers["frame"].astype(np.int64) if "frame" in self.numbers else np.zeros(0, dtype=np.int64)
+        """(n,) the frame of each row, 0 where it is not said; empty for a table without that column."""
+        return (
+            np.nan_to_num(self.numbers["frame"]).astype(np.int64) if "frame" in self.numbers else np.zeros(0, np.int64)
+        )
 
     def of_frame(self, frame: int) -> Table:
         """The rows of one frame, in the file's order."""
@@ -130,7 +135,7 @@ def _parse(file: str, rows: Any, header: list[str], columns: Sequence[Column], r
         wrong = []
         for column in columns:
             if column.kind == "text":
-                if not values[column.name]:
+                if not values[column.name] and not column.optional:
                     wrong.append(f"column {column.name}: expected a name, got nothing")
                 continue
             number, complaint = _number(values[column.name], column)

@@ -1,0 +1,94 @@
+"""Compare methods on the same frames: errors, times, verdicts, as a table and a plot."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fusion.cli.options import (
+    add_object,
+    add_prior,
+    load_object,
+    names,
+    number,
+    prior_setter,
+    progress,
+    say,
+    show_table,
+    write_json,
+)
+
+if TYPE_CHECKING:
+    from fusion.compare import Summary
+
+HEADS = (
+    "method",
+    "frames",
+    "ADD-S mm",
+    "< 5 mm",
+    "rot °",
+    "trans mm",
+    "cloud mm",
+    "contacts mm",
+    "time ms",
+    "verdicts",
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's own arguments."""
+    parser.add_argument("captures", metavar="CAPTURE", type=Path, nargs="+", help="folders of captures")
+    parser.add_argument(
+        "--methods", metavar="NAMES", type=names, help="icp, icp_segmented, vision, touch, fused (default all)"
+    )
+    add_object(parser, what="instead of the captures' object")
+    add_prior(parser)
+    parser.add_argument("--plot", metavar="FILE", type=Path, help="also draw the errors: .html or .svg")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 0: a method that is lost is what a comparison is for."""
+    from fusion.compare import METHODS, check_methods, compare, summarise
+    from fusion.plots import check_suffix, write_plot
+    from scenes.captures import read_capture
+
+    methods = check_methods(args.methods if args.methods is not None else METHODS)
+    if args.plot is not None:
+        check_suffix(args.plot)
+    captures = [read_capture(path) for path in args.captures]
+    model = load_object(args.object, args.unit) if args.object else None
+    total = len(methods) * sum(map(len, captures))
+    rows = list(
+        progress(compare(captures, methods, args.seed, model, prior_setter(args.prior, args.seed)), total, "comparing")
+    )
+    summaries = summarise(rows)
+    show(summaries)
+    if args.plot is not None:
+        write_plot(args.plot, rows)
+        say(f"wrote {args.plot}")
+    write_json(args.json, {"summary": [s.to_json() for s in summaries], "rows": [row.to_json() for row in rows]})
+    return 0
+
+
+def show(summaries: list[Summary]) -> None:
+    """One table a group; the group's name above it when there are several."""
+    groups = list(dict.fromkeys(s.group for s in summaries))
+    for group in groups:
+        rows = [_cells(s) for s in summaries if s.group == group]
+        show_table(HEADS, rows, title=group if len(groups) > 1 else None)
+
+
+def _cells(s: Summary) -> list[str]:
+    success = "–" if s.success != s.success else f"{100 * s.success:.0f} %"
+    numbers = (s.rotation_deg, s.translation_mm, s.cloud_mm, s.contacts_mm)
+    verdicts = ", ".join(f"{count} {word}" for word, count in s.verdicts.items())
+    return [
+        s.method,
+        str(s.frames),
+        number(s.add_s_mm),
+        success,
+        *map(number, numbers),
+        number(s.time_ms, 1 if s.time_ms < 10 else 0),
+        verdicts,
+    ]

@@ -1,0 +1,87 @@
+"""Estimate the object's pose in every frame of a capture; writes poses.csv, result.json and report.html."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from fusion.cli.options import (
+    add_object,
+    add_prior,
+    length_and_angle,
+    load_object,
+    names,
+    number,
+    positive_number,
+    prior_setter,
+    progress,
+    say,
+    show_table,
+    write_json,
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's own arguments."""
+    parser.add_argument("capture", metavar="CAPTURE", type=Path, help="folder of the capture")
+    add_object(parser, what="instead of the capture's object")
+    parser.add_argument(
+        "--use", metavar="SENSES", type=names, default=("vision", "touch"), help="vision,touch (default)"
+    )
+    add_prior(parser)
+    parser.add_argument(
+        "--tolerance", metavar="MM,DEG", type=length_and_angle, help="good enough, like 1,2: work beyond is skipped"
+    )
+    parser.add_argument("--budget-ms", metavar="N", type=positive_number, help="milliseconds a frame may take")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="where to write (default out/NAME of the capture)")
+    parser.add_argument("--no-report", action="store_true", help="skip report.html")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 1 when a frame's answer is lost."""
+    from fusion.estimate import check_senses, estimate
+    from fusion.judging import Judge
+    from fusion.results import frame_errors, result_json, write_results
+    from scenes.captures import read_capture
+    from scenes.validation import check_usable
+
+    senses = tuple(sorted(check_senses(args.use), reverse=True))
+    capture = read_capture(args.capture)
+    model = load_object(args.object, args.unit) if args.object else capture.model
+    prepare = prior_setter(args.prior, args.seed)
+    judge = Judge(model)
+    frames, answers, errors, rows = [], [], [], []
+    for recorded in progress(capture, len(capture), "estimating"):
+        frame = prepare(recorded, model)
+        check_usable(frame, model, vision="vision" in senses)
+        answer = estimate(frame, model, use=senses, tolerance=args.tolerance, budget_ms=args.budget_ms, seed=args.seed)
+        frames.append(frame)
+        answers.append(answer)
+        errors.append(frame_errors(judge, frame, answer))
+        rows.append(_row(answer, errors[-1], judge.agreement(frame, answer.pose)))
+    out = args.out or Path("out") / capture.name
+    content = result_json(capture.name, model, answers, errors)
+    write_results(out, capture, answers, content)
+    if not args.no_report:
+        from fusion.report.page import write_report
+
+        write_report(out / "report.html", capture.name, frames, model, answers, None, content["errors"])
+    write_json(args.json, content)
+    heads = ("frame", "verdict", "ADD-S mm", "rot °", "trans mm", "cloud mm", "contacts mm", "time ms", "not known")
+    show_table(heads, rows)
+    say(f"wrote {out / 'poses.csv'}, result.json" + ("" if args.no_report else ", report.html"))
+    return 1 if any(answer.verdict == "lost" for answer in answers) else 0
+
+
+def _row(answer, errors, agreement) -> list[str]:  # type: ignore[no-untyped-def]  # naming the types would import them
+    against = (None, None, None) if errors is None else (errors.add_s, errors.rotation, errors.translation)
+    factors = (1e3, 57.29577951308232, 1e3)
+    return [
+        str(answer.frame),
+        answer.verdict,
+        *(number(None if value is None else value * factor) for value, factor in zip(against, factors)),
+        number(1e3 * agreement.cloud),
+        number(1e3 * agreement.contacts),
+        number(answer.time_ms, 0),
+        ", ".join(answer.unobservable) or "–",
+    ]

@@ -1,0 +1,191 @@
+"""Find an object by touch alone, or by touch and a point cloud in the same frame."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fusion.cli.options import add_object, load_object, number, positive, say, show_table, write_json
+
+if TYPE_CHECKING:
+    from scenes.frames import Contacts
+    from scenes.objects import ObjectModel
+
+METHODS = (
+    "multistart",
+    "gradient-descent",
+    "levenberg-marquardt",
+    "monte-carlo",
+    "direct",
+    "annealing",
+    "mupf",
+    "scaling-series",
+    "icp",
+)
+SENSES = ("vision", "touch", "fused")
+HEADS = ("trial", "index mm", "modes", "verdict", "time s")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's own arguments."""
+    parser.add_argument("contacts", metavar="CONTACTS", type=Path, help="contacts.csv, or a point list as .off or .ply")
+    add_object(parser, required=True)
+    parser.add_argument("--cloud", metavar="FILE", type=Path, help="point cloud in the contacts' frame: .ply or .off")
+    parser.add_argument("--method", metavar="NAME", default="multistart", help=f"{', '.join(METHODS)}")
+    parser.add_argument("--trials", metavar="N", type=positive, default=1, help="independent trials (default 1)")
+    parser.add_argument(
+        "--max-contacts", metavar="N", type=positive, help="contacts used, another choice each trial; all are judged"
+    )
+    parser.add_argument("--frame", metavar="N", type=int, help="of a contacts.csv with several frames, this one")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 1 when the last trial is lost."""
+    from scenes.errors import InputError
+    from scenes.frames import Frame
+    from scenes.validation import check_usable
+
+    if args.method not in METHODS:
+        raise InputError(f"method: expected one of {', '.join(METHODS)}, got {args.method!r}")
+    if args.cloud is not None and args.method != "multistart":
+        raise InputError(f"method: expected multistart with --cloud, got {args.method!r}")
+    contacts = read_contacts(args.contacts, args.frame)
+    cloud = _read_cloud(args.cloud)
+    model = load_object(args.object, args.unit)
+    check_usable(Frame(0, where=str(args.contacts), contacts=contacts, cloud=cloud), model)
+    model.field  # noqa: B018  (built or read from the cache before anything is timed)
+    trials, verdicts = [], []
+    for trial in range(args.trials):
+        used = _some(contacts, args.max_contacts, args.seed + trial)
+        if cloud is None:
+            found = _by_touch(model, used, contacts, args.method, args.seed + trial)
+        else:
+            found = _by_both(model, used, contacts, cloud, args.seed + trial)
+        trials.append(found)
+        verdicts.append(found["verdict"])
+    _show(trials, cloud is not None)
+    content = {"method": args.method, "object": model.name, "contacts": len(contacts), "trials": trials}
+    write_json(args.json, content)
+    return 1 if verdicts[-1] == "lost" else 0
+
+
+def read_contacts(path: Path, frame: int | None = None) -> Contacts:
+    """Contacts of a CSV (frame, sensor and normals may be absent), or of an OFF or PLY point list.
+
+    Raises CaptureError for a file that is not there or is malformed, InputError for several frames and no choice.
+    """
+    import numpy as np
+
+    from scenes.captures import contacts_of
+    from scenes.errors import CaptureError, InputError
+    from scenes.formats import tables
+    from scenes.formats.problems import refuse
+    from scenes.frames import Contacts
+
+    if not path.is_file():
+        raise CaptureError(f"{path}: expected contacts (.csv, .off or .ply), found no file")
+    if path.suffix.lower() == ".csv":
+        rows = tables.read_table(path, tables.LOOSE_CONTACTS, refuse)
+        frames = sorted(set(map(int, rows.frames())))
+        if len(frames) > 1 and frame is None:
+            raise InputError(f"{path}: expected contacts of one frame, got {len(frames)}: choose one with --frame")
+        if frame is not None:
+            rows = rows.of_frame(frame)
+        try:
+            contacts = contacts_of(rows) if len(rows) else Contacts(np.zeros((0, 3)))
+        except InputError as error:
+            raise CaptureError(f"{path}: {error}") from error
+    elif path.suffix.lower() == ".off":
+        from scenes.formats.off import read_off
+
+        data = read_off(path)
+        contacts = Contacts(data.points, data.normals)
+    else:
+        from scenes.formats.ply import read_cloud
+
+        contacts = Contacts(read_cloud(path)[0])
+    if len(contacts) == 0:
+        raise CaptureError(f"{path}: expected at least one contact, found none")
+    return contacts
+
+
+def _read_cloud(path: Path | None) -> Any:
+    from scenes.formats.ply import read_cloud
+
+    return None if path is None else read_cloud(path)[0]
+
+
+def _some(contacts: Contacts, most: int | None, seed: int) -> Contacts:
+    import numpy as np
+
+    if most is None or most >= len(contacts):
+        return contacts
+    chosen = np.random.default_rng(seed).choice(len(contacts), size=most, replace=False)
+    return contacts.take(np.sort(chosen))
+
+
+def _by_touch(model: ObjectModel, used: Contacts, every: Contacts, method: str, seed: int) -> dict[str, Any]:
+    from touch.localize import contact_index, localize
+
+    found = localize(model, used, seed=seed, method=method)
+    return {
+        "pose": found.pose.tolist(),
+        "index_mm": 1e3 * contact_index(model, every, found.pose),
+        "time_s": found.time_s,
+        "modes": len(found.modes),
+        "verdict": found.verdict,
+    }
+
+
+def _by_both(model: ObjectModel, used: Contacts, every: Contacts, cloud: Any, seed: int) -> dict[str, Any]:
+    """The fused answer, and what each sense alone makes of the same data."""
+    from fusion.estimate import estimate
+    from fusion.judging import Judge
+    from scenes.frames import Frame
+
+    frame, judged, judge = Frame(0, contacts=used, cloud=cloud), Frame(0, contacts=every, cloud=cloud), Judge(model)
+    senses: dict[str, Any] = {}
+    for name, use in (("vision", ("vision",)), ("touch", ("touch",)), ("fused", ("vision", "touch"))):
+        answer = estimate(frame, model, use=use, seed=seed)
+        agreement = judge.agreement(judged, answer.pose)
+        senses[name] = {
+            "pose": answer.pose.tolist(),
+            "index_mm": 1e3 * agreement.contacts,
+            **agreement.to_json(),
+            "time_s": answer.time_ms / 1e3,
+            "modes": len(answer.modes),
+            "verdict": answer.verdict,
+        }
+    return {**senses["fused"], "senses": senses}
+
+
+def _show(trials: list[dict[str, Any]], with_cloud: bool) -> None:
+    if with_cloud:
+        heads = ("trial", "sense", "cloud mm", "inliers", "contacts mm", "modes", "verdict", "time s")
+        rows = [
+            [
+                str(trial),
+                sense,
+                number(found["cloud_mm"]),
+                "–" if found["inlier_share"] is None else f"{100 * found['inlier_share']:.0f} %",
+                number(found["contacts_mm"]),
+                str(found["modes"]),
+                found["verdict"],
+                number(found["time_s"], 3),
+            ]
+            for trial, result in enumerate(trials)
+            for sense, found in result["senses"].items()
+        ]
+        show_table(heads, rows)
+        return
+    cells = [
+        [str(i), number(t["index_mm"], 3), str(t["modes"]), t["verdict"], number(t["time_s"], 3)]
+        for i, t in enumerate(trials)
+    ]
+    show_table(HEADS, cells)
+    if len(trials) > 1:
+        mean = sum(t["index_mm"] for t in trials) / len(trials)
+        seconds = sum(t["time_s"] for t in trials) / len(trials)
+        best = min(t["index_mm"] for t in trials)
+        say(f"{len(trials)} trials: index mean {mean:.3f} mm, best {best:.3f} mm; time mean {seconds:.3f} s")

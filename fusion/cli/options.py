@@ -1,0 +1,234 @@
+"""What several commands share: options, the text of `--prior` and `--tolerance`, objects by name, output.
+
+Light at import: argparse only. Everything heavy is imported by the function that needs it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import re
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from scenes.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from scenes.frames import Frame
+    from scenes.objects import ObjectModel
+
+T = TypeVar("T")
+
+# Output that is not a terminal has no width; tables must not be cut there.
+PIPE_WIDTH = 200
+
+LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
+ANGLES = {"deg": math.pi / 180.0, "rad": 1.0}
+
+
+def add_common(parser: argparse.ArgumentParser) -> None:
+    """The options that every command has."""
+    parser.add_argument("--json", metavar="FILE", type=Path, help="write the result as JSON")
+    parser.add_argument("--seed", metavar="S", type=whole, default=0, help="seed of everything random (default 0)")
+
+
+def add_object(parser: argparse.ArgumentParser, required: bool = False, what: str = "the object") -> None:
+    """--object and --unit."""
+    parser.add_argument(
+        "--object", metavar="NAME|MESH", required=required, help=f"{what}: a mesh file, or the name of a generated one"
+    )
+    parser.add_argument("--unit", default="m", help="unit of the mesh file: m (default), cm, mm, inch")
+
+
+def add_prior(parser: argparse.ArgumentParser) -> None:
+    """--prior."""
+    parser.add_argument(
+        "--prior",
+        metavar="none|gt+NOISE|FILE",
+        help="coarse start: none, ground truth plus noise like gt+33mm,16deg, or a prior.json;"
+        " default: the capture's own",
+    )
+
+
+def whole(text: str) -> int:
+    """A whole number from 0, for argparse."""
+    if not text.strip().isdecimal():
+        raise argparse.ArgumentTypeError(f"expected a whole number from 0, got {text!r}")
+    return int(text)
+
+
+def positive(text: str) -> int:
+    """A whole number above 0, for argparse."""
+    value = whole(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number above 0, got {text!r}")
+    return value
+
+
+def positive_number(text: str) -> float:
+    """A finite number above 0, for argparse."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0):
+        raise argparse.ArgumentTypeError(f"expected a number above 0, got {text!r}")
+    return value
+
+
+def share(text: str) -> float:
+    """A number from 0 to 1, or per cent, for argparse."""
+    try:
+        value = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
+    except ValueError:
+        value = math.nan
+    if not 0.0 <= value < 1.0:
+        raise argparse.ArgumentTypeError(f"expected a share from 0 to below 1, got {text!r}")
+    return value
+
+
+def names(text: str) -> tuple[str, ...]:
+    """Comma-separated names, for argparse."""
+    return tuple(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
+
+
+def length_and_angle(text: str) -> tuple[float, float]:
+    """`33mm,16deg` or `33,16` (mm and degrees are understood) as metres and radians, for argparse."""
+    parts = text.split(",")
+    if len(parts) == 2:
+        length, angle = _quantity(parts[0], LENGTHS, "mm"), _quantity(parts[1], ANGLES, "deg")
+        if length is not None and angle is not None:
+            return length, angle
+    raise argparse.ArgumentTypeError(f"expected a length and an angle like 33mm,16deg, got {text!r}")
+
+
+def _quantity(text: str, units: dict[str, float], default: str) -> float | None:
+    match = re.fullmatch(r"\s*([0-9.]+(?:e-?[0-9]+)?)\s*([a-z]*)\s*", text)
+    if match is None or (match.group(2) or default) not in units:
+        return None
+    try:
+        value = float(match.group(1)) * units[match.group(2) or default]
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def load_object(name: str, unit: str = "m") -> ObjectModel:
+    """A generated object by its name, else a mesh file. Raises PalpateError listing the names when it is neither."""
+    from scenes import library
+    from scenes.objects import ObjectModel
+
+    if name in library.names() and not Path(name).is_file():
+        return library.make(name)
+    if not Path(name).exists():
+        raise InputError(f"object: expected a mesh file or one of {', '.join(library.names())}, got {name!r}")
+    return ObjectModel.load(name, unit=unit)
+
+
+def prior_setter(text: str | None, seed: int) -> Callable[[Frame, ObjectModel], Frame]:
+    """What `--prior` does to a frame; raises InputError for a text that is none of the three kinds."""
+    from dataclasses import replace
+
+    if text is None:
+        return lambda frame, model: frame
+    if text == "none":
+        return lambda frame, model: replace(frame, prior=None)
+    if text.startswith("gt"):
+        return _truth_plus(text, seed)
+    from scenes.formats.bop import read_priors
+    from scenes.formats.problems import refuse
+
+    if not Path(text).is_file():
+        raise InputError(f"prior: expected none, gt+NOISE like gt+33mm,16deg, or a file, got {text!r}")
+    priors = read_priors(text, refuse)
+
+    def from_file(frame: Frame, model: ObjectModel) -> Frame:
+        if frame.index not in priors:
+            raise InputError(f"{text}: expected a prior of frame {frame.index}, found none")
+        return replace(frame, prior=priors[frame.index])
+
+    return from_file
+
+
+def _truth_plus(text: str, seed: int) -> Callable[[Frame, ObjectModel], Frame]:
+    from dataclasses import replace
+
+    import numpy as np
+
+    from scenes import poses
+
+    noise = (0.0, 0.0)
+    if text != "gt":
+        try:
+            noise = length_and_angle(text.removeprefix("gt").removeprefix("+"))
+        except argparse.ArgumentTypeError as error:
+            raise InputError(f"prior: {error}") from error
+
+    def from_truth(frame: Frame, model: ObjectModel) -> Frame:
+        truth = frame.camera_from_object_truth
+        if truth is None:
+            raise InputError(f"{frame.where}: expected ground truth for --prior {text}, found none")
+        rng = np.random.default_rng([seed, frame.index])
+        return replace(frame, prior=poses.displaced(truth, noise[1], noise[0], model.centroid, rng))
+
+    return from_truth
+
+
+def console() -> Console:
+    """Where tables go: as wide as the terminal, uncut and uncoloured in a pipe."""
+    from rich.console import Console
+
+    interactive = sys.stdout.isatty()
+    return Console(width=None if interactive else PIPE_WIDTH, highlight=False, soft_wrap=not interactive)
+
+
+def show_table(columns: Iterable[str], rows: Iterable[Iterable[str]], title: str | None = None) -> None:
+    """Print a table; the first column is text, the others are numbers and stand right."""
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
+    for index, name in enumerate(columns):
+        table.add_column(name, justify="left" if index == 0 else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*(escape(cell) for cell in row))
+    console().print(table)
+
+
+def say(text: str) -> None:
+    """One line on standard output."""
+    sys.stdout.write(f"{text}\n")
+
+
+def number(value: float | None, digits: int = 2) -> str:
+    """A number for a table; a dash for what is not known."""
+    if value is None or math.isnan(value):
+        return "–"
+    return f"{value:.{digits}f}" if math.isfinite(value) else "∞"
+
+
+def write_json(path: Path | None, content: Any) -> None:
+    """Write --json's file when one was asked for; NaN becomes null."""
+    if path is None:
+        return
+    from fusion.judging import json_number
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(json_number(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def progress(items: Iterable[T], total: int, what: str) -> Iterator[T]:
+    """The items, with a bar on a terminal and silence in a pipe."""
+    if not sys.stderr.isatty() or total < 2:
+        yield from items
+        return
+    from rich.console import Console
+    from rich.progress import track
+
+    yield from track(items, description=what, total=total, console=Console(stderr=True), transient=True)

@@ -1,0 +1,53 @@
+"""Make a capture of a generated or scanned object, hidden behind a hand as much as asked."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from fusion.cli.options import add_object, load_object, names, positive, say, share, write_json
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's own arguments."""
+    parser.add_argument("out", metavar="OUT", type=Path, help="folder to write; an older capture is replaced")
+    add_object(parser, required=True)
+    parser.add_argument("--frames", metavar="N", type=positive, default=1, help="how many (default 1)")
+    parser.add_argument("--occlusion", metavar="F", type=share, default=0.6, help="hidden share (default 0.6)")
+    parser.add_argument(
+        "--hand", metavar="NAME", default="five-finger", help="five-finger (default), a URDF, or none: loose fingers"
+    )
+    parser.add_argument("--touch", metavar="KINDS", type=names, default=("point",), help="point, wrench, array")
+    parser.add_argument("--noise", metavar="NAME", default="lab", help="none, clean, lab (default), harsh")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the capture."""
+    from scenes.capture_writing import refuse_foreign_folder
+    from scenes.synthesis import synthesize
+
+    refuse_foreign_folder(args.out)  # before the work, not after it
+    model, hand = load_object(args.object, args.unit), load_hand(args.hand)
+    capture = synthesize(args.out, model, hand, args.frames, args.occlusion, args.touch, args.noise, args.seed)
+    contacts = [len(frame.contacts) + len(frame.wrenches) for frame in capture]
+    asked = {"object": model.name, "occlusion": args.occlusion, "noise": args.noise, "seed": args.seed}
+    write_json(args.json, {"capture": str(capture.path), "frames": len(capture), "contacts": contacts, **asked})
+    felt = f"{min(contacts)}" if min(contacts) == max(contacts) else f"{min(contacts)} to {max(contacts)}"
+    hidden = f"{100 * args.occlusion:.0f} % hidden"
+    say(f"{capture.path}: {len(capture)} frame{'s'[: len(capture) > 1]} of {model.name}, {hidden}, {felt} contacts")
+    return 0
+
+
+def load_hand(name: str):  # type: ignore[no-untyped-def]  # naming Hand here would import it for --help
+    """A Hand by name or URDF, None for "none"; raises InputError for anything else."""
+    from scenes.errors import InputError
+    from scenes.hand_generation import five_finger_hand
+    from scenes.hands import Hand
+
+    if name.replace("_", "-") == "five-finger":
+        return five_finger_hand()
+    if name == "none":
+        return None
+    if not Path(name).is_file():
+        raise InputError(f"hand: expected five-finger, none or a URDF file, got {name!r}")
+    return Hand.load(name)

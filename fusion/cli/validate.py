@@ -1,0 +1,34 @@
+"""Check a capture: every problem, each with file and frame."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from fusion.cli.options import say, write_json
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's own arguments."""
+    parser.add_argument("capture", metavar="CAPTURE", type=Path, help="folder of the capture")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 1 when there is a problem."""
+    from scenes.captures import Capture
+    from scenes.errors import CaptureError
+    from scenes.validation import validate
+
+    if not args.capture.is_dir():
+        raise CaptureError(f"{args.capture}: expected the folder of a capture, found none")
+    problems = validate(args.capture)
+    frames = 0 if problems else len(Capture(args.capture))
+    entries = [{"file": p.file, "frame": p.frame, "message": p.message} for p in problems]
+    write_json(args.json, {"valid": not problems, "frames": frames, "problems": entries})
+    for problem in problems:
+        say(str(problem))
+    if problems:
+        say(f"{len(problems)} problem{'s'[: len(problems) > 1]}")
+        return 1
+    say(f"{args.capture}: {frames} frame{'s'[: frames > 1]}, no problem")
+    return 0
