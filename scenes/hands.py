@@ -156,6 +156,11 @@ class Hand:
             values[self._moving_names[name]] = value
         return values
 
+    def coupling_of(self, joint: str) -> Array:
+        """(j,) how much the joint's value changes with each of joint_names; zeros for a fixed joint."""
+        row = self._moving_names.get(joint)
+        return np.zeros(len(self.joint_names)) if row is None else self._coupling[row].copy()
+
     def configuration(self, joints: dict[str, float]) -> Array:
         """(j,) values in the order of joint_names, absent ones 0; names checked as in `joint_values`."""
         self.joint_values(joints)
