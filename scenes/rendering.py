@@ -144,6 +144,10 @@ class Renderer:
         """Add a mesh, or replace the one of that name. Raises InputError for non-finite vertices or bad indices."""
         self._casters[name] = _Caster(name, vertices, faces)
 
+    def vertices(self, name: str, pose: Array) -> Array:
+        """(n, 3) vertices of the named mesh at a pose target_from_mesh (4, 4)."""
+        return apply(pose, self._casters[name].vertices)
+
     def _checked(self, poses: Mapping[str, ArrayLike]) -> dict[str, Array]:
         unknown = [name for name in poses if name not in self._casters]
         if unknown:
