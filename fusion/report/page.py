@@ -1,0 +1,67 @@
+"""One self-contained HTML file that shows what the estimator saw, thought and answered.
+
+No network, no library: styles, script, pictures and geometry are inside, and a content security policy keeps it so.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+import os
+import re
+import tempfile
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from fusion.answer import Estimate
+from fusion.report.data import report_data
+from scenes.frames import Frame
+from scenes.objects import ObjectModel
+
+
+def write_report(
+    path: str | Path,
+    capture_name: str,
+    frames: Sequence[Frame],
+    model: ObjectModel,
+    estimates: Sequence[Estimate],
+    comparison: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None,
+    errors: Mapping[str, Any] | None = None,
+) -> None:
+    """Write the report of a capture's estimates.
+
+    path: the HTML file; folders are made. frames: those estimated, in the capture's order. estimates: each with the
+    index of its frame. comparison: {"rows": [{"method", "frame", "add_s_mm", "rotation_deg", "translation_mm",
+    "time_ms", "verdict"}, ...]} or the list of rows. errors: named numbers over all frames, units as name endings
+    (_mm, _deg). Raises InputError for an estimate whose frame is not given.
+    """
+    page = render(report_data(capture_name, frames, model, estimates, comparison, errors))
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    # a reader never meets half a page
+    handle, draft = tempfile.mkstemp(dir=target.parent, suffix=".html")
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        file.write(page)
+    os.chmod(draft, 0o644)
+    os.replace(draft, target)
+
+
+def render(data: Mapping[str, Any]) -> str:
+    """The page's text for the dictionary of `report_data`."""
+    # inside <script> only "</" and "<!--" could end the block; the rest of the text reaches the page as text nodes
+    packed = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    parts = {
+        "TITLE": html.escape(f"{data['object']['name']} · {data['capture']}"),
+        "STYLE": _asset("report.css"),
+        "SCENE": _asset("scene.js"),
+        "SCRIPT": _asset("report.js"),
+        "DATA": packed,
+    }
+    # one pass, so that a capture named like a placeholder stays a name
+    return re.sub(r"\{\{([A-Z]+)\}\}", lambda match: parts[match[1]], _asset("report.html"))
+
+
+def _asset(name: str) -> str:
+    return resources.files("fusion.report").joinpath(name).read_text(encoding="utf-8")

@@ -1,0 +1,69 @@
+"""What an estimate says, in words that need no manual."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.answer import Estimate
+
+Array = NDArray[np.float64]
+
+# Beyond this standard deviation a rotation is as good as unknown.
+FREE_ROTATION = float(np.deg2rad(60.0))
+
+
+def worst_sigmas(covariance: Array) -> tuple[float, float]:
+    """Largest standard deviation over directions of a (6, 6) covariance: rotation (rad), translation (m).
+
+    NaN where the covariance is not finite.
+    """
+
+    def worst(block: Array) -> float:
+        if not np.isfinite(block).all():
+            return float("nan")
+        return float(np.sqrt(max(0.0, np.linalg.eigvalsh(0.5 * (block + block.T))[-1])))
+
+    return worst(covariance[:3, :3]), worst(covariance[3:, 3:])
+
+
+def headline(estimate: Estimate) -> str:
+    """The verdict in two or three words."""
+    return {"ok": "Found", "ambiguous": "Ambiguous", "lost": "Lost"}.get(estimate.verdict, estimate.verdict)
+
+
+def sentence(estimate: Estimate) -> str:
+    """One sentence: how well the pose is known, or why it is not."""
+    rotation, translation = worst_sigmas(np.asarray(estimate.covariance, dtype=np.float64))
+    known = _known(rotation, translation)
+    if estimate.verdict == "lost":
+        return "No pose explains what was sensed: the one shown is the best of a bad lot and must not be used."
+    if estimate.verdict == "ambiguous":
+        if len(estimate.modes) > 1:
+            share = max(mode.weight for mode in estimate.modes)
+            return f"{len(estimate.modes)} poses fit alike; the one shown has {share:.0%} of the weight. {known}"
+        return f"The data leave some motion free. {known}"
+    return known
+
+
+def _known(rotation: float, translation: float) -> str:
+    if not np.isfinite(translation):
+        return "How sure it is cannot be told."
+    where = f"Its position is known to {1e3 * translation:.2g} mm"
+    if not np.isfinite(rotation):
+        return f"{where}."
+    if rotation > FREE_ROTATION:
+        return f"{where}, its orientation not in every direction."
+    return f"{where}, its orientation to {np.rad2deg(rotation):.2g}° (one sigma, worst direction)."
+
+
+def symmetry(model_axes: int, discrete: int, spherical: bool) -> str:
+    """An object's symmetries in words, empty for none."""
+    if spherical:
+        return "a ball: orientation has no meaning"
+    parts = []
+    if model_axes:
+        parts.append("turns freely about an axis")
+    if discrete > 1:
+        parts.append(f"{discrete} discrete symmetries")
+    return " and ".join(parts)
