@@ -1,0 +1,1 @@
+"""The world: things with geometry, and recordings of them."""

@@ -1,0 +1,1 @@
+"""From RGB-D to object pixels, free space and a coarse pose."""

@@ -24,7 +24,8 @@ DAMPING_START = 1e-3
 DAMPING_DOWN = 0.25
 DAMPING_UP = 6.0
 DAMPING_MAX = 1e8
-# A normal is not judged where the lattice's smoothed gradient is shorter than this (medial axis, thin edges).
+# Where the lattice's smoothed gradient is shorter than this (medial axis, thin edges) the model has no one normal:
+# the gradient is then divided by this instead of its length, so that the cost stays continuous and stays a cost.
 SHORTEST_GRADIENT = 0.15
 
 
@@ -133,7 +134,7 @@ def cost_terms(
 ):
     """Cost (negative log posterior up to a constant) at a pose; fills hessian (6, 6) and gradient (6,) when `need`.
 
-    rows (n, 12): see scenes.evidence. blur (m), blur_normal (rad): added to the sigmas in quadrature, for coarse
+    rows (n, 13): see scenes.evidence. blur (m), blur_normal (rad): added to the sigmas in quadrature, for coarse
     stages. huber: see _robust, 0 = off.
     information (6, 6) of the prior about (prior_rotation, prior_middle); zeros when there is none.
     scratch (10, 3): working room.
@@ -172,18 +173,26 @@ def cost_terms(
         if with_normal:
             normal_at(values, origin, spacing, qx, qy, qz, g, h)
             length = math.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
-            if length < SHORTEST_GRADIENT:
-                with_normal = False
-            else:
-                inverse_normal = 1.0 / math.sqrt(sigma_normal * sigma_normal + blur_normal * blur_normal)
-                ux, uy, uz = g[0] / length, g[1] / length, g[2] / length
-                ax = r00 * ux + r01 * uy + r02 * uz
-                ay = r10 * ux + r11 * uy + r12 * uz
-                az = r20 * ux + r21 * uy + r22 * uz
-                ex = (rows[n, 3] - ax) * inverse_normal
-                ey = (rows[n, 4] - ay) * inverse_normal
-                ez = (rows[n, 5] - az) * inverse_normal
-                s += ex * ex + ey * ey + ez * ez
+            length = max(length, SHORTEST_GRADIENT)
+            inverse_normal = 1.0 / math.sqrt(sigma_normal * sigma_normal + blur_normal * blur_normal)
+            ux, uy, uz = g[0] / length, g[1] / length, g[2] / length
+            ax = r00 * ux + r01 * uy + r02 * uz
+            ay = r10 * ux + r11 * uy + r12 * uz
+            az = r20 * ux + r21 * uy + r22 * uz
+            ex = (rows[n, 3] - ax) * inverse_normal
+            ey = (rows[n, 4] - ay) * inverse_normal
+            ez = (rows[n, 5] - az) * inverse_normal
+            s += ex * ex + ey * ey + ez * ez
+        if rows[n, 12] > 0.0:
+            # how far the surface looks away from the camera; its derivative is left out (it only tells who belongs)
+            away = (
+                (r00 * gx + r01 * gy + r02 * gz) * rows[n, 3]
+                + (r10 * gx + r11 * gy + r12 * gz) * rows[n, 4]
+                + (r20 * gx + r21 * gy + r22 * gz) * rows[n, 5]
+            )
+            if away > 0.0:
+                away /= rows[n, 12]
+                s += away * away
         rho, belongs = _robust(s, gate, huber)
         weight = rows[n, 8]
         total += 0.5 * weight * rho
@@ -205,8 +214,10 @@ def cost_terms(
             for j in range(i + 1):
                 hessian[i, j] += wj * jac[j]
         if with_normal:
-            # m = R (I - uu^T) H R^T / |g|, first in object axes
+            # m = R (I - uu^T) H R^T / |g|, first in object axes; a gradient shorter than the least one is not unit length
             ux, uy, uz = g[0] / length, g[1] / length, g[2] / length
+            if ux * ux + uy * uy + uz * uz < 0.999999:
+                ux = uy = uz = 0.0
             for j in range(3):
                 along = ux * h[0, j] + uy * h[1, j] + uz * h[2, j]
                 h[0, j] = (h[0, j] - ux * along) / length

@@ -1,0 +1,319 @@
+"""The last step of the joint estimate: the pose together with everything that makes the senses disagree.
+
+Each sense lives in its own slightly wrong frame. Unknowns x = (delta, xi, s, b):
+
+    delta  of the pose (poses.perturb about the centroid)
+    xi     correction of what touch reports: camera-robot calibration, about the hand's seen centre
+    s      depth scale error: seen = (1 + s) true
+    b      smooth depth bias: a Gaussian process over the image, exp(-|u - v|^2 / (2 length^2)), on inducing pixels
+
+    object pixels    d(T^-1 (p - s p - b(u) p / z))        independent noise only: what they share is in s and b
+    hand's pixels    h(p) - J (xi - xi_seen) - ...         the same s and b; they tie touch's frame to vision's
+    touch rows       d(T^-1 E(xi) c), normals, empty points
+    priors           on xi, s, b, and the pose's own
+
+One robust Gauss-Newton in whitened unknowns. How large the shared errors are is itself inferred: the system is solved
+for a few levels (a well-calibrated rig, a usual one, a poor one) and the level of highest evidence is kept
+(Laplace; MacKay, Neural Computation 4, 1992). The covariance is the marginal of delta.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes import alignment
+from scenes import evidence as tables
+from scenes import poses as se3
+from scenes.alignment import Prior
+from scenes.cameras import Camera
+from scenes.evidence import FACING, GATE_ABOVE, GATE_BELOW, NORMAL, OFFSET, POINT, SIGMA, WEIGHT, Evidence
+from scenes.objects import ObjectModel
+from vision.clouds import DepthModel
+from vision.hand_view import CalibrationModel, HandView, prior_information
+
+Array = NDArray[np.float64]
+
+POSE, XI, SCALE = slice(0, 6), slice(6, 12), 12
+FIXED = 13
+
+
+@dataclass(frozen=True)
+class JointSettings:
+    """The joint solution."""
+
+    # Gauss-Newton steps: the start is the minimum of a system that differs by millimetres.
+    steps: int = 8
+    # Factors on the believed sizes of calibration, scale and bias errors that are tried.
+    levels: tuple[float, ...] = (0.1, 0.4, 1.0, 2.0)
+    # Modes that are solved (the rest of the posterior is negligible), and candidates for choosing the level.
+    modes: int = 5
+    # Pixels between inducing points of the bias, in correlation lengths, and the most of them.
+    spacing: float = 1.2
+    most_inducing: int = 80
+    # Independent error of the hand's surface (m): joint errors move whole links; and how many of its pixels share it.
+    hand_sigma: float = 0.001
+    hand_sharing: float = 6.0
+    # What a mesh and its lattice leave out of a real object, metres.
+    model_sigma: float = 0.0004
+
+
+@dataclass(frozen=True)
+class JointResult:
+    """pose (4, 4) camera_from_object; covariance (6, 6) about the centroid, all else marginalised; xi (6,) correction of
+    what touch reports (camera frame, about `centre`); scale: depth scale error; cost: negative log posterior, and
+    log_evidence of the level of shared errors it was solved for.
+    """
+
+    pose: Array
+    covariance: Array
+    xi: Array
+    centre: Array
+    scale: float
+    cost: float
+    log_evidence: float
+    level: float
+
+    def correct(self) -> Array:
+        """camera_from_camera transform that moves what the robot reports to where it is."""
+        return se3.perturb(np.eye(4), self.xi, self.centre)
+
+
+@dataclass
+class JointProblem:
+    """Everything but the pose: rows, beliefs and what can be computed once per frame.
+
+    seen: vision rows as measured; felt: touch rows as the robot reports them. camera None: the rows are a cloud without
+    pixels, its bias stays in the rows' sigmas. has_robot False: touch and vision were recorded in one frame.
+    """
+
+    model: ObjectModel
+    seen: Evidence
+    felt: Evidence
+    prior: Prior | None
+    hand: HandView | None
+    depth: DepthModel
+    calibration: CalibrationModel
+    camera: Camera | None
+    has_robot: bool = True
+    settings: JointSettings = field(default_factory=JointSettings)
+
+    def __post_init__(self) -> None:
+        """Lay the inducing pixels and the hand's constant block."""
+        self.hand = self.hand if self.has_robot and len(self.felt) else None
+        hand_points = self.hand.points if self.hand is not None else np.zeros((0, 3))
+        self._lay_bias(hand_points)
+        self._seen_basis = self._basis(self.seen.points)
+        rows = self.seen.rows
+        self._on = rows[:, GATE_ABOVE] > 0
+        if self.camera is not None:
+            independent = self.depth.independent_sigma(rows[:, 2])
+            self._sigma = np.where(self._on, np.hypot(independent, self.settings.model_sigma), rows[:, SIGMA])
+            self._weight = np.where(self._on, 1.0, rows[:, WEIGHT])
+        else:
+            self._sigma, self._weight = rows[:, SIGMA], rows[:, WEIGHT]
+        self._hand_blocks(hand_points)
+
+    def _lay_bias(self, hand_points: Array) -> None:
+        self._inducing = np.zeros((0, 2))
+        self._factor = np.zeros((0, 0))
+        if self.camera is None or not len(self.seen):
+            return
+        uv, _ = self.camera.project(np.concatenate([self.seen.points, hand_points]))
+        low, high = uv.min(axis=0), uv.max(axis=0)
+        step = self.settings.spacing * self.depth.bias_length
+        while True:
+            counts = np.maximum(1, np.ceil((high - low) / step)).astype(int) + 1
+            if counts.prod() <= 4 * self.settings.most_inducing:
+                grid = np.stack(np.meshgrid(*[np.linspace(a, b, n) for a, b, n in zip(low, high, counts)]), -1)
+                grid = grid.reshape(-1, 2)
+                gap = np.array([np.min(np.sum((uv - g) ** 2, axis=1)) for g in grid])
+                grid = grid[gap < step**2]
+                if len(grid) <= self.settings.most_inducing:
+                    break
+            step *= 1.2
+        self._inducing = grid
+        kernel = self._kernel(grid, grid) + 1e-6 * np.eye(len(grid))
+        self._factor = np.linalg.cholesky(kernel)
+
+    def _kernel(self, a: Array, b: Array) -> Array:
+        square = np.sum((a[:, None] - b[None]) ** 2, axis=-1)
+        return np.exp(-0.5 * square / self.depth.bias_length**2)
+
+    def _basis(self, points: Array) -> Array:
+        """(n, k) bias at the points' pixels per whitened unknown, in units of the bias' sigma."""
+        if self.camera is None or not len(self._inducing) or not len(points):
+            return np.zeros((len(points), len(self._inducing)))
+        uv, _ = self.camera.project(points)
+        return np.linalg.solve(self._factor, self._kernel(self._inducing, uv)).T
+
+    def _hand_blocks(self, points: Array) -> None:
+        """The hand's pixels, linear in (xi, s, b): their constant part, for unit sigmas of s and b."""
+        if self.hand is None:
+            return
+        g, w = self.hand.directions, self.hand.trust
+        sigma = np.hypot(self.depth.independent_sigma(points[:, 2]), self.settings.hand_sigma)
+        self._hand_weight = w / sigma**2 / self.settings.hand_sharing
+        ray = points / points[:, 2:]
+        jac_xi = -np.concatenate([np.cross(points - self.hand.centre, g), g], axis=1)
+        along = -np.sum(g * ray, axis=1)
+        jac = np.concatenate([jac_xi, (along * points[:, 2])[:, None], along[:, None] * self._basis(points)], axis=1)
+        weighted = jac * self._hand_weight[:, None]
+        self._hand_normal = weighted.T @ jac
+        self._hand_gradient = weighted.T @ self.hand.residual
+
+    def solve(self, pose: Array, level: float) -> JointResult:
+        """Gauss-Newton from `pose` (4, 4) for shared errors `level` times as large as believed."""
+        size = FIXED + len(self._inducing)
+        middle = pose[:3, :3] @ self.model.centroid + pose[:3, 3]
+        self._centre = self.hand.centre if self.hand is not None else middle
+        # whitening: unknown = scale * whitened, prior of the whitened is the identity
+        self._white = np.ones(size)
+        covariance_xi = np.linalg.inv(prior_information(self.calibration, self._centre)) * level**2
+        self._white_xi = np.linalg.cholesky(covariance_xi) if self.has_robot else 1e-9 * np.eye(6)
+        self._white[SCALE] = level * self.depth.scale_sigma if len(self.seen) and self.camera is not None else 1e-9
+        self._white[FIXED:] = level * self.depth.bias_sigma
+        unknown = np.zeros(size)
+        if self.hand is not None:
+            unknown[XI] = np.linalg.solve(self._white_xi, self.hand.xi)
+        here = pose
+        width = np.zeros(size)
+        width[POSE] = np.array([1.0] * 3 + [self.model.radius] * 3) ** -2.0
+        cost, gradient, normal = self._system(here, unknown)
+        damping = 1e-6
+        for _ in range(self.settings.steps):
+            step = -np.linalg.solve(normal + np.diag(damping * np.diag(normal) + width), gradient)
+            shorten = min(1.0, 0.3 / max(np.abs(step[:3]).max(), 1e-12))
+            shorten = min(shorten, 0.3 * self.model.radius / max(np.abs(step[3:6]).max(), 1e-12))
+            step *= shorten
+            trial_pose = se3.perturb(here, step[POSE], self.model.centroid)
+            trial_unknown = unknown + step
+            trial_unknown[POSE] = 0.0
+            trial = self._system(trial_pose, trial_unknown)
+            if trial[0] <= cost:
+                here, unknown, (cost, gradient, normal) = trial_pose, trial_unknown, trial
+                damping = max(damping * 0.1, 1e-9)
+                if np.abs(step[:3]).max() < 1e-5 and np.abs(step[3:6]).max() < 1e-6:
+                    break
+            else:
+                damping = max(damping, 1e-5) * 10
+        covariance, log_det = _marginal(normal + np.diag(width))
+        return JointResult(
+            here,
+            covariance,
+            self._white_xi @ unknown[XI],
+            self._centre,
+            float(self._white[SCALE] * unknown[SCALE]),
+            float(cost),
+            float(-cost - 0.5 * log_det),
+            level,
+        )
+
+    def _system(self, pose: Array, unknown: Array) -> tuple[float, Array, Array]:
+        """Cost, gradient and Gauss-Newton matrix about (delta, whitened xi, s, b)."""
+        size = len(unknown)
+        normal, gradient = np.diag(np.concatenate([np.zeros(6), np.ones(size - 6)])), unknown.copy()
+        cost = 0.5 * float(unknown[6:] @ unknown[6:])
+        if len(self.seen):
+            part, g, h = self._vision(pose, unknown)
+            cost += part
+            gradient += g
+            normal += h
+        if len(self.felt):
+            part, g, h = self._touch(pose, unknown)
+            cost += part
+            gradient[:12] += g
+            normal[:12, :12] += h
+        if self.hand is not None:
+            part, g, h = self._hand_terms(unknown)
+            cost += part
+            gradient[6:] += g
+            normal[6:, 6:] += h
+        if self.prior is not None:
+            part, g, h = alignment.terms(self.model, tables.empty(), pose, self.prior)
+            cost += part
+            gradient[POSE] += g
+            normal[POSE, POSE] += h
+        return cost, gradient, normal
+
+    def _vision(self, pose: Array, unknown: Array) -> tuple[float, Array, Array]:
+        rows = self.seen.rows
+        p = rows[:, POINT]
+        ray = p / p[:, 2:] if self.camera is not None else p
+        bias = self._seen_basis @ (self._white[FIXED:] * unknown[FIXED:])
+        moved = p - (self._white[SCALE] * unknown[SCALE]) * p - bias[:, None] * ray
+        rotation = pose[:3, :3]
+        y = moved - (rotation @ self.model.centroid + pose[:3, 3])
+        distance, g = self.model.field.distance_and_gradient(y @ rotation + self.model.centroid)
+        g = g @ rotation.T
+        distance = distance - rows[:, OFFSET]
+        gate = np.where(distance > 0, rows[:, GATE_ABOVE], rows[:, GATE_BELOW])
+        r = distance / self._sigma
+        away = np.sum(g * rows[:, NORMAL], axis=1) / np.where(rows[:, FACING] > 0, rows[:, FACING], np.inf)
+        loss, belongs = robust(r * r + np.square(np.maximum(away, 0.0)), gate)
+        # the points move by -s p - b ray: chain through the distance's gradient
+        along = -np.sum(g * ray, axis=1)
+        jac = np.concatenate(
+            [
+                np.cross(g, y),
+                -g,
+                np.zeros((len(p), 6)),
+                (-np.sum(g * p, axis=1) * self._white[SCALE])[:, None],
+                along[:, None] * self._seen_basis * self._white[FIXED:],
+            ],
+            axis=1,
+        )
+        w = self._weight * belongs
+        weighted = jac * (w / self._sigma**2)[:, None]
+        return 0.5 * float(self._weight @ loss), weighted.T @ distance, weighted.T @ jac
+
+    def _touch(self, pose: Array, unknown: Array) -> tuple[float, Array, Array]:
+        """Touch rows through the compiled kernel: moving all contacts by xi is moving the object by -xi."""
+        xi = self._white_xi @ unknown[XI]
+        moved = self.felt.moved(se3.perturb(np.eye(4), xi, self._centre))
+        cost, g, h = alignment.terms(self.model, moved, pose)
+        lever = np.eye(6)
+        lever[3:, :3] = -se3.skew(pose[:3, :3] @ self.model.centroid + pose[:3, 3] - self._centre)
+        chain = np.concatenate([np.eye(6), -lever @ self._white_xi], axis=1)
+        return cost, chain.T @ g, chain.T @ h @ chain
+
+    def _hand_terms(self, unknown: Array) -> tuple[float, Array, Array]:
+        assert self.hand is not None
+        size = len(unknown) - 6
+        chain = np.zeros((size, size))
+        chain[:6, :6] = self._white_xi
+        chain[range(6, size), range(6, size)] = self._white[12:]
+        step = chain @ unknown[6:]
+        step[:6] -= self.hand.xi
+        cost = float(self._hand_gradient @ step + 0.5 * step @ self._hand_normal @ step)
+        constant = 0.5 * float(self._hand_weight @ self.hand.residual**2)
+        gradient = self._hand_gradient + self._hand_normal @ step
+        return cost + constant, chain.T @ gradient, chain.T @ self._hand_normal @ chain
+
+
+def robust(square: Array, gate: Array) -> tuple[Array, Array]:
+    """Loss and belonging of each row, the kernel's `_robust` for arrays (see scenes.evidence)."""
+    over = np.clip(0.5 * (square - gate * gate), -40.0, 40.0)
+    floor = np.log1p(np.exp(-0.5 * np.minimum(gate, 30.0) ** 2))
+    loss = np.where(over >= 40.0, gate * gate, square - 2.0 * np.log1p(np.exp(over))) + 2.0 * floor
+    silent = gate == 0.0
+    return np.where(silent, 0.0, loss), np.where(silent, 0.0, 1.0 / (1.0 + np.exp(over)))
+
+
+def _marginal(normal: Array) -> tuple[Array, float]:
+    """(6, 6) covariance of the pose with all else marginalised, and the log-determinant of the whole system."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    values, vectors = np.linalg.eigh(normal * scale * scale[:, None])
+    values = np.maximum(values, 1e-14)
+    inverse = (vectors / values) @ vectors.T
+    covariance = (inverse * scale * scale[:, None])[:6, :6]
+    return 0.5 * (covariance + covariance.T), float(np.log(values).sum() - 2.0 * np.log(scale).sum())
+
+
+def solve_modes(problem: JointProblem, starts: list[Array]) -> list[JointResult]:
+    """Solve from each start; the level of shared errors is the one of highest evidence at the first start."""
+    tried = [problem.solve(starts[0], level) for level in problem.settings.levels]
+    best = max(tried, key=lambda result: result.log_evidence)
+    return [best, *(problem.solve(start, best.level) for start in starts[1 : problem.settings.modes])]

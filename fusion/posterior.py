@@ -1,0 +1,124 @@
+"""What may be said of an answer: its verdict, what it cannot know in words, and how each row agrees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.answer import ContactResidual, Mode
+from scenes import poses as se3
+from scenes.evidence import POINT, SIGMA, Evidence
+from scenes.frames import Contacts
+from scenes.objects import ObjectModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class VerdictSettings:
+    """When an answer is sure, and when it is none."""
+
+    # Share of the posterior that the first mode must hold to be called the answer.
+    sure_share: float = 0.9
+    # Standard deviations of a direction beyond which it counts as unknown: radians, metres.
+    unknown_angle: float = float(np.deg2rad(20.0))
+    unknown_distance: float = 0.015
+    # A contact this many sigmas off (and at least this far, metres) does not belong to the answer.
+    outlier_sigmas: float = 4.0
+    outlier_distance: float = 0.004
+    # Least share of contacts, and of the pixels taken for the object, that an answer must explain.
+    least_contacts: float = 0.5
+    least_pixels: float = 0.3
+
+
+def contact_residuals(
+    model: ObjectModel, contacts: Contacts, pose: Array, settings: VerdictSettings | None = None
+) -> tuple[ContactResidual, ...]:
+    """How each contact (camera frame, corrected) agrees with the object at pose (4, 4)."""
+    settings = settings or VerdictSettings()
+    if not len(contacts):
+        return ()
+    local = se3.apply(se3.inverse(pose), contacts.points)
+    distance = model.field.distance(local)
+    normals = model.field.normals(local) @ pose[:3, :3].T
+    out = []
+    for i in range(len(contacts)):
+        angle = np.nan
+        if contacts.has_normal[i]:
+            n = contacts.normals[i]
+            angle = float(np.degrees(np.arctan2(np.linalg.norm(np.cross(n, normals[i])), n @ normals[i])))
+        limit = max(settings.outlier_sigmas * contacts.sigma_point[i], settings.outlier_distance)
+        out.append(ContactResidual(contacts.sensors[i], 1e3 * distance[i], angle, bool(abs(distance[i]) > limit)))
+    return tuple(out)
+
+
+def pixel_agreement(model: ObjectModel, seen: Evidence, pose: Array) -> tuple[float, float]:
+    """Share of the ON pixels within three sigmas of the surface at pose, and the RMS distance (m) of those."""
+    on = seen.rows[seen.rows[:, 9] > 0]
+    if not len(on):
+        return float("nan"), float("nan")
+    distance = model.field.distance(se3.apply(se3.inverse(pose), on[:, POINT]))
+    near = np.abs(distance) < 3 * on[:, SIGMA]
+    rms = float(np.sqrt(np.mean(distance[near] ** 2))) if near.any() else float("nan")
+    return float(near.mean()), rms
+
+
+def unobservable(
+    model: ObjectModel, pose: Array, covariance: Array, settings: VerdictSettings | None = None
+) -> tuple[str, ...]:
+    """Directions the data leave open, in the object's own axes."""
+    settings = settings or VerdictSettings()
+    rotation = pose[:3, :3]
+    found = []
+    for block, limit, word in (
+        (slice(0, 3), settings.unknown_angle, "rotation about"),
+        (slice(3, 6), settings.unknown_distance, "translation along"),
+    ):
+        values, vectors = np.linalg.eigh(rotation.T @ covariance[block, block] @ rotation)
+        for value, vector in zip(values, vectors.T):
+            if np.sqrt(max(value, 0.0)) > limit:
+                found.append(f"{word} {_axis_name(vector)}")
+    for axis in model.symmetries.axes[:1]:
+        name = f"rotation about {_axis_name(axis.direction)}"
+        if name not in found:
+            found.append(name)
+    return tuple(found)
+
+
+def _axis_name(direction: Array) -> str:
+    largest = int(np.argmax(np.abs(direction)))
+    if abs(direction[largest]) > 0.94:  # within 20 degrees
+        return "xyz"[largest]
+    sign = np.sign(direction[largest])
+    return "({:.2f}, {:.2f}, {:.2f})".format(*(sign * direction + 0.0))
+
+
+def verdict(
+    model: ObjectModel,
+    modes: tuple[Mode, ...],
+    residuals: tuple[ContactResidual, ...],
+    pixel_share: float,
+    pixel_rows: int,
+    settings: VerdictSettings | None = None,
+) -> tuple[str, str]:
+    """The verdict and its reason: lost when the evidence is not explained, ambiguous when it fits several poses."""
+    settings = settings or VerdictSettings()
+    if not modes:
+        return "lost", "no evidence"
+    if residuals:
+        good = float(np.mean([not r.outlier for r in residuals]))
+        if good < settings.least_contacts:
+            return "lost", f"{good:.0%} of the contacts explained"
+    if pixel_rows and np.isfinite(pixel_share) and pixel_share < settings.least_pixels and not residuals:
+        return "lost", f"{pixel_share:.0%} of the pixels explained"
+    if modes[0].weight < settings.sure_share:
+        return "ambiguous", f"first of {len(modes)} modes holds {modes[0].weight:.0%}"
+    covariance = modes[0].covariance
+    open_directions = [d for d in unobservable(model, modes[0].pose, covariance, settings)]
+    symmetric = {f"rotation about {_axis_name(a.direction)}" for a in model.symmetries.axes[:1]}
+    hidden = [d for d in open_directions if d not in symmetric]
+    if hidden and not model.symmetries.is_spherical:
+        return "ambiguous", f"{', '.join(hidden)} unknown"
+    return "ok", f"first mode holds {modes[0].weight:.0%}"

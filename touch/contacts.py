@@ -1,0 +1,90 @@
+"""From what the fingers report to rows of evidence: contacts, wrenches, regions felt to be empty, the hand itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes import evidence as tables
+from scenes.evidence import SIGMA, TOUCH, Evidence
+from scenes.frames import Contacts, Frame
+from touch.intrinsic import wrench_contacts
+from touch.localize import contact_starts
+
+Array = NDArray[np.float64]
+
+__all__ = ["Felt", "contact_starts", "feel"]
+
+
+@dataclass(frozen=True)
+class TouchSettings:
+    """What is believed of touch beyond the contacts' own sigmas."""
+
+    # Points on the hand used as "the object is not in here", their sigma (m) and gate (sigmas).
+    hand_points: int = 150
+    hand_sigma: float = 0.003
+    hand_gate: float = 4.0
+    # Error of the finger joints between palm and fingertip, metres (0.3 degrees at three joints).
+    fingertip_sigma: float = 0.0008
+
+
+@dataclass(frozen=True)
+class Felt:
+    """contacts in the camera frame as the robot reports them; rows: all touch evidence in that frame."""
+
+    contacts: Contacts
+    rows: Evidence
+
+    def slackened(self, calibration, uncorrected: bool) -> Evidence:
+        """The rows with the calibration's error added to their sigmas when nothing has corrected it."""
+        if not uncorrected or not len(self.rows):
+            return self.rows
+        rows = self.rows.rows.copy()
+        depth = float(np.linalg.norm(rows[:, :3].mean(axis=0)))
+        slack = np.hypot(calibration.translation_sigma, calibration.rotation_sigma * depth)
+        rows[:, SIGMA] = np.hypot(rows[:, SIGMA], slack)
+        return Evidence(rows, self.rows.sense)
+
+
+def feel(frame: Frame, gate: float, region=None, settings: TouchSettings | None = None) -> Felt:
+    """All touch evidence of a frame, camera frame.
+
+    gate: sigmas at which a contact is as likely a false one. region: ball around which the hand's own surface is
+    listed as space the object cannot be in; None lists none.
+    """
+    settings = settings or TouchSettings()
+    contacts = Contacts.concatenate([frame.contacts, wrench_contacts(frame)])
+    contacts = contacts.moved(frame.camera_from_world)
+    with_hand = frame.hand is not None and frame.joints is not None and frame.world_from_hand is not None
+    rows = tables.from_contacts(contacts, gate)
+    if with_hand and len(contacts):
+        sigma = np.hypot(contacts.sigma_point, settings.fingertip_sigma)
+        rows.rows[:, SIGMA] = sigma
+    parts = [rows]
+    if frame.no_contact is not None and len(frame.no_contact):
+        centres = frame.no_contact.points @ frame.camera_from_world[:3, :3].T + frame.camera_from_world[:3, 3]
+        parts.append(
+            tables.outside(centres, settings.hand_sigma, TOUCH, radius=frame.no_contact.radius, gate=settings.hand_gate)
+        )
+    if with_hand and len(contacts):
+        parts.append(_hand_rows(frame, region, settings))
+    return Felt(contacts, tables.stack(*parts))
+
+
+def _hand_rows(frame: Frame, region, settings: TouchSettings) -> Evidence:
+    """OUTSIDE rows on the hand's surface near the region: a solid hand leaves no room for the object."""
+    assert frame.hand is not None and frame.joints is not None and frame.world_from_hand is not None
+    points = frame.hand.points_on_surface(frame.joints)
+    camera_from_hand = frame.camera_from_world @ frame.world_from_hand
+    points = points @ camera_from_hand[:3, :3].T + camera_from_hand[:3, 3]
+    if region is not None:
+        points = points[np.linalg.norm(points - region.centre, axis=1) < region.radius]
+    if not len(points):
+        return tables.empty()
+    step = max(1, len(points) // settings.hand_points)
+    points = points[::step]
+    rows = tables.outside(points, settings.hand_sigma, TOUCH, gate=settings.hand_gate)
+    # neighbouring points of one link repeat one another: together they count like a few
+    return rows.reweighted(min(1.0, 20.0 / len(points)))
