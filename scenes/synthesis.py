@@ -94,7 +94,9 @@ def synthesize(
 
     settings = settings or SynthesisSettings()
     made = synthesize_frames(model, hand, frames, occlusion, touch, noise, seed, occluders, settings)
-    write_capture(folder, made, model, hand=hand, world="camera", depth_scale=settings.depth_unit * 1e3)
+    named = noise if isinstance(noise, str) else "custom"
+    notes = {"object": model.name, "occlusion": occlusion, "noise": named, "touch": list(touch), "seed": seed}
+    write_capture(folder, made, model, hand=hand, depth_scale=settings.depth_unit * 1e3, notes=notes)
     return read_capture(folder)
 
 

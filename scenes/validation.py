@@ -40,7 +40,8 @@ def validate(folder: str | Path) -> list[Problem]:
     model = _attempt(capture, problems)
     for number in capture.frame_ids:
         frame = capture.frame(number)
-        problems += _frame_problems(capture, frame)
+        if not any(problem.frame == number for problem in problems):  # what follows from the broken is not news
+            problems += _frame_problems(capture, frame)
         message = None if model is None else scale_problem(frame, model)
         if message is not None:
             problems.append(Problem(str(capture.path), number, message))

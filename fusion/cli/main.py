@@ -13,7 +13,7 @@ from importlib import metadata
 from typing import NoReturn
 
 from fusion.cli import compare, convert, demo, estimate, evaluate, localize, synth, validate
-from fusion.cli.options import add_common
+from fusion.cli.options import add_common, check_target
 from scenes.errors import InputError, PalpateError
 
 COMMANDS = (demo, synth, validate, estimate, compare, evaluate, localize, convert)
@@ -65,6 +65,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line; returns the exit code. No traceback for anything a user can cause."""
     try:
         args = build_parser().parse_args(argv)
+        check_target(args.json)
         code = int(args.run(args))
         sys.stdout.flush()
         return code

@@ -6,8 +6,10 @@ Light at import: argparse only. Everything heavy is imported by the function tha
 from __future__ import annotations
 
 import argparse
+import errno
 import json
 import math
+import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -213,13 +215,23 @@ def number(value: float | None, digits: int = 2) -> str:
     return f"{value:.{digits}f}" if math.isfinite(value) else "∞"
 
 
+def check_target(path: Path | None) -> None:
+    """Make the folder of --json's file, or raise OSError: before the work, not after it."""
+    if path is None:
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "expected a file to write, found a folder", str(path))
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise PermissionError(errno.EACCES, "cannot be written", str(path))
+
+
 def write_json(path: Path | None, content: Any) -> None:
     """Write --json's file when one was asked for; NaN becomes null."""
     if path is None:
         return
     from fusion.judging import json_number
 
-    path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(json_number(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
