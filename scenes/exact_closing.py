@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 # A tip touches when its ball is this near the surface (m): a fifth of what the contact must be exact to.
 TOUCH = 2.0e-5
+# Room around a finger in which the object's points are watched while it moves (m).
+REACH = 0.015
 # Within this of the surface the lattice's rounding matters and exact distances are asked for (m).
 EXACT_BELOW = 1.5e-3
 
@@ -32,8 +34,10 @@ class ExactClosing:
         self.hand, self.model, self.self_overlap = hand, model, self_overlap
         self.fingers = find_fingers(hand)
         self._points, _, self._link = hand.surface_samples(spacing)
+        self._pieces = [self._points[self._link == row] for row in range(len(hand.link_names))]
         surface, _ = model.sample_surface(3000, seed=0)
-        corners = model.vertices if len(model.vertices) <= 3000 else model.vertices[:: len(model.vertices) // 3000 + 1]
+        # every corner of the mesh counts; beyond 40,000 they are nearer to one another than any tolerance
+        corners = model.vertices[:: len(model.vertices) // 40_000 + 1]
         self._object_points = np.concatenate([surface, corners])
         moved = {i for f in self.fingers for i in f.links}
         self._still = tuple(i for i in range(len(hand.link_names)) if i not in moved)
@@ -54,7 +58,8 @@ class ExactClosing:
         touching: dict[str, tuple[Array, Array]] = {}
         for finger in sorted(self.fingers, key=lambda f: f.is_thumb):  # the thumb last: it gives way to the fingers
             if finger.sensor in sensors:
-                q = self._close_finger(finger, q, start, speed, hand_from_object, object_in_hand)
+                around = object_in_hand[self._around(finger, q, object_in_hand)]
+                q = self._close_finger(finger, q, start, speed, hand_from_object, around)
             if self._clearance(finger, q, hand_from_object, object_in_hand) < 0:
                 return None
             point, normal, gap = self._tip_contact(finger, q, hand_from_object)
@@ -63,6 +68,13 @@ class ExactClosing:
         if self._overlap(q) > self.self_overlap:
             return None
         return q, touching
+
+    def _around(self, finger: Finger, q: Array, points: Array) -> NDArray[np.bool_]:
+        """Which points (n, 3) the finger can meet within a little motion; the rest is checked once, at the end."""
+        hand_from_link = self.hand.link_poses(q)
+        reach = np.concatenate([poses.apply(hand_from_link[row], self._pieces[row]) for row in finger.links])
+        low, high = reach.min(axis=0) - REACH, reach.max(axis=0) + REACH
+        return ((points > low) & (points < high)).all(axis=1)
 
     def _close_finger(
         self, finger: Finger, q: Array, start: Array, speed: Array, hand_from_object: Array, object_in_hand: Array
@@ -170,9 +182,8 @@ class ExactClosing:
         """Smallest distance between these links and the object, both ways; negative when one is inside the other."""
         hand_from_link = self.hand.link_poses(q)
         object_from_hand = poses.inverse(hand_from_object)
-        pieces = [self._points[self._link == row] for row in rows]
         samples = np.concatenate(
-            [poses.apply(object_from_hand @ hand_from_link[row], piece) for row, piece in zip(rows, pieces)]
+            [poses.apply(object_from_hand @ hand_from_link[row], self._pieces[row]) for row in rows]
         )
         smallest = self._sample_clearance(samples)
         if finger is not None and finger.tip_link in rows:
@@ -212,7 +223,7 @@ class ExactClosing:
 
     def _thumb_to_fingers(self, thumb: Finger, hand_from_link: Array, rows: tuple[int, ...]) -> float:
         """Distance from the thumb's samples to the other fingers' links, the allowed overlap added."""
-        points = np.concatenate([poses.apply(hand_from_link[row], self._points[self._link == row]) for row in rows])
+        points = np.concatenate([poses.apply(hand_from_link[row], self._pieces[row]) for row in rows])
         others = {i for f in self.fingers if f is not thumb for i in f.links}
         gaps = [_points_to_link(self.hand, row, hand_from_link[row], points) for row in others]
         return min(gaps, default=np.inf) + self.self_overlap
@@ -222,7 +233,7 @@ class ExactClosing:
         hand_from_link = self.hand.link_poses(q)
         deepest = 0.0
         for finger in self.fingers:
-            chunks = [poses.apply(hand_from_link[r], self._points[self._link == r]) for r in finger.links]
+            chunks = [poses.apply(hand_from_link[r], self._pieces[r]) for r in finger.links]
             points = np.concatenate(chunks)
             for other in self.fingers:
                 if other is not finger:

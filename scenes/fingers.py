@@ -80,7 +80,7 @@ class Clearance:
         """spacing: of the samples on the links, metres; only_fingers: leave out the links that no finger moves."""
         self.hand, self.model = hand, model
         self.fingers = find_fingers(hand)
-        points, _, link = hand.surface_samples(spacing)
+        points, _, link = hand.surface_samples(spacing, corners=False)
         rows = {i for f in self.fingers for i in f.links} if only_fingers else set(link.tolist())
         order = [i for i in np.argsort(link, kind="stable") if link[i] in rows]
         points, link = points[order], link[order]

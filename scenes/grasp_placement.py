@@ -100,11 +100,11 @@ def across_palm(
         placed[i] = poses.make_pose(rotation, (x, y, 0.3 - turned[:, 2].min()))
     q = open_hand(hand, count, rng, settings)
     # straight down the palm's normal: clearance is how far it may move at least
-    for _ in range(40):
+    for _ in range(30):
         links, _ = clearance.links_and_tips(q, placed)
         move = links.min(axis=1) - settings.gap[0]
         placed[:, 2, 3] -= np.maximum(move, 0.0)
-        if move.max() < 2e-4:
+        if move.max() < 4e-4:
             break
     placed[:, 2, 3] += rng.uniform(0.0, settings.gap[1] - settings.gap[0], size=count)
     return placed, q

@@ -43,8 +43,8 @@ class GraspSettings:
     finalists: int = 5
     # Friction for the force-closure test (rubber on plastic).
     friction: float = 0.6
-    # The thumb must push against some finger: cosine between their contact normals at most this (over 107 degrees),
-    # or the hand only leans on the object, as on the edge of a crate.
+    # Thumb or palm must push against some fingertip: cosine between their contact normals at most this (over 107
+    # degrees), or the hand only leans on the object, as on the edge of a crate.
     opposition: float = -0.3
     # Links of the hand may overlap one another by this much (m): skin, not the object.
     self_overlap: float = 1.0e-3
@@ -94,12 +94,14 @@ def plan_grasp(
             continue
         for pose, start, speed, near in _promising(fingers, placed, q, sensors, least, rng, settings):
             closed = exact.close(pose, start, speed, near, sensors)
-            if closed is None or len(closed[1]) < least or not _thumb_opposes(closed[1], sensors[0], settings):
+            if closed is None or len(closed[1]) < least:
                 continue
-            grasp = _finish(exact, pose, *closed, kind, settings)
-            if len(grasp.contacts) >= wanted and grasp.force_closure:
+            grasp = _finish(exact, pose, *closed, kind, sensors[0], settings)
+            if grasp is None:
+                continue
+            if len(grasp.contacts) >= wanted and grasp.force_closure and sensors[0] in grasp.contacts.sensors:
                 return grasp
-            if best is None or _rank(grasp) > _rank(best):
+            if best is None or _rank(grasp, sensors[0]) > _rank(best, sensors[0]):
                 best = grasp
         if best is not None and attempt + 1 >= settings.patience:
             return best
@@ -108,15 +110,8 @@ def plan_grasp(
     return best
 
 
-def _thumb_opposes(touching: dict[str, tuple[Array, Array]], thumb: str, settings: GraspSettings) -> bool:
-    if thumb not in touching:
-        return False
-    normal = touching[thumb][1]
-    return any(float(normal @ other) < settings.opposition for name, (_, other) in touching.items() if name != thumb)
-
-
-def _rank(grasp: Grasp) -> tuple[bool, int]:
-    return grasp.force_closure, len(grasp.contacts)
+def _rank(grasp: Grasp, thumb: str) -> tuple[bool, bool, int]:
+    return grasp.force_closure, thumb in grasp.contacts.sensors, len(grasp.contacts)
 
 
 def _sensors_of(hand: Hand, kind: str) -> tuple[str, ...]:
@@ -176,8 +171,8 @@ def _promising(
         choices.append((placed[i], q[i], chosen, near))
         # a thumb that pushes against the others is worth two more contacts
         facing = float((np.array(normals) @ thumb_normal).min()) if thumb_normal is not None and normals else None
-        if len(points) >= least and facing is not None:
-            quality[i] = len(points) + 2.0 * (facing < settings.opposition)
+        if len(points) >= least:
+            quality[i] = len(points) + 2.0 * (facing is not None and facing < settings.opposition)
     order = np.argsort(-quality, kind="stable")
     return [choices[i] for i in order[: settings.finalists] if quality[i] >= least]
 
@@ -188,15 +183,21 @@ def _finish(
     q: Array,
     touching: dict[str, tuple[Array, Array]],
     kind: str,
+    thumb: str,
     settings: GraspSettings,
-) -> Grasp:
-    """Contacts of the touching tips, moved from the object frame to the hand's."""
+) -> Grasp | None:
+    """Contacts of the touching tips, moved from the object frame to the hand's; None when the hand only leans on."""
     points = np.array([point for point, _ in touching.values()])
     normals = np.array([normal for _, normal in touching.values()])
     contacts = Contacts(points, normals, sensors=list(touching)).moved(hand_from_object)
+    fingers = np.array([normal for name, (_, normal) in touching.items() if name != thumb]).reshape(-1, 3)
+    against = np.array([normal for name, (_, normal) in touching.items() if name == thumb]).reshape(-1, 3)
     if kind == "power":  # palm and inner links hold too
         more_points, more_normals = exact.supports(q, hand_from_object, settings.placement.gap[1] + 1e-3)
         points, normals = np.concatenate([points, more_points]), np.concatenate([normals, more_normals])
+        against = np.concatenate([against, more_normals])
+    if (fingers @ against.T).min(initial=1.0) > settings.opposition:
+        return None
     closure = has_force_closure(points, normals, exact.model, settings.friction)
     joints = dict(zip(exact.hand.joint_names, (float(x) for x in q)))
     return Grasp(joints, hand_from_object, contacts, kind, closure)
@@ -246,7 +247,8 @@ def _refusal(hand: Hand, model: ObjectModel, kind: str) -> str:
     if kind == "power" and extent[1] < 20.0:
         hint = ": too thin to wrap, try a tripod or pinch"
     span = 1e3 * float(pinch_table(hand, _sensors_of(hand, "pinch")).gap.max(initial=0.0))
+    size = " x ".join(f"{side:.0f}" for side in extent)
     return (
-        f"grasp: expected an object that hand {hand.name!r} can hold in a {kind} grasp (its tips face each other up to {span:.0f} mm apart),"
-        f" got {model.name!r} of {extent[0]:.0f} x {extent[1]:.0f} x {extent[2]:.0f} mm{hint}"
+        f"grasp: expected an object that hand {hand.name!r} can hold in a {kind} grasp"
+        f" (its tips face each other up to {span:.0f} mm apart), got {model.name!r} of {size} mm{hint}"
     )

@@ -215,15 +215,15 @@ class Hand:
         vertices = _apply_rows(hand_from_link[self._vertex_link], self._vertices)
         return vertices, self._faces.copy(), self._face_link.copy()
 
-    def surface_samples(self, spacing: float = SAMPLE_SPACING) -> tuple[Array, Array, Indices]:
+    def surface_samples(self, spacing: float = SAMPLE_SPACING, corners: bool = True) -> tuple[Array, Array, Indices]:
         """Points (n, 3) on the links, normals (n, 3), link (n,): every spot of a surface is within `spacing` of one.
 
-        In the frames of the links. Every vertex of the meshes is among them. Raises InputError for a spacing that
-        is not above 0.
+        In the frames of the links. With `corners` every vertex of the meshes is among them. Raises InputError for a
+        spacing that is not above 0.
         """
         if not spacing > 0:
             raise InputError(f"spacing: expected metres above 0, got {spacing}")
-        return _surface_samples(self, float(spacing))
+        return _surface_samples(self, float(spacing), corners)
 
     def points_on_surface(self, joints: dict[str, float], spacing: float = SAMPLE_SPACING) -> Array:
         """(n, 3) samples of the whole hand's surface in the hand frame."""
@@ -242,17 +242,17 @@ def _apply_rows(transforms: Array, points: Array) -> Array:
 
 
 @lru_cache(maxsize=16)
-def _surface_samples(hand: Hand, spacing: float) -> tuple[Array, Array, Indices]:
+def _surface_samples(hand: Hand, spacing: float, corners: bool) -> tuple[Array, Array, Indices]:
     import trimesh
     from scipy.spatial import cKDTree
 
     points, normals, links = [], [], []
     for number, shapes in enumerate(hand.robot.links.values()):
         for shape in shapes:
-            corners = len(shape.vertices)
+            count = len(shape.vertices)
             # old vertices come first in a subdivision; a point of the surface is within 0.29 spacing of a new one
             vertices, faces = trimesh.remesh.subdivide_to_size(shape.vertices, shape.faces, spacing / 2, max_iter=30)
-            mesh = trimesh.Trimesh(np.concatenate([shape.vertices, vertices]), faces + corners, process=False)
+            mesh = trimesh.Trimesh(np.concatenate([shape.vertices, vertices]), faces + count, process=False)
             mesh.merge_vertices()
             candidates = np.array(mesh.vertices)
             kept = np.zeros(len(candidates), dtype=bool)
@@ -260,7 +260,7 @@ def _surface_samples(hand: Hand, spacing: float) -> tuple[Array, Array, Indices]
             tree = cKDTree(candidates)
             own = cKDTree(shape.vertices).query(candidates, distance_upper_bound=1e-9)[0] < np.inf
             for i in np.argsort(~own, kind="stable"):
-                if own[i] or not covered[i]:
+                if (corners and own[i]) or not covered[i]:
                     kept[i] = True
                     covered[tree.query_ball_point(candidates[i], 0.7 * spacing)] = True
             points.append(candidates[kept])
