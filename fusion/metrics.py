@@ -58,9 +58,11 @@ def add(estimate: ArrayLike, truth: ArrayLike, points: Array) -> float:
 def add_s(estimate: ArrayLike, truth: ArrayLike, points: Array, tree: cKDTree | None = None) -> float:
     """Mean distance (m) from each point at the truth to the nearest point at the estimate: blind to symmetry.
 
-    Hinterstoisser et al., ACCV 2012, eq. 8; named ADD-S by Xiang et al., PoseCNN, RSS 2018. With sampled points two
-    equivalent poses of a symmetric object differ by about half the samples' spacing instead of zero.
-    tree: a cKDTree of `points`, when many poses of one object are measured.
+    Hinterstoisser et al., ACCV 2012, eq. 8; named ADD-S by Xiang et al., PoseCNN, RSS 2018. With sampled points the
+    value depends on their spacing: slips along the surface shorter than that are not forgiven, and two equivalent
+    poses of a symmetric object differ by about half of it instead of zero.
+    tree: a cKDTree of the points among which the nearest is sought, when many poses of one object are measured or
+    when they are denser than the `points` that are averaged (as they should be, for the reason above).
     """
     from scipy.spatial import cKDTree
 

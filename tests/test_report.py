@@ -13,6 +13,7 @@ import pytest
 import trimesh
 
 from fusion.answer import ContactResidual, Estimate, Mode, Stage
+from fusion.judging import Judge
 from fusion.report import pictures, words
 from fusion.report.data import MODEL_FACES, comparison_rows, report_data, summary_rows
 from fusion.report.outline import silhouette
@@ -151,8 +152,11 @@ class TestWords:
 class TestData:
     def test_numbers_agree_with_the_metrics(self, ring, renderer):
         frame = make_frame(ring, renderer)
-        data = report_data("capture", [frame], ring, [make_estimate(frame)])
+        estimate = make_estimate(frame)
+        pose, truth = estimate.pose, frame.camera_from_object_truth
+        data = report_data("capture", [frame], ring, [estimate])
         figures = {n["label"]: float(n["value"]) for n in data["frames"][0]["numbers"]}
+        assert figures["Surface error"] == pytest.approx(1e3 * Judge(ring).errors(pose, truth).add_s, abs=0.01)
         assert figures["Position error"] == pytest.approx(1.0, abs=0.01)
         assert figures["Rotation error"] == pytest.approx(np.rad2deg(0.01), abs=0.01)
         assert figures["σ position"] == pytest.approx(0.5, abs=0.01)
@@ -252,26 +256,57 @@ addEventListener("load", () => {
 """
 
 
-@pytest.mark.parametrize("width", [1400, 500])
-def test_it_works_in_a_browser(ring, renderer, tmp_path, width):
+BARE_PROBE = """
+<script>
+window.failures = [];
+addEventListener("error", (e) => failures.push(e.message));
+addEventListener("load", () => {
+  const hidden = document.getElementById("photo")?.hidden, cards = document.querySelectorAll(".card").length;
+  document.body.replaceChildren(document.createTextNode(`PROBE${JSON.stringify({ failures, hidden, cards })}PROBE`));
+});
+</script>
+"""
+
+
+def in_browser(page, probe, folder, width=1400):
+    """What the probe, put before everything else in the page, reports from a headless Chromium."""
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if chromium is None:
         pytest.skip("no Chromium on this machine to open the report with")
-    frames = [make_frame(ring, renderer, i) for i in range(3)]
-    estimates = [make_estimate(f, v) for f, v in zip(frames, ("ok", "ambiguous", "lost"))]
-    page = render(report_data("capture", frames, ring, estimates, rows_for(frames), {"auc": 0.9}))
-    path = tmp_path / "report.html"
-    # before everything else, so that it hears of every error
-    path.write_text(page.replace("<style>", PROBE + "<style>", 1))
+    path = folder / "report.html"
+    path.write_text(page.replace("<style>", probe + "<style>", 1))
     flags = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-sync"]
-    flags += ["--disable-component-update", "--no-first-run", f"--user-data-dir={tmp_path / 'profile'}"]
+    flags += ["--disable-component-update", "--no-first-run", f"--user-data-dir={folder / 'profile'}"]
     flags += [f"--window-size={width},900", "--virtual-time-budget=3000", "--dump-dom"]
     run = subprocess.run([chromium, *flags, path.as_uri()], capture_output=True, text=True, timeout=120, check=False)
     answer = re.search(r"PROBE(\{.*\})PROBE", run.stdout.split("<body")[-1])
     assert answer, f"the page did not report back: {run.stderr[-500:]}"
-    result = json.loads(answer[1].replace("&amp;", "&"))
+    return json.loads(answer[1].replace("&amp;", "&"))
+
+
+@pytest.mark.parametrize("width", [1400, 500])
+def test_it_works_in_a_browser(ring, renderer, tmp_path, width):
+    frames = [make_frame(ring, renderer, i) for i in range(3)]
+    estimates = [make_estimate(f, v) for f, v in zip(frames, ("ok", "ambiguous", "lost"))]
+    page = render(report_data("capture", frames, ring, estimates, rows_for(frames), {"auc": 0.9}))
+    result = in_browser(page, PROBE, tmp_path, width)
     assert result["failures"] == []
     assert result["seen"] == [f"frame {i} · {i + 1}/3" for i in (0, 2, 1, 2)]
     assert result["ink"]
     assert result["outlines"] > 0
     assert result["overflow"] <= 0
+
+
+def test_a_lone_cloud_without_truth_works_in_a_browser(ring, renderer, tmp_path):
+    full = make_frame(ring, renderer)
+    bare = Frame(index=0, cloud=CAMERA.back_project(full.depth)[::50], contacts=full.contacts)
+    rows = [{"method": "fused", "frame": 0, "cloud_mm": 1.2, "contacts_mm": 0.7, "time_ms": 3.0, "verdict": "ok"}]
+    page = render(report_data("c", [bare], ring, [make_estimate(full)], rows))
+    result = in_browser(page, BARE_PROBE, tmp_path)
+    assert result["failures"] == []
+    assert result["hidden"]
+    assert result["cards"] >= 5
+
+
+def test_a_capture_of_nothing_works_in_a_browser(ring, tmp_path):
+    assert in_browser(render(report_data("c", [], ring, [])), BARE_PROBE, tmp_path)["failures"] == []

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fusion import metrics
 from fusion.answer import Estimate
+from fusion.judging import Judge
 from fusion.report import pictures, words
 from fusion.report.outline import silhouette
 from scenes import poses
@@ -86,7 +87,8 @@ def comparison_rows(comparison: Mapping[str, Any] | Sequence[Mapping[str, Any]] 
     """Rows {frame, method, name, adds_mm, rotation_deg, translation_mm, ms, verdict} of a comparison.
 
     comparison: {"rows": [...]} or the list itself, one row a frame and method (or one a method, without frame). Keys
-    are read by their usual names: method, frame, add_s_mm, rotation_deg, translation_mm, time_ms or ms, verdict.
+    are read by their usual names: method, frame, add_s_mm, rotation_deg, translation_mm, time_ms or ms, verdict;
+    without ground truth cloud_mm and contacts_mm, mean distances to the surface, take the place of the errors.
     """
     if not comparison:
         return []
@@ -104,6 +106,8 @@ def comparison_rows(comparison: Mapping[str, Any] | Sequence[Mapping[str, Any]] 
                 "adds_mm": _first(row, "add_s_mm", "adds_mm", "adds"),
                 "rotation_deg": _first(row, "rotation_deg", "rot_deg"),
                 "translation_mm": _first(row, "translation_mm", "trans_mm"),
+                "cloud_mm": _first(row, "cloud_mm"),
+                "contacts_mm": _first(row, "contacts_mm"),
                 "ms": _first(row, "time_ms", "ms"),
                 "verdict": str(row.get("verdict") or ""),
             }
@@ -112,9 +116,11 @@ def comparison_rows(comparison: Mapping[str, Any] | Sequence[Mapping[str, Any]] 
 
 
 def summary_rows(errors: Mapping[str, Any] | None) -> list[list[str]]:
-    """[name, value] pairs of every plain number or text in `errors`, names made readable."""
+    """[name, value] pairs of every plain number or text in `errors` (or its "summary"), names made readable."""
+    errors = errors or {}
+    inner = errors.get("summary")
     out = []
-    for key, value in (errors or {}).items():
+    for key, value in (inner if isinstance(inner, Mapping) else errors).items():
         if isinstance(value, bool) or not isinstance(value, (int, float, str, np.floating, np.integer)):
             continue
         text = value if isinstance(value, str) else f"{float(value):.4g}"
@@ -125,13 +131,13 @@ def summary_rows(errors: Mapping[str, Any] | None) -> list[list[str]]:
 
 
 class _FrameBuilder:
-    """Builds frames, keeping what all of them share: renderer, reduced meshes, surface samples."""
+    """Builds frames, keeping what all of them share: renderer, judge, the hand's triangles."""
 
     def __init__(self, model: ObjectModel, count: int) -> None:
         self.model = model
         self.share = min(1.0, FEW_FRAMES / max(1, count)) ** 0.5
         self.renderer = Renderer({"object": (model.vertices, model.faces)})
-        self.points = metrics.model_points(model, 2000)
+        self.judge = Judge(model)
         self.hand_faces: str | None = None
         self._hand_count = 0
 
@@ -183,13 +189,12 @@ class _FrameBuilder:
 
         truth = frame.camera_from_object_truth
         if truth is not None and usable:
-            model = self.model
-            adds = 1e3 * metrics.add_s(estimate.pose, truth, self.points)
-            figure("Surface error", adds, "mm", "ADD-S against the known pose: mean distance of the two surfaces")
-            error = 1e3 * metrics.translation_error(estimate.pose, truth, model.symmetries, model.centroid)
-            figure("Position error", error, "mm", "distance of the centroid from its true place")
-            turn = np.rad2deg(metrics.rotation_error(estimate.pose, truth, model.symmetries))
-            figure("Rotation error", float(turn), "°", "angle to the true orientation, modulo the object's symmetry")
+            errors = self.judge.errors(estimate.pose, truth)
+            surface = "ADD-S against the known pose: mean distance of the two surfaces"
+            figure("Surface error", 1e3 * errors.add_s, "mm", surface)
+            figure("Position error", 1e3 * errors.translation, "mm", "distance of the centroid from its true place")
+            turn = float(np.rad2deg(errors.rotation))
+            figure("Rotation error", turn, "°", "angle to the true orientation, modulo the object's symmetry")
         rotation, translation = words.worst_sigmas(np.asarray(estimate.covariance, dtype=np.float64))
         figure("σ position", 1e3 * translation, "mm", "standard deviation in the worst direction")
         if rotation <= words.FREE_ROTATION:

@@ -98,7 +98,7 @@ function methodRows() {
     return [...new Set(rows.map((r) => r.method))].map((method) => {
       const own = rows.filter((r) => r.method === method), pick = (key) => median(own.map((r) => r[key]));
       const good = own.filter((r) => r.adds_mm !== null && r.adds_mm < 5).length;
-      return { method, name: own[0].name, adds_mm: pick("adds_mm"), rotation_deg: pick("rotation_deg"), translation_mm: pick("translation_mm"),
+      return { method, name: own[0].name, adds_mm: pick("adds_mm"), rotation_deg: pick("rotation_deg"), translation_mm: pick("translation_mm"), cloud_mm: pick("cloud_mm"), contacts_mm: pick("contacts_mm"),
         ms: pick("ms"), verdict: own.length === 1 ? own[0].verdict : "", success: own.length > 1 ? `${Math.round(100 * good / own.length)} %` : null };
     });
   }
@@ -108,16 +108,20 @@ function methodRows() {
 function comparisonCard() {
   if (!data.comparison.length) return null;
   const rows = methodRows(), many = new Set(data.comparison.map((r) => r.frame)).size > 1, success = rows.some((r) => r.success);
-  const largest = Math.max(1e-6, ...rows.map((r) => r.adds_mm || 0)), smallest = Math.min(...rows.map((r) => r.adds_mm || largest)) / 2;
+  // without ground truth, how well the sensed points lie on the surface stands in for the errors
+  const known = data.comparison.some((r) => r.adds_mm !== null), main = known ? "adds_mm" : "cloud_mm";
+  const others = known ? [["rotation_deg", "Rotation °", "n"], ["translation_mm", "Position mm", "n hide-small"]] : [["contacts_mm", "Contacts mm", "n"]];
+  const largest = Math.max(1e-6, ...rows.map((r) => r[main] || 0)), smallest = Math.min(...rows.map((r) => r[main] || largest)) / 2;
   const share = (v) => !v ? 0 : Math.max(3, 100 * Math.log(v / smallest) / Math.log(largest / smallest));
-  const head = [["Method"], ["ADD-S mm"], ["Rotation °", "n"], ["Position mm", "n hide-small"], ["Time ms", "n"], [success ? "Within 5 mm" : "Verdict", success ? "n" : ""]];
+  const last = known && success ? ["Within 5 mm", "n"] : ["Verdict", ""];
+  const head = [["Method"], [known ? "ADD-S mm" : "Cloud mm"], ...others.map(([, text, type]) => [text, type]), ["Time ms", "n"], last];
   const body = rows.map((r) => {
-    const bar = r.adds_mm === null ? null : el("span", { class: `bar ${r.method.startsWith("icp") ? "icp" : ""}`, style: `width:${share(r.adds_mm).toFixed(1)}%` });
-    return el("tr", { class: r.method }, el("td", {}, r.name), el("td", { class: "meter" }, number(r.adds_mm), bar), el("td", { class: "n" }, number(r.rotation_deg)),
-      el("td", { class: "n hide-small" }, number(r.translation_mm)), el("td", { class: "n" }, number(r.ms, 1)), el("td", { class: success ? "n" : "" }, success ? r.success : pill(r.verdict)));
+    const bar = r[main] === null ? null : el("span", { class: `bar ${r.method.startsWith("icp") ? "icp" : ""}`, style: `width:${share(r[main]).toFixed(1)}%` });
+    return el("tr", { class: r.method }, el("td", {}, r.name), el("td", { class: "meter" }, number(r[main]), bar), others.map(([key, , type]) => el("td", { class: type }, number(r[key]))),
+      el("td", { class: "n" }, number(r.ms, 1)), el("td", { class: last[1] }, last[1] ? r.success : pill(r.verdict)));
   });
   const swap = many ? el("span", { class: "swap" }, choice([["frame", "This frame"], ["all", "Median of all"]], state.table, (key) => { state.table = key; drawCards(); })) : null;
-  return card("Methods", "wide", [table(head, body), many ? dotPlot() : null], swap);
+  return card("Methods", "wide", [table(head, body), many && known ? dotPlot() : null], swap);
 }
 
 function dotPlot() {
