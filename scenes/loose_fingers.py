@@ -166,7 +166,7 @@ def random_contacts(model: ObjectModel, count: int, rng: np.random.Generator) ->
         object_from_camera = poses.inverse(view)
         points.append(poses.apply(object_from_camera, lens.back_project(seen.depth, pixel))[0])
         normals.append(object_from_camera[:3, :3] @ seen.normals[v[pick], u[pick]])
-    return Contacts(np.array(points), np.array(normals))
+    return Contacts(np.reshape(points, (-1, 3)), np.reshape(normals, (-1, 3)))
 
 
 def _random_view(model: ObjectModel, rng: np.random.Generator) -> Array:

@@ -94,7 +94,7 @@ def synthesize(
 
     settings = settings or SynthesisSettings()
     made = synthesize_frames(model, hand, frames, occlusion, touch, noise, seed, occluders, settings)
-    named = noise if isinstance(noise, str) else "custom"
+    named = noise_models.preset(noise).name
     notes = {"object": model.name, "occlusion": occlusion, "noise": named, "touch": list(touch), "seed": seed}
     write_capture(folder, made, model, hand=hand, depth_scale=settings.depth_unit * 1e3, notes=notes)
     return read_capture(folder)
@@ -133,7 +133,7 @@ def synthesize_frames(
             frame = _hand_frame(index, where, model, hand, occlusion, touch, preset, rng, renderer, settings)
         else:
             share = occlusion if kind == "fingers" else 0.0
-            frame = _loose_frame(index, where, model, share, preset, rng, renderer, settings)
+            frame = _loose_frame(index, where, model, share, touch, preset, rng, renderer, settings)
         made.append(frame)
     return made
 
@@ -298,6 +298,7 @@ def _loose_frame(
     where: str,
     model: ObjectModel,
     occlusion: float,
+    touch: tuple[str, ...],
     preset: NoisePreset,
     rng: np.random.Generator,
     renderer: Renderer,
@@ -318,7 +319,8 @@ def _loose_frame(
     scene = {"object": camera_from_object, **fingers}
     image = _photograph(model, scene, renderer, preset, rng, settings)
     shift = noise_models.camera_from_robot_error(preset.robot, rng)
-    exact = random_contacts(model, settings.loose_contacts, rng).moved(camera_from_object)
+    count = settings.loose_contacts if "point" in touch else 0
+    exact = random_contacts(model, count, rng).moved(camera_from_object)
     return Frame(
         index=index,
         where=where,

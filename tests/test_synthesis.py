@@ -176,6 +176,11 @@ def test_a_written_capture_gives_the_same_frames(tmp_path):
     assert capture.model.symmetries.axes
 
 
+def test_without_touch_there_are_no_contacts():
+    frame = synthesize_frames(library.make("box"), occlusion=0.2, touch=(), seed=1, settings=SETTINGS)[0]
+    assert len(frame.contacts) == 0
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
