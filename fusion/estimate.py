@@ -22,6 +22,7 @@ from scenes.alignment.search import SearchStage, search, starts_around
 from scenes.errors import InputError
 from scenes.frames import Contacts, Frame
 from scenes.objects import ObjectModel
+from scenes.threads import one_blas_thread
 from touch.contacts import contact_starts, feel
 from vision.clouds import DepthModel
 from vision.hand_view import CalibrationModel
@@ -72,8 +73,22 @@ def estimate(
     allowed. tolerance (m, rad): how good is good enough; budget_ms: time after which optional stages are skipped.
     Returns an Estimate; data that tell nothing give the verdict "lost" and a covariance that says so, not an error.
     """
-    settings = settings or EstimateSettings()
-    senses = check_senses(use)
+    with one_blas_thread():
+        return _estimate(
+            frame, model, prior, check_senses(use), tolerance, budget_ms, seed, settings or EstimateSettings()
+        )
+
+
+def _estimate(
+    frame: Frame,
+    model: ObjectModel,
+    prior: Array | Prior | None,
+    senses: frozenset[str],
+    tolerance: tuple[float, float] | None,
+    budget_ms: float | None,
+    seed: int,
+    settings: EstimateSettings,
+) -> Estimate:
     rng = np.random.default_rng(seed)
     believed = as_prior(prior if prior is not None else frame.prior, settings)
     start = believed.pose if believed is not None else None

@@ -178,6 +178,7 @@ class JointProblem:
         unknown = np.zeros(size)
         if self.hand is not None:
             unknown[XI] = np.linalg.solve(self._white_xi, self.hand.xi)
+            self._whiten_hand()
         here = pose
         width = np.zeros(size)
         width[POSE] = np.array([1.0] * 3 + [self.model.radius] * 3) ** -2.0
@@ -246,13 +247,14 @@ class JointProblem:
         moved = p - (self._white[SCALE] * unknown[SCALE]) * p - bias[:, None] * ray
         rotation = pose[:3, :3]
         y = moved - (rotation @ self.model.centroid + pose[:3, 3])
-        distance, g = self.model.field.distance_and_gradient(y @ rotation + self.model.centroid)
+        distance, g = self.model.field.seen_distance_and_gradient(
+            y @ rotation + self.model.centroid, rows[:, NORMAL] @ rotation, rows[:, FACING] > 0
+        )
         g = g @ rotation.T
         distance = distance - rows[:, OFFSET]
         gate = np.where(distance > 0, rows[:, GATE_ABOVE], rows[:, GATE_BELOW])
         r = distance / self._sigma
-        away = np.sum(g * rows[:, NORMAL], axis=1) / np.where(rows[:, FACING] > 0, rows[:, FACING], np.inf)
-        loss, belongs = robust(r * r + np.square(np.maximum(away, 0.0)), gate)
+        loss, belongs = robust(r * r, gate)
         # the points move by -s p - b ray: chain through the distance's gradient
         along = -np.sum(g * ray, axis=1)
         jac = np.concatenate(
@@ -280,17 +282,27 @@ class JointProblem:
         return cost, chain.T @ g, chain.T @ h @ chain
 
     def _hand_terms(self, unknown: Array) -> tuple[float, Array, Array]:
+        """The hand's pixels: quadratic in the unknowns, whitened once per level."""
+        cost, gradient, normal = self._hand_white
+        x = unknown[6:]
+        along = normal @ x
+        return cost + float(gradient @ x + 0.5 * x @ along), gradient + along, normal
+
+    def _whiten_hand(self) -> None:
+        """Terms of the hand's pixels about x = 0 in the whitened unknowns (xi, s, b)."""
         assert self.hand is not None
-        size = len(unknown) - 6
-        chain = np.zeros((size, size))
-        chain[:6, :6] = self._white_xi
-        chain[range(6, size), range(6, size)] = self._white[12:]
-        step = chain @ unknown[6:]
-        step[:6] -= self.hand.xi
-        cost = float(self._hand_gradient @ step + 0.5 * step @ self._hand_normal @ step)
+        scale = self._white[6:]
+        normal, gradient = self._hand_normal.copy(), self._hand_gradient.copy()
+        # linear about xi_seen: shift to xi = 0
+        step = self.hand.xi
         constant = 0.5 * float(self._hand_weight @ self.hand.residual**2)
-        gradient = self._hand_gradient + self._hand_normal @ step
-        return cost + constant, chain.T @ gradient, chain.T @ self._hand_normal @ chain
+        constant += 0.5 * float(step @ normal[:6, :6] @ step) - float(gradient[:6] @ step)
+        gradient = gradient - normal[:, :6] @ step
+        normal[:6] = self._white_xi.T @ normal[:6]
+        normal[:, :6] = normal[:, :6] @ self._white_xi
+        gradient[:6] = self._white_xi.T @ gradient[:6]
+        normal *= scale * scale[:, None]
+        self._hand_white = (constant, gradient * scale, normal)
 
 
 def robust(square: Array, gate: Array) -> tuple[Array, Array]:
@@ -305,15 +317,18 @@ def robust(square: Array, gate: Array) -> tuple[Array, Array]:
 def _marginal(normal: Array) -> tuple[Array, float]:
     """(6, 6) covariance of the pose with all else marginalised, and the log-determinant of the whole system."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    values, vectors = np.linalg.eigh(normal * scale * scale[:, None])
-    values = np.maximum(values, 1e-14)
-    inverse = (vectors / values) @ vectors.T
-    covariance = (inverse * scale * scale[:, None])[:6, :6]
-    return 0.5 * (covariance + covariance.T), float(np.log(values).sum() - 2.0 * np.log(scale).sum())
+    scaled = normal * scale * scale[:, None]
+    # unit diagonal: a billionth more keeps the factor of a singular system finite, and changes no digit of another
+    factor = np.linalg.cholesky(scaled + 1e-9 * np.eye(len(normal)))
+    half = np.linalg.solve(factor, np.eye(len(normal))[:, :6])
+    covariance = (half.T @ half) * scale[:6] * scale[:6, None]
+    return covariance, float(2.0 * np.log(np.diag(factor)).sum() - 2.0 * np.log(scale).sum())
 
 
 def solve_modes(problem: JointProblem, starts: list[Array]) -> list[JointResult]:
     """Solve from each start; the level of shared errors is the one of highest evidence at the first start."""
-    tried = [problem.solve(starts[0], level) for level in problem.settings.levels]
+    tried = [problem.solve(starts[0], problem.settings.levels[0])]
+    for level in problem.settings.levels[1:]:
+        tried.append(problem.solve(tried[-1].pose, level))
     best = max(tried, key=lambda result: result.log_evidence)
     return [best, *(problem.solve(start, best.level) for start in starts[1 : problem.settings.modes])]

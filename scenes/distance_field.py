@@ -68,6 +68,14 @@ class DistanceField:
             lattice.distances(self.values, self.origin, self.spacing, points, out, gradients)
         return out, gradients
 
+    def seen_distance_and_gradient(self, points: Array, rays: Array, facing: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """As distance_and_gradient; where `facing` (n,), to the surface that faces a camera looking along rays (n, 3)."""
+        points = lattice.check_finite(points, "seen_distance_and_gradient")
+        out, gradients = np.zeros(len(points)), np.zeros((len(points), 3))
+        rays = np.ascontiguousarray(rays, dtype=np.float64)
+        lattice.seen_distances(self.values, self.origin, self.spacing, points, rays, facing, out, gradients)
+        return out, gradients
+
     def normals(self, points: Array) -> Array:
         """Smooth outward unit normals (n, 3) at points near the surface (the normal of contact evidence)."""
         points = lattice.check_finite(points, "normals")

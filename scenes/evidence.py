@@ -10,9 +10,9 @@ A row's residual is r = (d(p) - offset) / sigma with d the signed distance of th
 Its loss is that of a point that is either on the object (a unit Gaussian in r) or clutter (a flat density,
 met where |r| = gate): rho(s) = s - 2 log(1 + exp((s - gate^2) / 2)) + const, s = r^2 (+ the normal's part). The
 derivative of rho is the probability that the row belongs to the object, so fitting *is* deciding.
-A pixel was seen, so the surface there faces the camera: rows with `facing` carry the viewing ray v (unit) in the normal's
-place and add (max(0, a . v) / facing)^2, a the model's normal. Without it a thin wall's far side explains as well as its
-near side.
+A pixel was seen, so the surface there faces the camera: rows with `facing` carry the viewing ray (unit) in the normal's
+place, and d is the distance to the side of the object that faces it (scenes.lattice.seen_distance_at). Without it a thin
+wall's far side would explain a point as well as its near side.
 `gate_above` holds for points found outside (d > offset), `gate_below` for points found inside: what is seen or
 felt in front of an object may be something else, but nothing opaque is ever inside it.
 """
@@ -44,7 +44,7 @@ NO_GATE = 1e6
 class Evidence:
     """rows (n, 13) float64: point, outward normal (0 when unknown), sigma (m), sigma of the normal (rad, 0 = no normal),
     weight (share of a row's information that is its own, 1 = independent), gate above and below (sigmas; 0 = the
-    row says nothing on that side), offset (m), facing (0 = off). sense (n,): VISION or TOUCH.
+    row says nothing on that side), offset (m), facing (1 = yes). sense (n,): VISION or TOUCH.
     """
 
     rows: Array
@@ -108,7 +108,6 @@ def make(
     gate_below: ArrayLike = NO_GATE,
     offset: ArrayLike = 0.0,
     rays: Array | None = None,
-    facing: float = 0.0,
 ) -> Evidence:
     """Rows from columns: points (n, 3) metres; every other argument a scalar or (n,). NaN normals mean unknown.
     rays (n, 3): unit viewing directions of pixels, instead of normals.
@@ -132,7 +131,7 @@ def make(
         rows[known, NORMAL] = normals[known]
         rows[:, SIGMA_NORMAL] = np.where(known, sigma_normal, 0.0)
     if rays is not None:
-        rows[:, NORMAL], rows[:, FACING] = rays, facing
+        rows[:, NORMAL], rows[:, FACING] = rays, 1.0
     return Evidence(rows, np.full(n, sense, dtype=np.uint8))
 
 

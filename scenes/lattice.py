@@ -170,6 +170,32 @@ def normal_at(values, origin, spacing, x, y, z, gradient, hessian):
                 hessian[2, 2] += gz * tc
 
 
+# A seen point beyond the far side of a wall is led back towards the camera in steps of this many cells, doubled.
+_FIRST_STEP = 1.5
+_STEPS = 4
+
+
+@numba.njit(cache=True, nogil=True)
+def seen_distance_at(values, origin, spacing, x, y, z, vx, vy, vz):
+    """Signed distance of a seen point to the surface that faces the camera, and its gradient: (d, gx, gy, gz).
+
+    v (unit) is the viewing direction, object frame. Where the nearest surface looks away from the camera, it cannot be
+    what was seen: the point is led back along v until the nearest surface faces it, and that face's distance is
+    continued in a straight line. Across a thin wall the value then goes on falling instead of turning back to zero.
+    """
+    d, gx, gy, gz = distance_at(values, origin, spacing, x, y, z)
+    if gx * vx + gy * vy + gz * vz <= 0.0:
+        return d, gx, gy, gz
+    step = _FIRST_STEP * spacing
+    for _ in range(_STEPS):
+        d, gx, gy, gz = distance_at(values, origin, spacing, x - step * vx, y - step * vy, z - step * vz)
+        along = gx * vx + gy * vy + gz * vz
+        if along < 0.0:
+            return d + step * along, gx, gy, gz
+        step *= 2.0
+    return -0.5 * step, -vx, -vy, -vz
+
+
 @numba.njit(cache=True, nogil=True)
 def distances(values, origin, spacing, points, out, gradients):
     """Fill out (n,) and, when it has n rows, gradients (n, 3) at points (n, 3)."""
@@ -181,6 +207,22 @@ def distances(values, origin, spacing, points, out, gradients):
             gradients[n, 0] = gx
             gradients[n, 1] = gy
             gradients[n, 2] = gz
+
+
+@numba.njit(cache=True, nogil=True)
+def seen_distances(values, origin, spacing, points, rays, facing, out, gradients):
+    """Fill out (n,) and gradients (n, 3): seen_distance_at where facing (n,) holds, distance_at elsewhere."""
+    for n in range(points.shape[0]):
+        if facing[n]:
+            d, gx, gy, gz = seen_distance_at(
+                values, origin, spacing, points[n, 0], points[n, 1], points[n, 2], rays[n, 0], rays[n, 1], rays[n, 2]
+            )
+        else:
+            d, gx, gy, gz = distance_at(values, origin, spacing, points[n, 0], points[n, 1], points[n, 2])
+        out[n] = d
+        gradients[n, 0] = gx
+        gradients[n, 1] = gy
+        gradients[n, 2] = gz
 
 
 def check_finite(points: np.ndarray, name: str) -> np.ndarray:

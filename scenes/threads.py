@@ -5,10 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from functools import cache
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 from scenes.errors import InputError
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 VARIABLE = "PALPATE_THREADS"
 
@@ -26,6 +31,18 @@ def thread_count() -> int:
     if not text.isdecimal() or int(text) < 1:
         raise InputError(f"{VARIABLE}: expected a whole number above 0, got {text!r}")
     return int(text)
+
+
+@cache
+def _blas() -> ThreadpoolController:
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
+
+
+def one_blas_thread() -> AbstractContextManager[object]:
+    """Keep linear algebra on the calling thread: on matrices of a hundred rows its own threads cost more than they do."""
+    return _blas().limit(limits=1, user_api="blas")
 
 
 @cache

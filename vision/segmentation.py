@@ -33,8 +33,6 @@ class SegmentationSettings:
     gate_above: float = 2.5
     # Nothing opaque is inside the object; beyond this many sigmas the pixel is a flying one.
     gate_below: float = 5.0
-    # A seen surface faces the camera: cosine of its angle beyond a right one at one sigma (depth noise tilts it).
-    facing: float = 0.3
     # Radius (m) of the crop that people use around a start, beyond the model's own.
     crop_margin: float = 0.01
     # Free space: rays sampled, points per ray, distance (m) kept from the seen surface, and the rows' sigma (m).
@@ -179,7 +177,6 @@ def surface_rows(segments: Segments, most: int, settings: SegmentationSettings, 
         sigma,
         VISION,
         rays=chosen / np.linalg.norm(chosen, axis=1, keepdims=True) if has_camera else None,
-        facing=settings.facing,
         weight=np.minimum(weight, 1.0),
         gate_above=settings.gate_above,
         gate_below=settings.gate_below,

@@ -17,7 +17,7 @@ import math
 import numba
 import numpy as np
 
-from scenes.lattice import distance_at, normal_at
+from scenes.lattice import distance_at, normal_at, seen_distance_at
 
 # Levenberg-Marquardt: start, factors and limits of the damping (relative to the Hessian's own diagonal).
 DAMPING_START = 1e-3
@@ -159,7 +159,13 @@ def cost_terms(
         qx = r00 * yx + r10 * yy + r20 * yz + centroid[0]
         qy = r01 * yx + r11 * yy + r21 * yz + centroid[1]
         qz = r02 * yx + r12 * yy + r22 * yz + centroid[2]
-        d, gx, gy, gz = distance_at(values, origin, spacing, qx, qy, qz)
+        if rows[n, 12] > 0.0:
+            vx = r00 * rows[n, 3] + r10 * rows[n, 4] + r20 * rows[n, 5]
+            vy = r01 * rows[n, 3] + r11 * rows[n, 4] + r21 * rows[n, 5]
+            vz = r02 * rows[n, 3] + r12 * rows[n, 4] + r22 * rows[n, 5]
+            d, gx, gy, gz = seen_distance_at(values, origin, spacing, qx, qy, qz, vx, vy, vz)
+        else:
+            d, gx, gy, gz = distance_at(values, origin, spacing, qx, qy, qz)
         d -= rows[n, 11]
         gate = rows[n, 9] if d > 0.0 else rows[n, 10]
         if gate == 0.0:
@@ -183,16 +189,6 @@ def cost_terms(
             ey = (rows[n, 4] - ay) * inverse_normal
             ez = (rows[n, 5] - az) * inverse_normal
             s += ex * ex + ey * ey + ez * ez
-        if rows[n, 12] > 0.0:
-            # how far the surface looks away from the camera; its derivative is left out (it only tells who belongs)
-            away = (
-                (r00 * gx + r01 * gy + r02 * gz) * rows[n, 3]
-                + (r10 * gx + r11 * gy + r12 * gz) * rows[n, 4]
-                + (r20 * gx + r21 * gy + r22 * gz) * rows[n, 5]
-            )
-            if away > 0.0:
-                away /= rows[n, 12]
-                s += away * away
         rho, belongs = _robust(s, gate, huber)
         weight = rows[n, 8]
         total += 0.5 * weight * rho
