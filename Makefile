@@ -4,6 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 OUT ?= out
+# no bytecode for a gigabyte of packages: Python writes it for those that are imported
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 SOURCES := scenes vision touch fusion tests
 
@@ -28,12 +29,12 @@ $(VENV)/installed: pyproject.toml
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) \
 		|| { rm -rf $(VENV); echo "no virtual environment: install the system package python3-venv" >&2; exit 2; }
 	@echo "installing palpate into $(VENV)"
-	@$(PIP) install --editable .
+	@$(PIP) install --no-compile --editable .
 	@touch $@
 
 $(VENV)/installed-test: $(VENV)/installed
 	@echo "installing what the tests need"
-	@$(PIP) install --editable '.[test]'
+	@$(PIP) install --no-compile --editable '.[test]'
 	@touch $@
 
 demo: install

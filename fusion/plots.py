@@ -66,7 +66,7 @@ def draw(rows: Sequence[Row], success: float = 0.005) -> str:
         share = math.log(min(max(value, low), high) / low) / math.log(high / low)
         return LEFT + share * (WIDTH - LEFT - RIGHT)
 
-    groups = list(dict.fromkeys(row.group for row in rows))
+    groups = list(dict.fromkeys(row.group for row, value in zip(rows, values) if math.isfinite(value)))
     parts: list[str] = []
     y = float(TOP)
     for group in groups:

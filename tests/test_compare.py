@@ -133,11 +133,12 @@ def test_summaries_count_what_they_say():
 
 
 def test_the_plot_is_a_picture_with_every_row(tmp_path):
-    rows = [row("icp", 0.0301), row("icp", 0.02), row("fused", 0.0004), row("touch", None, group="<&>")]
+    rows = [row("icp", 0.0301), row("icp", 0.02), row("fused", 0.0004, group="<&>"), row("touch", None, group="no")]
     root = ElementTree.fromstring(draw(rows))
     assert len(root.findall(".//{*}circle")) == 3
     texts = ["".join(t.itertext()) for t in root.findall(".//{*}text")]
     assert "<&>" in texts
+    assert "no" not in texts
     assert "25.05 mm" in texts
     write_plot(tmp_path / "new" / "p.html", rows)
     assert (tmp_path / "new" / "p.html").read_text().startswith("<!doctype html>")
