@@ -43,19 +43,27 @@ class ExactClosing:
         self._still = tuple(i for i in range(len(hand.link_names)) if i not in moved)
 
     def close(
-        self, hand_from_object: Array, start: Array, speed: Array, near: Array, sensors: tuple[str, ...]
+        self,
+        hand_from_object: Array,
+        start: Array,
+        speed: Array,
+        near: Array,
+        sensors: tuple[str, ...],
+        least: int = 0,
     ) -> tuple[Array, dict[str, tuple[Array, Array]]] | None:
         """Close from `near` (j,), found with sparse samples on the way from `start` with `speed`.
 
         Joint values (j,) and, for each touching tip of `sensors`, the point and outward normal, object frame.
 
-        None when the object or the hand itself is in the way before the fingers have closed.
+        None when the object or the hand itself is in the way before the fingers have closed, and as soon as fewer
+        than `least` tips can touch.
         """
         q = near
         object_in_hand = poses.apply(hand_from_object, self._object_points)
         if self._links_clearance(q, hand_from_object, object_in_hand, self._still) < 0:
             return None
         touching: dict[str, tuple[Array, Array]] = {}
+        misses = 0
         for finger in sorted(self.fingers, key=lambda f: f.is_thumb):  # the thumb last: it gives way to the fingers
             if finger.sensor in sensors:
                 around = object_in_hand[self._around(finger, q, object_in_hand)]
@@ -63,8 +71,14 @@ class ExactClosing:
             if self._clearance(finger, q, hand_from_object, object_in_hand) < 0:
                 return None
             point, normal, gap = self._tip_contact(finger, q, hand_from_object)
-            if finger.sensor in sensors and gap < 2 * TOUCH:
+            if finger.sensor not in sensors:
+                continue
+            if gap < 2 * TOUCH:
                 touching[finger.sensor] = (point, normal)
+            else:
+                misses += 1
+            if len(sensors) - misses < least:
+                return None
         if self._overlap(q) > self.self_overlap:
             return None
         return q, touching
@@ -244,8 +258,8 @@ class ExactClosing:
 
 
 @lru_cache(maxsize=16)
-def _convex_links(hand: Hand) -> list[list[tuple[Array, Array, Array, float]]]:
-    """For each link its convex pieces: outward normals (m, 3), offsets (m,), a bounding ball's centre and radius."""
+def _convex_links(hand: Hand) -> list[list[tuple[Array, Array, Array, Array]]]:
+    """For each link its convex pieces: outward normals (m, 3), offsets (m,), corners of a box a little larger."""
     import trimesh
 
     links = []
@@ -257,9 +271,7 @@ def _convex_links(hand: Hand) -> list[list[tuple[Array, Array, Array, float]]]:
                 continue  # only its samples are held against the object
             normals = np.array(mesh.face_normals)
             offsets = np.einsum("ij,ij->i", normals, np.array(mesh.triangles_center))
-            centre = 0.5 * (shape.vertices.min(axis=0) + shape.vertices.max(axis=0))
-            radius = float(np.linalg.norm(shape.vertices - centre, axis=1).max())
-            pieces.append((normals, offsets, centre, radius))
+            pieces.append((normals, offsets, shape.vertices.min(axis=0) - 0.002, shape.vertices.max(axis=0) + 0.002))
         links.append(pieces)
     return links
 
@@ -267,11 +279,11 @@ def _convex_links(hand: Hand) -> list[list[tuple[Array, Array, Array, float]]]:
 def _points_to_link(hand: Hand, row: int, hand_from_link: Array, points: Array) -> float:
     """Least distance from points (n, 3), hand frame, to the link's convex pieces; negative inside; far: infinity."""
     smallest = np.inf
-    for normals, offsets, centre, radius in _convex_links(hand)[row]:
-        middle = hand_from_link[:3, :3] @ centre + hand_from_link[:3, 3]
-        offset = points - middle
-        near = np.einsum("ij,ij->i", offset, offset) < (radius + 0.003) ** 2
-        if near.any():
-            local = (points[near] - hand_from_link[:3, 3]) @ hand_from_link[:3, :3]
-            smallest = min(smallest, float((local @ normals.T - offsets).max(axis=1).min()))
+    local = (points - hand_from_link[:3, 3]) @ hand_from_link[:3, :3]
+    for normals, offsets, low, high in _convex_links(hand)[row]:
+        near = np.nonzero((local[:, 0] > low[0]) & (local[:, 0] < high[0]))[0]
+        candidates = local[near]
+        candidates = candidates[((candidates > low) & (candidates < high)).all(axis=1)]
+        if len(candidates):
+            smallest = min(smallest, float((candidates @ normals.T - offsets).max(axis=1).min()))
     return smallest

@@ -93,8 +93,8 @@ def plan_grasp(
         if len(placed) == 0:
             continue
         for pose, start, speed, near in _promising(fingers, placed, q, sensors, least, rng, settings):
-            closed = exact.close(pose, start, speed, near, sensors)
-            if closed is None or len(closed[1]) < least:
+            closed = exact.close(pose, start, speed, near, sensors, least)
+            if closed is None:
                 continue
             grasp = _finish(exact, pose, *closed, kind, sensors[0], settings)
             if grasp is None:
