@@ -139,7 +139,7 @@ def _estimate(
             settings.depth,
             settings.calibration,
             frame.camera if frame.depth is not None else None,
-            has_robot=frame.camera is not None,
+            has_robot=frame.depth is not None,
             settings=settings.joint,
         )
         solved = joint.solve_modes(problem, [m.pose for m in modes])

@@ -47,7 +47,7 @@ class JointSettings:
     # Gauss-Newton steps: the start is the minimum of a system that differs by millimetres.
     steps: int = 8
     # Factors on the believed sizes of calibration, scale and bias errors that are tried.
-    levels: tuple[float, ...] = (0.1, 0.4, 1.0, 2.0)
+    levels: tuple[float, ...] = (0.1, 0.4, 1.0, 2.0, 4.0)
     # Modes that are solved (the rest of the posterior is negligible), and candidates for choosing the level.
     modes: int = 5
     # Pixels between inducing points of the bias, in correlation lengths, and the most of them.
@@ -171,7 +171,9 @@ class JointProblem:
         self._centre = self.hand.centre if self.hand is not None else middle
         # whitening: unknown = scale * whitened, prior of the whitened is the identity
         self._white = np.ones(size)
-        covariance_xi = np.linalg.inv(prior_information(self.calibration, self._centre)) * level**2
+        # a cloud has no camera to turn about: the calibration is wrong where the hand is
+        lever = self._centre if self.camera is not None else np.zeros(3)
+        covariance_xi = np.linalg.inv(prior_information(self.calibration, lever)) * level**2
         self._white_xi = np.linalg.cholesky(covariance_xi) if self.has_robot else 1e-9 * np.eye(6)
         self._white[SCALE] = level * self.depth.scale_sigma if len(self.seen) and self.camera is not None else 1e-9
         self._white[FIXED:] = level * self.depth.bias_sigma

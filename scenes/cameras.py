@@ -44,9 +44,7 @@ class Camera:
         """The same view with `factor` times as many pixels a side (pixel centres stay on integers)."""
         width, height = max(1, round(self.width * factor)), max(1, round(self.height * factor))
         sx, sy = width / self.width, height / self.height
-        return Camera(
-            self.fx * sx, self.fy * sy, (self.cx + 0.5) * sx - 0.5, (self.cy + 0.5) * sy - 0.5, width, height
-        )
+        return Camera(self.fx * sx, self.fy * sy, (self.cx + 0.5) * sx - 0.5, (self.cy + 0.5) * sy - 0.5, width, height)
 
     def project(self, points: Array) -> tuple[Array, Array]:
         """Pixels (n, 2) as (u, v) and depths (n,) of camera-frame points (n, 3); u, v are NaN at z <= 0."""

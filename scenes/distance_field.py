@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -91,7 +92,7 @@ def cache_folder() -> Path:
     root = os.environ.get("PALPATE_CACHE")
     if root:
         return Path(root)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "palpate"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "palpate"
 
 
 def load_or_build(vertices: Array, faces: NDArray[np.int64], settings: FieldSettings | None = None) -> DistanceField:
@@ -116,15 +117,20 @@ def load_or_build(vertices: Array, faces: NDArray[np.int64], settings: FieldSett
 def _read(path: Path) -> DistanceField | None:
     try:
         with np.load(path) as data:
-            return DistanceField(
+            field = DistanceField(
                 np.ascontiguousarray(data["values"]),
                 data["origin"],
                 float(data["spacing"]),
                 float(data["rms_error"]),
                 float(data["max_error"]),
             )
-    except (OSError, ValueError, KeyError, EOFError):
+    except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile):
         return None  # absent or damaged: build it again
+    # the compiled look-ups check nothing: what is not a lattice must not reach them
+    lattice_like = field.values.ndim == 3 and min(field.values.shape) > 1 and field.values.dtype == np.float32
+    if not (lattice_like and field.origin.shape == (3,) and field.spacing > 0 and np.isfinite(field.origin).all()):
+        return None
+    return field
 
 
 def _write(path: Path, field: DistanceField) -> None:

@@ -67,10 +67,13 @@ class Symmetries:
     def poses(self, steps: int = 36) -> Array:
         """(k, 4, 4) samples of the group: every discrete member times `steps` turns about the axis.
 
-        A spherical object gives `steps` cubed turns composed about its axes.
+        A spherical object gives `steps` cubed turns, about three perpendicular lines through its centre.
         """
         members = self.discrete
-        for axis in self.axes[: 3 if self.is_spherical else 1]:
+        axes = self.axes[:1]
+        if self.is_spherical:  # two declared axes say as much as three, but turns about two alone miss most rotations
+            axes = tuple(Axis(self._centre(), direction) for direction in np.eye(3))
+        for axis in axes:
             turns = poses.exp_rotation(np.linspace(0, 2 * np.pi, steps, endpoint=False)[:, None] * axis.direction)
             step = np.tile(np.eye(4), (steps, 1, 1))
             step[:, :3, :3] = turns

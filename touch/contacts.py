@@ -26,6 +26,9 @@ class TouchSettings:
     hand_points: int = 150
     hand_sigma: float = 0.003
     hand_gate: float = 4.0
+    # What a contact is worth beside another sense when its recording does not say, metres: kinematics, calibration and
+    # fingertip shape together (iCub's fingertips are some millimetres off its stereo cloud).
+    unknown_sigma: float = 0.004
     # Error of the finger joints between palm and fingertip, metres (0.3 degrees at three joints).
     fingertip_sigma: float = 0.0008
 
@@ -58,10 +61,12 @@ def feel(frame: Frame, gate: float, region=None, settings: TouchSettings | None 
     contacts = Contacts.concatenate([frame.contacts, wrench_contacts(frame)])
     contacts = contacts.moved(frame.camera_from_world)
     with_hand = frame.hand is not None and frame.joints is not None and frame.world_from_hand is not None
-    rows = tables.from_contacts(contacts, gate)
+    if len(contacts) and not contacts.sigma_known:
+        contacts.sigma_point[:] = settings.unknown_sigma
+    # a contact of unknown worth cannot be told from a false one: it is never gated out
+    rows = tables.from_contacts(contacts, gate if contacts.sigma_known else tables.NO_GATE)
     if with_hand and len(contacts):
-        sigma = np.hypot(contacts.sigma_point, settings.fingertip_sigma)
-        rows.rows[:, SIGMA] = sigma
+        rows.rows[:, SIGMA] = np.hypot(contacts.sigma_point, settings.fingertip_sigma)
     parts = [rows]
     if frame.no_contact is not None and len(frame.no_contact):
         centres = frame.no_contact.points @ frame.camera_from_world[:3, :3].T + frame.camera_from_world[:3, 3]

@@ -29,6 +29,10 @@ class DepthModel:
     # A bias so smooth moves and tilts what is seen but leaves its shape: where rows are only weighed down for it
     # (searching, clouds without pixels), rows within this many pixels count as one.
     sharing_length: float = 12.0
+    # A cloud without its camera says nothing of its noise: error of a filtered stereo cloud in a hand's frame, metres, and
+    # how many independent patches its points amount to.
+    cloud_sigma: float = 0.0035
+    cloud_patches: float = 30.0
     # Relative error of the depth scale.
     scale_sigma: float = 0.005
 

@@ -49,7 +49,8 @@ class Segments:
     """Pixels of a frame by what they may show (camera frame).
 
     pixels: may be the object; hand: explained by the hand; others: seen beyond or beside the region (for free space).
-    region: where the object is looked for. hand_view: the aligned hand. dropped: counts by reason.
+    region: where the object is looked for. hand_view: the aligned hand. dropped: counts by reason. is_cloud: the points
+    come from a cloud, not from pixels of a camera.
     """
 
     pixels: Pixels
@@ -58,6 +59,7 @@ class Segments:
     region: Region | None
     hand_view: HandView | None = None
     dropped: dict[str, int] = field(default_factory=dict)
+    is_cloud: bool = False
 
 
 def _no_pixels() -> Pixels:
@@ -156,7 +158,7 @@ def _segment_cloud(frame: Frame, region: Region | None, settings: SegmentationSe
     if region is not None:
         points = points[np.linalg.norm(points - region.centre, axis=1) < region.radius]
     cloud = Pixels(np.zeros((len(points), 2), dtype=np.int64), points, 1.0).thinned(settings.most_inside)
-    return Segments(cloud, _no_pixels(), _no_pixels(), region, None, dropped)
+    return Segments(cloud, _no_pixels(), _no_pixels(), region, None, dropped, is_cloud=True)
 
 
 def surface_rows(segments: Segments, most: int, settings: SegmentationSettings, depth_model: DepthModel) -> Evidence:
@@ -166,17 +168,25 @@ def surface_rows(segments: Segments, most: int, settings: SegmentationSettings, 
         return tables.empty()
     step = max(1.0, len(pixels) / most)
     chosen = pixels.points[(np.arange(int(len(pixels) / step)) * step).astype(int)]
-    independent = depth_model.independent_sigma(np.linalg.norm(chosen, axis=1) if pixels.area == 1.0 else chosen[:, 2])
+    if segments.is_cloud:
+        return tables.make(
+            chosen,
+            depth_model.cloud_sigma,
+            VISION,
+            weight=min(1.0, depth_model.cloud_patches / len(chosen)),
+            gate_above=settings.gate_above,
+            gate_below=settings.gate_below,
+        )
+    independent = depth_model.independent_sigma(chosen[:, 2])
     sigma = np.sqrt(independent**2 + depth_model.bias_sigma**2)
     # rows that share one patch of bias: together they know the patch's bias no better than one of them
     sharing = float(np.clip(depth_model.sharing_length**2 / (pixels.area * step), 1.0, max(1.0, len(chosen) / 3.0)))
     weight = sigma**2 / (independent**2 + sharing * depth_model.bias_sigma**2)
-    has_camera = pixels.uv.any()
     return tables.make(
         chosen,
         sigma,
         VISION,
-        rays=chosen / np.linalg.norm(chosen, axis=1, keepdims=True) if has_camera else None,
+        rays=chosen / np.linalg.norm(chosen, axis=1, keepdims=True),
         weight=np.minimum(weight, 1.0),
         gate_above=settings.gate_above,
         gate_below=settings.gate_below,
@@ -191,7 +201,7 @@ def free_space_rows(segments: Segments, settings: SegmentationSettings) -> Evide
     if segments.region is None:
         return tables.empty()
     groups = [p for p in (segments.others, segments.hand, segments.pixels) if len(p)]
-    if not groups or (len(groups) == 1 and groups[0].area == 1.0 and not len(segments.others)):
+    if not groups or segments.is_cloud:
         return tables.empty()
     ends = np.concatenate([p.points for p in groups])
     ends = ends[np.linspace(0, len(ends) - 1, min(len(ends), settings.free_rays)).astype(int)]
