@@ -140,6 +140,7 @@ def _estimate(
             settings.calibration,
             frame.camera if frame.depth is not None else None,
             has_robot=frame.depth is not None,
+            told_apart=looked.told_apart,
             settings=settings.joint,
         )
         solved = joint.solve_modes(problem, [m.pose for m in modes])

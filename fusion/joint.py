@@ -47,7 +47,7 @@ class JointSettings:
     # Gauss-Newton steps: the start is the minimum of a system that differs by millimetres.
     steps: int = 8
     # Factors on the believed sizes of calibration, scale and bias errors that are tried.
-    levels: tuple[float, ...] = (0.1, 0.4, 1.0, 2.0, 4.0)
+    levels: tuple[float, ...] = (0.1, 0.4, 1.0, 2.0)
     # Modes that are solved (the rest of the posterior is negligible), and candidates for choosing the level.
     modes: int = 5
     # Pixels between inducing points of the bias, in correlation lengths, and the most of them.
@@ -56,6 +56,8 @@ class JointSettings:
     # Independent error of the hand's surface (m): joint errors move whole links; and how many of its pixels share it.
     hand_sigma: float = 0.001
     hand_sharing: float = 6.0
+    # Weight of a pixel when nothing tells the object from what hides it: whole fingers, not single pixels, are mistaken.
+    weight_unknown: float = 0.5
     # What a mesh and its lattice leave out of a real object, metres.
     model_sigma: float = 0.0004
 
@@ -86,7 +88,8 @@ class JointProblem:
     """Everything but the pose: rows, beliefs and what can be computed once per frame.
 
     seen: vision rows as measured; felt: touch rows as the robot reports them. camera None: the rows are a cloud without
-    pixels, its bias stays in the rows' sigmas. has_robot False: touch and vision were recorded in one frame.
+    pixels, its bias stays in the rows' sigmas. has_robot False: touch and vision were recorded in one frame. told_apart
+    False: pixels of what hides the object are among the rows.
     """
 
     model: ObjectModel
@@ -98,6 +101,7 @@ class JointProblem:
     calibration: CalibrationModel
     camera: Camera | None
     has_robot: bool = True
+    told_apart: bool = True
     settings: JointSettings = field(default_factory=JointSettings)
 
     def __post_init__(self) -> None:
@@ -111,7 +115,8 @@ class JointProblem:
         if self.camera is not None:
             independent = self.depth.independent_sigma(rows[:, 2])
             self._sigma = np.where(self._on, np.hypot(independent, self.settings.model_sigma), rows[:, SIGMA])
-            self._weight = np.where(self._on, 1.0, rows[:, WEIGHT])
+            weight = 1.0 if self.told_apart else self.settings.weight_unknown
+            self._weight = np.where(self._on, weight, rows[:, WEIGHT])
         else:
             self._sigma, self._weight = rows[:, SIGMA], rows[:, WEIGHT]
         self._hand_blocks(hand_points)

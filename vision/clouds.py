@@ -26,9 +26,11 @@ class DepthModel:
     # Smooth bias of the surface, metres, and the correlation length of that bias in pixels: exp(-d^2 / (2 length^2)).
     bias_sigma: float = 0.002
     bias_length: float = 40.0
-    # A bias so smooth moves and tilts what is seen but leaves its shape: where rows are only weighed down for it
-    # (searching, clouds without pixels), rows within this many pixels count as one.
+    # In the search rows are weighed down instead: rows within this many pixels count as one. A bias so smooth moves and
+    # tilts what is seen but leaves its shape, hence less than its length; but where neither mask nor hand model tells
+    # what is in front, whole fingers and not single pixels are taken for the object, and they outvote the contacts.
     sharing_length: float = 12.0
+    sharing_length_unknown: float = 40.0
     # A cloud without its camera says nothing of its noise: error of a filtered stereo cloud in a hand's frame, metres, and
     # how many independent patches its points amount to.
     cloud_sigma: float = 0.0035

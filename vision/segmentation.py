@@ -50,7 +50,7 @@ class Segments:
 
     pixels: may be the object; hand: explained by the hand; others: seen beyond or beside the region (for free space).
     region: where the object is looked for. hand_view: the aligned hand. dropped: counts by reason. is_cloud: the points
-    come from a cloud, not from pixels of a camera.
+    come from a cloud, not from pixels of a camera. told_apart: a mask or the hand's model removed what hides the object.
     """
 
     pixels: Pixels
@@ -60,6 +60,7 @@ class Segments:
     hand_view: HandView | None = None
     dropped: dict[str, int] = field(default_factory=dict)
     is_cloud: bool = False
+    told_apart: bool = False
 
 
 def _no_pixels() -> Pixels:
@@ -146,7 +147,10 @@ def segment(
         if hand_view is not None and len(mine):
             near_hand = hand_view.distance(mine.points) < hand_settings.margin
             dropped["hand pixels"] = int(near_hand.sum())
-    return Segments(mine.take(~near_hand), mine.take(near_hand), others, region, hand_view, dropped)
+    told_apart = frame.mask is not None or hand_view is not None
+    return Segments(
+        mine.take(~near_hand), mine.take(near_hand), others, region, hand_view, dropped, told_apart=told_apart
+    )
 
 
 def _segment_cloud(frame: Frame, region: Region | None, settings: SegmentationSettings) -> Segments:
@@ -180,7 +184,8 @@ def surface_rows(segments: Segments, most: int, settings: SegmentationSettings, 
     independent = depth_model.independent_sigma(chosen[:, 2])
     sigma = np.sqrt(independent**2 + depth_model.bias_sigma**2)
     # rows that share one patch of bias: together they know the patch's bias no better than one of them
-    sharing = float(np.clip(depth_model.sharing_length**2 / (pixels.area * step), 1.0, max(1.0, len(chosen) / 3.0)))
+    length = depth_model.sharing_length if segments.told_apart else depth_model.sharing_length_unknown
+    sharing = float(np.clip(length**2 / (pixels.area * step), 1.0, max(1.0, len(chosen) / 3.0)))
     weight = sigma**2 / (independent**2 + sharing * depth_model.bias_sigma**2)
     return tables.make(
         chosen,
