@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from importlib import import_module
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,19 @@ from scenes.objects import ObjectModel
 from touch.polish import polish
 
 Array = NDArray[np.float64]
+
+# Every method by name -> module:function(model, contacts, seed, prior, extra) -> Localization, imported when asked for.
+METHODS = {
+    "multistart": "touch.localize:multistart",
+    "gradient-descent": "touch.searches.gradient_descent:localize",
+    "levenberg-marquardt": "touch.searches.levenberg_marquardt:localize",
+    "monte-carlo": "touch.searches.monte_carlo:localize",
+    "direct": "touch.searches.direct:localize",
+    "annealing": "touch.searches.annealing:localize",
+    "mupf": "touch.searches.memory_unscented_particle_filter:localize",
+    "scaling-series": "touch.searches.scaling_series:localize",
+    "icp": "touch.searches.contact_icp:localize",
+}
 
 
 @dataclass(frozen=True)
@@ -147,12 +161,31 @@ def localize(
     """Find the object from contacts alone.
 
     contacts in any frame, metres; the answer is contacts_frame_from_object. extra: more rows of evidence in the same
-    frame (regions felt to be empty, links). prior: a Gaussian on the pose. Raises InputError for no contacts.
+    frame (regions felt to be empty, links). prior: a Gaussian on the pose; local methods start at its mean.
+    method: one of METHODS; settings are those of the default. Raises InputError for no contacts.
     """
-    if method != "multistart":
-        raise InputError(f"method: expected one of multistart, got {method!r}")
+    if method not in METHODS:
+        raise InputError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
     if len(contacts) == 0:
         raise InputError("localize: expected at least one contact, got none")
+    if method == "multistart":
+        return multistart(model, contacts, seed, prior, extra, settings)
+    if settings is not None:
+        raise InputError(f"settings: expected none with method {method!r}, they are the default method's")
+    module, _, function = METHODS[method].partition(":")
+    found: Localization = getattr(import_module(module), function)(model, contacts, seed, prior, extra)
+    return found
+
+
+def multistart(
+    model: ObjectModel,
+    contacts: Contacts,
+    seed: int = 0,
+    prior: Prior | None = None,
+    extra: Evidence | None = None,
+    settings: LocalizeSettings | None = None,
+) -> Localization:
+    """The default method; arguments as in `localize`."""
     settings = settings or LocalizeSettings()
     model.field  # noqa: B018  (building the lattice is not part of the search's time)
     begin = time.perf_counter()

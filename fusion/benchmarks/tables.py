@@ -1,0 +1,299 @@
+"""What every benchmark returns and how it is shown: numbers with their spread, tables, claims, machine and versions.
+
+A benchmark module has `run(settings: BenchSettings) -> Report`; the command line prints the report's tables and writes
+`NAME.json`, `NAME.txt` and `NAME.svg`. Cells are numbers, text, `Spread` (mean and standard deviation over trials) or
+`Rate` (share of trials with its 95 % interval).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+if TYPE_CHECKING:
+    from fusion.benchmarks.charts import Chart
+
+T = TypeVar("T")
+PACKAGES = ("palpate", "numpy", "scipy", "numba", "open3d", "open3d-cpu", "trimesh", "opencv-contrib-python-headless")
+
+
+def _no_bar(items: Iterable[T], total: int, what: str) -> Iterator[T]:
+    yield from items
+
+
+@dataclass(frozen=True)
+class BenchSettings:
+    """trials: of every cell, None = the benchmark's own number; quick: a tenth of the work, to see that it runs;
+    progress(items, total, what) yields the items and may draw a bar.
+    """
+
+    trials: int | None = None
+    seed: int = 0
+    quick: bool = False
+    progress: Callable[..., Iterator[Any]] = _no_bar
+
+    def count(self, usual: int, quick: int | None = None) -> int:
+        """Trials of a cell that usually has `usual` of them (`quick` of them, default a tenth, when in a hurry)."""
+        if self.trials is not None:
+            return self.trials
+        return (quick or max(3, usual // 10)) if self.quick else usual
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Mean, standard deviation, median and largest of n finite values; all NaN when there is none."""
+
+    mean: float
+    sd: float
+    median: float
+    largest: float
+    n: int
+
+    @staticmethod
+    def of(values: ArrayLike, scale: float = 1.0) -> Spread:
+        """From the values (k,), each times `scale` (1e3 turns metres into millimetres)."""
+        array = scale * np.asarray(values, dtype=np.float64).ravel()
+        array = array[np.isfinite(array)]
+        if not len(array):
+            return Spread(math.nan, math.nan, math.nan, math.nan, 0)
+        sd = float(array.std(ddof=1)) if len(array) > 1 else 0.0
+        return Spread(float(array.mean()), sd, float(np.median(array)), float(array.max()), len(array))
+
+
+@dataclass(frozen=True)
+class Rate:
+    """How many of n trials succeeded."""
+
+    hits: int
+    n: int
+
+    @staticmethod
+    def of(flags: ArrayLike) -> Rate:
+        """From booleans (k,)."""
+        array = np.asarray(flags, dtype=bool).ravel()
+        return Rate(int(array.sum()), len(array))
+
+    @property
+    def share(self) -> float:
+        """Hits over trials, NaN without trials."""
+        return self.hits / self.n if self.n else math.nan
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of the share (Wilson, JASA 1927): honest for few trials and for 0 or 100 %."""
+        if not self.n:
+            return math.nan, math.nan
+        z = 1.96
+        middle = (self.share + z * z / (2 * self.n)) / (1 + z * z / self.n)
+        half = z / (1 + z * z / self.n) * math.sqrt(self.share * (1 - self.share) / self.n + (z / (2 * self.n)) ** 2)
+        return max(0.0, middle - half), min(1.0, middle + half)
+
+
+@dataclass(frozen=True)
+class Column:
+    """Name (with its unit) and digits after the point."""
+
+    name: str
+    digits: int = 2
+
+
+@dataclass
+class Table:
+    """title; columns; rows of cells as raw values; note: how to read it, published numbers, what was measured."""
+
+    title: str
+    columns: Sequence[Column]
+    rows: list[list[Any]] = field(default_factory=list)
+    note: str = ""
+
+    def add(self, *cells: Any) -> None:
+        """One more row; as many cells as columns."""
+        if len(cells) != len(self.columns):
+            raise ValueError(f"table {self.title!r}: expected {len(self.columns)} cells, got {len(cells)}")
+        self.rows.append(list(cells))
+
+    def texts(self) -> list[list[str]]:
+        """The cells as they are printed."""
+        return [[text_of(cell, column.digits) for cell, column in zip(row, self.columns)] for row in self.rows]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        rows = [{column.name: plain(cell) for column, cell in zip(self.columns, row)} for row in self.rows]
+        return {"title": self.title, "rows": rows, "note": self.note}
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A demand on a measured number: `value` at least (or at most) `target`."""
+
+    what: str
+    value: float
+    target: float
+    at_least: bool
+    digits: int = 2
+
+    @property
+    def met(self) -> bool:
+        """False, too, for a value that could not be measured."""
+        return self.value >= self.target if self.at_least else self.value <= self.target
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        bound = "at least" if self.at_least else "at most"
+        return {"what": self.what, "value": self.value, bound: self.target, "met": self.met}
+
+
+@dataclass
+class Report:
+    """name of the benchmark; title: what was asked; trials: in words; tables, charts, claims."""
+
+    name: str
+    title: str
+    trials: str
+    seed: int
+    tables: list[Table] = field(default_factory=list)
+    charts: list[Chart] = field(default_factory=list)
+    claims: list[Claim] = field(default_factory=list)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data, with machine and versions."""
+        return {
+            "benchmark": self.name,
+            "title": self.title,
+            "trials": self.trials,
+            "seed": self.seed,
+            "machine": machine(),
+            "tables": [table.to_json() for table in self.tables],
+            "claims": [claim.to_json() for claim in self.claims],
+            "charts": [chart.to_json() for chart in self.charts],
+        }
+
+    def claims_table(self) -> Table:
+        """The claims as a table."""
+        table = Table("Demands", [Column("demand"), Column("measured"), Column("target"), Column("")])
+        for claim in self.claims:
+            bound = ">=" if claim.at_least else "<="
+            value, target = (text_of(x, claim.digits) for x in (claim.value, claim.target))
+            table.add(claim.what, value, f"{bound} {target}", "met" if claim.met else "MISSED")
+        return table
+
+
+def text_of(cell: Any, digits: int = 2) -> str:
+    """A cell as it is printed."""
+    if cell is None:
+        return "–"
+    if isinstance(cell, Spread):
+        return "–" if not cell.n else f"{cell.mean:.{digits}f} ± {cell.sd:.{digits}f}"
+    if isinstance(cell, Rate):
+        return "–" if not cell.n else f"{100 * cell.share:.0f} %"
+    if isinstance(cell, bool):
+        return "yes" if cell else "no"
+    if isinstance(cell, (float, np.floating)):
+        value = float(cell)
+        return "–" if math.isnan(value) else f"{value:.{digits}f}" if math.isfinite(value) else "∞"
+    return str(cell)
+
+
+def plain(cell: Any) -> Any:
+    """A cell as JSON data."""
+    if isinstance(cell, Spread):
+        return {"mean": cell.mean, "sd": cell.sd, "median": cell.median, "largest": cell.largest, "n": cell.n}
+    if isinstance(cell, Rate):
+        return {"share": cell.share, "hits": cell.hits, "n": cell.n, "interval_95": list(cell.interval)}
+    return cell.item() if isinstance(cell, np.generic) else cell
+
+
+def machine() -> dict[str, Any]:
+    """Processor, cores allowed, memory, Python and the versions of what the numbers depend on."""
+    from scenes.threads import thread_count
+
+    installed = {(d.metadata["Name"] or "").lower(): d.version for d in metadata.distributions()}
+    versions = {name: installed[name] for name in PACKAGES if name in installed}
+    return {
+        "processor": _processor(),
+        "threads": thread_count(),
+        "memory_gb": _memory(),
+        "system": f"{platform.system()} {platform.release()}",
+        "python": platform.python_version(),
+        "versions": versions,
+    }
+
+
+def machine_line() -> str:
+    """The same in one line."""
+    facts = machine()
+    versions = ", ".join(f"{name} {version}" for name, version in facts["versions"].items())
+    memory = "" if facts["memory_gb"] is None else f", {facts['memory_gb']:.0f} GB"
+    return f"{facts['processor']}, {facts['threads']} threads{memory}; Python {facts['python']}, {versions}"
+
+
+def _processor() -> str:
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.is_file():
+        for line in cpuinfo.read_text(encoding="utf-8", errors="replace").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def _memory() -> float | None:
+    if "SC_PHYS_PAGES" not in getattr(os, "sysconf_names", {}):
+        return None
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
+
+
+def write_report(report: Report, folder: Path) -> list[Path]:
+    """NAME.json, NAME.txt and, when there are charts, NAME.svg in the folder; returns what was written."""
+    from fusion.benchmarks.charts import draw
+    from fusion.judging import json_number
+
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / f"{report.name}.json", folder / f"{report.name}.txt"]
+    text = json.dumps(json_number(report.to_json()), indent=1, allow_nan=False)
+    paths[0].write_text(text + "\n", encoding="utf-8")
+    paths[1].write_text(as_text(report), encoding="utf-8")
+    if report.charts:
+        paths.append(folder / f"{report.name}.svg")
+        paths[-1].write_text(draw(report.charts), encoding="utf-8")
+    return paths
+
+
+def as_text(report: Report) -> str:
+    """The whole report as plain text."""
+    from io import StringIO
+
+    from rich.console import Console
+
+    console = Console(file=StringIO(), width=240, highlight=False, soft_wrap=True)
+    show_report(report, console)
+    return console.file.getvalue()  # type: ignore[attr-defined]
+
+
+def show_report(report: Report, console: Any) -> None:
+    """Print title, machine, tables and claims on a rich console."""
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table as RichTable
+
+    console.print(escape(f"{report.name}: {report.title}"))
+    console.print(escape(f"{report.trials}; seed {report.seed}; {machine_line()}"))
+    tables = [*report.tables, report.claims_table()] if report.claims else report.tables
+    for table in tables:
+        shown = RichTable(title=escape(table.title), box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
+        for index, column in enumerate(table.columns):
+            shown.add_column(escape(column.name), justify="left" if index == 0 else "right", no_wrap=True)
+        for row in table.texts():
+            shown.add_row(*map(escape, row))
+        console.print(shown)
+        if table.note:
+            console.print(escape(table.note))
