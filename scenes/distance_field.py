@@ -11,8 +11,10 @@ import hashlib
 import os
 import tempfile
 import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +72,7 @@ class DistanceField:
         return out, gradients
 
     def seen_distance_and_gradient(self, points: Array, rays: Array, facing: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """As distance_and_gradient; where `facing` (n,), to the surface that faces a camera looking along rays (n, 3)."""
+        """As distance_and_gradient; where `facing` (n,), to the surface facing a camera looking along rays (n, 3)."""
         points = lattice.check_finite(points, "seen_distance_and_gradient")
         out, gradients = np.zeros(len(points)), np.zeros((len(points), 3))
         rays = np.ascontiguousarray(rays, dtype=np.float64)
@@ -82,7 +84,8 @@ class DistanceField:
         points = lattice.check_finite(points, "normals")
         out, gradient, hessian = np.zeros((len(points), 3)), np.zeros(3), np.zeros((3, 3))
         for n, point in enumerate(points):
-            lattice.normal_at(self.values, self.origin, self.spacing, *point, gradient, hessian)
+            x, y, z = point
+            lattice.normal_at(self.values, self.origin, self.spacing, x, y, z, gradient, hessian)
             out[n] = gradient / max(float(np.linalg.norm(gradient)), 1e-12)
         return out
 
@@ -181,13 +184,15 @@ def build(vertices: Array, faces: NDArray[np.int64], settings: FieldSettings) ->
     values = np.where(inside, -values, values).astype(np.float32)
 
     field = DistanceField(np.ascontiguousarray(values), origin + middle, spacing, 0.0, 0.0)
-    error = np.abs(field.distance(_surface_points(vertices, faces, 20_000)))
+    error = np.abs(field.distance(_surface_points(vertices, faces, 20_000)[0]))
     return DistanceField(
         field.values, field.origin, spacing, float(np.sqrt(np.mean(error**2))), float(error.max(initial=0.0))
     )
 
 
-def _choose_spacing(scene, vertices, faces, extent, diameter, settings) -> float:
+def _choose_spacing(
+    scene: Any, vertices: Array, faces: NDArray[np.int64], extent: Array, diameter: float, settings: FieldSettings
+) -> float:
     """Finest of the size's and the thinnest wall's demand, as far as the memory goes."""
     spacing = diameter / settings.cells_per_diameter
     wall = thinnest_wall(scene, vertices, faces)
@@ -197,10 +202,10 @@ def _choose_spacing(scene, vertices, faces, extent, diameter, settings) -> float
     return max(spacing, smallest)
 
 
-def thinnest_wall(scene, vertices: Array, faces: NDArray[np.int64]) -> float:
+def thinnest_wall(scene: Any, vertices: Array, faces: NDArray[np.int64]) -> float:
     """Thickness (m) under which 2 % of the surface lies, by rays cast inwards from surface samples."""
     o3d = open3d()
-    points, normals = _surface_points(vertices, faces, 2000, with_normals=True)
+    points, normals = _surface_points(vertices, faces, 2000)
     start = points - 1e-5 * normals
     rays = np.concatenate([start, -normals], axis=1).astype(np.float32)
     hits = scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy()
@@ -208,8 +213,8 @@ def thinnest_wall(scene, vertices: Array, faces: NDArray[np.int64]) -> float:
     return float(np.quantile(hits, 0.02)) if len(hits) else np.inf
 
 
-def _surface_points(vertices, faces, count, with_normals=False):
-    """Area-uniform surface points by a fixed low-discrepancy sequence (no randomness to seed)."""
+def _surface_points(vertices: Array, faces: NDArray[np.int64], count: int) -> tuple[Array, Array]:
+    """Area-uniform surface points (n, 3) by a fixed low-discrepancy sequence (no randomness to seed), and normals."""
     corners = vertices[faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(cross, axis=1)
@@ -221,12 +226,10 @@ def _surface_points(vertices, faces, count, with_normals=False):
     root = np.sqrt(u)
     weights = np.stack([1 - root, root * (1 - v), root * v], axis=1)
     points = np.einsum("nk,nkd->nd", weights, corners[face])
-    if not with_normals:
-        return points
     return points, cross[face] / np.maximum(area[face], 1e-300)[:, None]
 
 
-def _unsigned(scene, grids) -> NDArray[np.float32]:
+def _unsigned(scene: Any, grids: Sequence[NDArray[Any]]) -> NDArray[np.float32]:
     o3d = open3d()
     points = np.stack([g.ravel() for g in grids], axis=1).astype(np.float32)
     return scene.compute_distance(o3d.core.Tensor(points)).numpy().reshape(grids[0].shape)
@@ -244,7 +247,9 @@ def _interpolate_nodes(coarse: NDArray[np.float32], stride: int) -> NDArray[np.f
     return np.array(fine)
 
 
-def _inside(scene, axes, faces, vertices, spacing) -> NDArray[np.bool_]:
+def _inside(
+    scene: Any, axes: Sequence[Array], faces: NDArray[np.int64], vertices: NDArray[np.float32], spacing: float
+) -> NDArray[np.bool_]:
     """Nodes inside the mesh: majority over three axes of winding numbers counted along grid lines."""
     o3d = open3d()
     shape = tuple(len(a) for a in axes)

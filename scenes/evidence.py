@@ -10,9 +10,9 @@ A row's residual is r = (d(p) - offset) / sigma with d the signed distance of th
 Its loss is that of a point that is either on the object (a unit Gaussian in r) or clutter (a flat density,
 met where |r| = gate): rho(s) = s - 2 log(1 + exp((s - gate^2) / 2)) + const, s = r^2 (+ the normal's part). The
 derivative of rho is the probability that the row belongs to the object, so fitting *is* deciding.
-A pixel was seen, so the surface there faces the camera: rows with `facing` carry the viewing ray (unit) in the normal's
-place, and d is the distance to the side of the object that faces it (scenes.lattice.seen_distance_at). Without it a thin
-wall's far side would explain a point as well as its near side.
+A pixel was seen, so the surface there faces the camera: rows with `facing` carry the viewing ray (unit) in the
+normal's place, and d is the distance to the side of the object that faces it (scenes.lattice.seen_distance_at).
+Without it a thin wall's far side would explain a point as well as its near side.
 `gate_above` holds for points found outside (d > offset), `gate_below` for points found inside: what is seen or
 felt in front of an object may be something else, but nothing opaque is ever inside it.
 """
@@ -42,7 +42,7 @@ NO_GATE = 1e6
 
 @dataclass(frozen=True)
 class Evidence:
-    """rows (n, 13) float64: point, outward normal (0 when unknown), sigma (m), sigma of the normal (rad, 0 = no normal),
+    """rows (n, 13) float64: point, outward normal (0 when unknown), sigma (m), sigma of the normal (rad, 0 = none),
     weight (share of a row's information that is its own, 1 = independent), gate above and below (sigmas; 0 = the
     row says nothing on that side), offset (m), facing (1 = yes). sense (n,): VISION or TOUCH.
     """
@@ -60,6 +60,7 @@ class Evidence:
 
     def take(self, index: ArrayLike) -> Evidence:
         """Rows by index or mask."""
+        index = np.asarray(index)
         return Evidence(np.ascontiguousarray(self.rows[index]), self.sense[index])
 
     def of(self, sense: int) -> Evidence:
@@ -69,7 +70,7 @@ class Evidence:
     def reweighted(self, factor: ArrayLike) -> Evidence:
         """The same rows with their weights multiplied, scalar or (n,)."""
         rows = self.rows.copy()
-        rows[:, WEIGHT] *= factor
+        rows[:, WEIGHT] *= np.asarray(factor, dtype=np.float64)
         return Evidence(rows, self.sense)
 
     def with_sigma(self, sigma: float, sense: int) -> Evidence:

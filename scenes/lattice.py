@@ -39,14 +39,15 @@ def distance_at(values, origin, spacing, x, y, z):
     a = cu - i
     b = cv - j
     c = cw - k
-    d000 = values[i, j, k]
-    d001 = values[i, j, k + 1]
-    d010 = values[i, j + 1, k]
-    d011 = values[i, j + 1, k + 1]
-    d100 = values[i + 1, j, k]
-    d101 = values[i + 1, j, k + 1]
-    d110 = values[i + 1, j + 1, k]
-    d111 = values[i + 1, j + 1, k + 1]
+    # differences of single-precision nodes are taken in double precision
+    d000 = np.float64(values[i, j, k])
+    d001 = np.float64(values[i, j, k + 1])
+    d010 = np.float64(values[i, j + 1, k])
+    d011 = np.float64(values[i, j + 1, k + 1])
+    d100 = np.float64(values[i + 1, j, k])
+    d101 = np.float64(values[i + 1, j, k + 1])
+    d110 = np.float64(values[i + 1, j + 1, k])
+    d111 = np.float64(values[i + 1, j + 1, k + 1])
     c00 = d000 + (d001 - d000) * c
     c01 = d010 + (d011 - d010) * c
     c10 = d100 + (d101 - d100) * c
@@ -91,10 +92,10 @@ def value_at(values, origin, spacing, x, y, z):
     a = cu - i
     b = cv - j
     c = cw - k
-    c00 = values[i, j, k] + (values[i, j, k + 1] - values[i, j, k]) * c
-    c01 = values[i, j + 1, k] + (values[i, j + 1, k + 1] - values[i, j + 1, k]) * c
-    c10 = values[i + 1, j, k] + (values[i + 1, j, k + 1] - values[i + 1, j, k]) * c
-    c11 = values[i + 1, j + 1, k] + (values[i + 1, j + 1, k + 1] - values[i + 1, j + 1, k]) * c
+    c00 = (1.0 - c) * values[i, j, k] + c * values[i, j, k + 1]
+    c01 = (1.0 - c) * values[i, j + 1, k] + c * values[i, j + 1, k + 1]
+    c10 = (1.0 - c) * values[i + 1, j, k] + c * values[i + 1, j, k + 1]
+    c11 = (1.0 - c) * values[i + 1, j + 1, k] + c * values[i + 1, j + 1, k + 1]
     c0 = c00 + (c01 - c00) * b
     c1 = c10 + (c11 - c10) * b
     d = c0 + (c1 - c0) * a
@@ -112,15 +113,18 @@ def normal_at(values, origin, spacing, x, y, z, gradient, hessian):
     """Smooth gradient g and its Jacobian, for normals: fills gradient (3,) and hessian (3, 3).
 
     g interpolates the nodes' central differences, so it is continuous where the plain trilinear
-    gradient jumps; its Jacobian is exact, the lattice's second differences. Outside the box both are
-    those of the nearest point of the box.
+    gradient jumps; its Jacobian is exact, the lattice's second differences. Outside the box g is that
+    of the nearest point of the box, which stays where it is when the point moves away from the box.
     """
     nx, ny, nz = values.shape
     inverse = 1.0 / spacing
     half = 0.5 * inverse
-    u = _clamp((x - origin[0]) * inverse, nx - 1 - _INSIDE)
-    v = _clamp((y - origin[1]) * inverse, ny - 1 - _INSIDE)
-    w = _clamp((z - origin[2]) * inverse, nz - 1 - _INSIDE)
+    cu = (x - origin[0]) * inverse
+    cv = (y - origin[1]) * inverse
+    cw = (z - origin[2]) * inverse
+    u = _clamp(cu, nx - 1 - _INSIDE)
+    v = _clamp(cv, ny - 1 - _INSIDE)
+    w = _clamp(cw, nz - 1 - _INSIDE)
     i = int(u)
     j = int(v)
     k = int(w)
@@ -149,9 +153,9 @@ def normal_at(values, origin, spacing, x, y, z, gradient, hessian):
                 kk = k + dk
                 kl = max(kk - 1, 0)
                 kh = min(kk + 1, nz - 1)
-                gx = (values[ih, jj, kk] - values[il, jj, kk]) * half
-                gy = (values[ii, jh, kk] - values[ii, jl, kk]) * half
-                gz = (values[ii, jj, kh] - values[ii, jj, kl]) * half
+                gx = (np.float64(values[ih, jj, kk]) - np.float64(values[il, jj, kk])) * half
+                gy = (np.float64(values[ii, jh, kk]) - np.float64(values[ii, jl, kk])) * half
+                gz = (np.float64(values[ii, jj, kh]) - np.float64(values[ii, jj, kl])) * half
                 weight = wa * wb * wc
                 ta = sa * wb * wc
                 tb = wa * sb * wc
@@ -168,6 +172,13 @@ def normal_at(values, origin, spacing, x, y, z, gradient, hessian):
                 hessian[2, 0] += gz * ta
                 hessian[2, 1] += gz * tb
                 hessian[2, 2] += gz * tc
+    for m in range(3):
+        if cu != u:
+            hessian[m, 0] = 0.0
+        if cv != v:
+            hessian[m, 1] = 0.0
+        if cw != w:
+            hessian[m, 2] = 0.0
 
 
 # A seen point beyond the far side of a wall is led back towards the camera in steps of this many cells, doubled.

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import MeshError
+
+if TYPE_CHECKING:
+    import trimesh
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -40,9 +45,12 @@ def close(
     import trimesh
 
     settings = settings or RepairSettings()
-    vertices = np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
-    faces = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
-    if len(faces) == 0:
+    vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
+    if vertices.size and (vertices.ndim != 2 or vertices.shape[1] != 3):
+        raise MeshError(f"{name}: expected vertices of shape (n, 3), got {vertices.shape}")
+    if faces.size and (faces.ndim != 2 or faces.shape[1] != 3):
+        raise MeshError(f"{name}: expected triangles of shape (m, 3), got {faces.shape}")
+    if faces.size == 0:
         raise MeshError(f"{name}: expected a mesh with triangles, got {len(vertices)} vertices and no triangle")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise MeshError(f"{name}: expected vertex numbers 0..{len(vertices) - 1}, got {faces.min()}..{faces.max()}")
@@ -60,6 +68,7 @@ def close(
     before = len(faces)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     digits = int(np.clip(np.ceil(-np.log10(settings.merge_share * diameter)), 0, 14))
+    mesh.update_vertices(np.isin(np.arange(len(vertices)), used))
     mesh.merge_vertices(digits_vertex=digits, merge_tex=True, merge_norm=True)
     mesh.update_faces(mesh.nondegenerate_faces(height=1e-12 * diameter))
     mesh.update_faces(mesh.unique_faces())
@@ -71,8 +80,8 @@ def close(
     vertices, faces = np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int64)
 
     if not mesh.is_winding_consistent:
-        trimesh.repair.fix_winding(mesh)
-        faces = np.array(mesh.faces, dtype=np.int64)
+        faces = _wound_alike(faces)
+        mesh = trimesh.Trimesh(vertices, faces, process=False)
         mended.append("triangles rewound consistently")
     if not mesh.is_watertight and _encloses(mesh, settings.largest_leak):
         mended.append("edges that meet without sharing their vertices accepted (no gap between them)")
@@ -88,8 +97,6 @@ def close(
                 f" ({len(left)} edges still open after filling): close it in a mesh editor"
             )
         mended.append(f"{holes} holes filled ({share:.1%} of the surface)")
-    if not mesh.is_winding_consistent:
-        trimesh.repair.fix_winding(mesh)
     bodies = mesh.split(only_watertight=False) if mesh.body_count > 1 else [mesh]
     if mesh.volume < 0 or any(b.volume < 0 and _outermost(b, bodies) for b in bodies):
         if len(bodies) > 1:
@@ -121,18 +128,56 @@ def winding_numbers(vertices: Array, faces: Faces, points: Array) -> Array:
     return out
 
 
-def _encloses(mesh, largest_leak: float) -> bool:
-    """Whether the surface has no gap although edges are not shared: winding numbers beside it are whole."""
+def _wound_alike(faces: Faces) -> Faces:
+    """The triangles turned so that neighbours run through their common edge in opposite directions.
+
+    Walks over each connected part from its first triangle; a part that is inside out as a whole stays so.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import breadth_first_order, connected_components
+
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    owner = np.tile(np.arange(len(faces)), 3)
+    _, number = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
+    order = np.argsort(number.ravel(), kind="stable")
+    number = number.ravel()[order]
+    pair = np.flatnonzero(number[:-1] == number[1:])
+    a, b = order[pair], order[pair + 1]
+    alike = edges[a, 0] == edges[b, 0]  # the same direction through a common edge: one of the two must turn
+    count = len(faces)
+    graph = coo_array((np.where(alike, 2, 1), (owner[a], owner[b])), shape=(count, count)).tocsr()
+    graph = graph.maximum(graph.T)
+    turn = np.zeros(count, dtype=bool)
+    _, part = connected_components(graph, directed=False)
+    for first in np.unique(part, return_index=True)[1]:
+        walk, before = breadth_first_order(graph, first, directed=False)
+        for face in walk[1:]:
+            turn[face] = turn[before[face]] ^ (graph[before[face], face] == 2)
+    out = faces.copy()
+    out[turn] = out[turn][:, ::-1]
+    return out
+
+
+def _encloses(mesh: trimesh.Trimesh, largest_leak: float) -> bool:
+    """Whether the surface has no gap although edges are not shared: winding numbers beside it are whole.
+
+    Looked at beside the whole surface and beside the edges that one triangle has alone, where a hole would be.
+    """
     rng = np.random.default_rng(0)
-    count = int(np.clip(4_000_000 // len(mesh.faces), 60, 600))
-    corners = mesh.triangles[rng.choice(len(mesh.faces), size=count, p=mesh.area_faces / mesh.area_faces.sum())]
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    count = int(np.clip(4_000_000 // len(faces), 60, 600))
+    corners = mesh.triangles[rng.choice(len(faces), size=count, p=mesh.area_faces / mesh.area_faces.sum())]
     points = np.einsum("nk,nkd->nd", rng.dirichlet((1, 1, 1), size=count), corners)
-    offsets = rng.normal(size=(count, 3)) * 0.01 * np.linalg.norm(np.ptp(mesh.vertices, axis=0))
-    winding = winding_numbers(np.asarray(mesh.vertices), np.asarray(mesh.faces), points + offsets)
-    return bool(np.quantile(np.abs(winding - np.round(winding)), 0.995) < largest_leak)
+    size = np.full(count, 0.01 * np.linalg.norm(np.ptp(vertices, axis=0)))
+    ends = vertices[rng.permutation(_boundary_edges(faces))[:count]]
+    points = np.concatenate([points, ends.mean(axis=1)])
+    size = np.concatenate([size, 0.15 * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)])
+    winding = winding_numbers(vertices, faces, points + rng.normal(size=points.shape) * size[:, None])
+    leak = np.abs(winding - np.round(winding))
+    return all(np.quantile(part, 0.995) < largest_leak for part in (leak[:count], leak[count:]) if len(part))
 
 
-def _outermost(body, bodies) -> bool:
+def _outermost(body: trimesh.Trimesh, bodies: Sequence[trimesh.Trimesh]) -> bool:
     """Whether no other body's box holds this one (an inner, inverted shell is a cavity, not a mistake)."""
     low, high = body.bounds
     return not any(
@@ -149,7 +194,10 @@ def _boundary_edges(faces: Faces) -> NDArray[np.int64]:
 
 
 def _close_holes(vertices: Array, faces: Faces, flat_share: float) -> tuple[Array, Faces, float, float, int]:
-    """Close every boundary loop with a fan about its centre; returns also the curved and flat patches' area, and how many."""
+    """Close every boundary loop with a fan about its centre.
+
+    Returns also the area of the curved and of the flat patches, and how many there are.
+    """
     boundary = _boundary_edges(faces)
     following: dict[int, list[int]] = {}
     for a, b in boundary:

@@ -80,15 +80,19 @@ class ObjectModel:
     def diameter(self) -> float:
         """Largest distance between two vertices, metres."""
         from scipy.spatial import ConvexHull, QhullError
-        from scipy.spatial.distance import pdist
+        from scipy.spatial.distance import cdist, pdist
 
         try:
             hull = self.vertices[ConvexHull(self.vertices).vertices]
         except QhullError:
             hull = self.vertices
-        if len(hull) > 2000:
-            hull = hull[:: len(hull) // 2000 + 1]
-        return float(pdist(hull).max())
+        if len(hull) <= 2000:
+            return float(pdist(hull).max())
+        # many vertices: those of a pair farther apart than a first guess lie far from the middle
+        guess = float(pdist(hull[:: len(hull) // 1000 + 1]).max())
+        away = np.linalg.norm(hull - hull.mean(axis=0), axis=1)
+        first, second = hull[away >= 0.5 * guess], hull[away >= guess - away.max()]
+        return max(float(cdist(first[i : i + 1000], second).max()) for i in range(0, len(first), 1000))
 
     @cached_property
     def _moments(self) -> tuple[float, Array]:
@@ -154,8 +158,11 @@ def check_size(diameter: float, where: str) -> None:
     """Raise MeshError when an object of `diameter` metres cannot be in a hand, and name the likely unit."""
     if SMALLEST_DIAMETER <= diameter <= LARGEST_DIAMETER:
         return
-    guesses = [u for u, f in METRES_PER_UNIT.items() if u != "m" and 0.02 <= diameter * f <= 0.5]
-    hint = f" ({diameter:.3g} {guesses[-1 if 'mm' not in guesses else guesses.index('mm')]}?)" if guesses else ""
+    # too large: numbers of a smaller unit read as metres; too small: metres read as a smaller unit
+    smaller = [(unit, METRES_PER_UNIT[unit]) for unit in ("mm", "cm", "inch")]
+    guesses = [f"{diameter:.3g} {unit}" for unit, factor in smaller if 0.02 <= diameter * factor <= 0.5]
+    guesses += [f"{diameter / factor:.3g} m" for _, factor in smaller if 0.02 <= diameter / factor <= 0.5]
+    hint = f" ({guesses[0]}?)" if guesses else ""
     raise MeshError(
         f"{where}: expected an object of {SMALLEST_DIAMETER * 1e3:.0f} mm to {LARGEST_DIAMETER:.0f} m,"
         f" got a diameter of {diameter:.4g} m{hint}: is the unit right?"

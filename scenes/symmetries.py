@@ -125,4 +125,4 @@ class Symmetries:
             across = np.eye(3) - np.outer(axis.direction, axis.direction)
             a += across
             b += across @ axis.point
-        return np.linalg.solve(a, b)
+        return np.asarray(np.linalg.solve(a, b), dtype=np.float64)

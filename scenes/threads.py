@@ -41,7 +41,7 @@ def _blas() -> ThreadpoolController:
 
 
 def one_blas_thread() -> AbstractContextManager[object]:
-    """Keep linear algebra on the calling thread: on matrices of a hundred rows its own threads cost more than they do."""
+    """Keep linear algebra on the calling thread: on matrices of a hundred rows more threads cost more than they do."""
     return _blas().limit(limits=1, user_api="blas")
 
 

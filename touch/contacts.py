@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,24 @@ from touch.localize import contact_starts
 Array = NDArray[np.float64]
 
 __all__ = ["Felt", "contact_starts", "feel"]
+
+
+class Calibration(Protocol):
+    """How far the robot may be from where it says it is: metres and radians per axis, at the camera."""
+
+    @property
+    def translation_sigma(self) -> float: ...
+    @property
+    def rotation_sigma(self) -> float: ...
+
+
+class Ball(Protocol):
+    """Where to look: centre (3,) camera frame and radius, metres."""
+
+    @property
+    def centre(self) -> Array: ...
+    @property
+    def radius(self) -> float: ...
 
 
 @dataclass(frozen=True)
@@ -40,7 +59,7 @@ class Felt:
     contacts: Contacts
     rows: Evidence
 
-    def slackened(self, calibration, uncorrected: bool) -> Evidence:
+    def slackened(self, calibration: Calibration, uncorrected: bool) -> Evidence:
         """The rows with the calibration's error added to their sigmas when nothing has corrected it."""
         if not uncorrected or not len(self.rows):
             return self.rows
@@ -51,7 +70,7 @@ class Felt:
         return Evidence(rows, self.rows.sense)
 
 
-def feel(frame: Frame, gate: float, region=None, settings: TouchSettings | None = None) -> Felt:
+def feel(frame: Frame, gate: float, region: Ball | None = None, settings: TouchSettings | None = None) -> Felt:
     """All touch evidence of a frame, camera frame.
 
     gate: sigmas at which a contact is as likely a false one. region: ball around which the hand's own surface is
@@ -78,9 +97,11 @@ def feel(frame: Frame, gate: float, region=None, settings: TouchSettings | None 
     return Felt(contacts, tables.stack(*parts))
 
 
-def _hand_rows(frame: Frame, region, settings: TouchSettings) -> Evidence:
+def _hand_rows(frame: Frame, region: Ball | None, settings: TouchSettings) -> Evidence:
     """OUTSIDE rows on the hand's surface near the region: a solid hand leaves no room for the object."""
-    assert frame.hand is not None and frame.joints is not None and frame.world_from_hand is not None
+    assert frame.hand is not None
+    assert frame.joints is not None
+    assert frame.world_from_hand is not None
     points = frame.hand.points_on_surface(frame.joints)
     camera_from_hand = frame.camera_from_world @ frame.world_from_hand
     points = points @ camera_from_hand[:3, :3].T + camera_from_hand[:3, 3]

@@ -36,7 +36,7 @@ def sphere_contact(force: Array, torque: Array, radius: float) -> tuple[Array, A
     (n, 3), moments about the normal (n,) N m (signed along the outward normal of the finger), and valid (n,):
     False for zero forces, for forces that pull instead of press, and for moments too large for the sphere.
 
-    Closed form: M = p x F + q p with p on the sphere (q = k', the moment about the normal over the radius). Dotting with
+    Closed form: M = p x F + q p with p on the sphere (q: the moment about the normal over the radius). Dotting with
     F gives F.M = q F.p; with |p| = R the scalar q solves q^4 R^2 + q^2 (R^2 F^2 - M^2) - (F.M)^2 = 0, the same
     biquadratic as Bicchi's; p = (q^2 M + (F.M) F + q F x M) / (q (q^2 + F^2)), and for q -> 0 the ray of the force
     meets the sphere where it presses.

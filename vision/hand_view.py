@@ -93,7 +93,7 @@ def prior_information(calibration: CalibrationModel, centre: Array) -> Array:
     # a turn about the camera moves the centre by turn x centre
     lever = np.eye(6)
     lever[3:, :3] = -se3.skew(centre)
-    return np.linalg.inv(lever @ covariance @ lever.T)
+    return np.asarray(np.linalg.inv(lever @ covariance @ lever.T), dtype=np.float64)
 
 
 def view_hand(

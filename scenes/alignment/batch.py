@@ -90,6 +90,9 @@ def _scene(model: ObjectModel, evidence: Evidence, prior: Prior | None) -> tuple
     if prior is None:
         prior_parts = (np.eye(3), np.zeros(3), np.zeros((6, 6)))
     else:
+        shapes = np.shape(prior.pose), np.shape(prior.information)
+        if shapes != ((4, 4), (6, 6)) or not (np.isfinite(prior.pose).all() and np.isfinite(prior.information).all()):
+            raise InputError(f"prior: expected a finite pose (4, 4) and information (6, 6), got shapes {shapes}")
         middle = prior.pose[:3, :3] @ model.centroid + prior.pose[:3, 3]
         rotation = np.ascontiguousarray(prior.pose[:3, :3])
         prior_parts = (rotation, middle, np.ascontiguousarray(prior.information, dtype=np.float64))
@@ -115,7 +118,7 @@ def align(
     out_costs, hessians, used = np.zeros(count), np.zeros((count, 6, 6)), np.zeros(count, dtype=np.int64)
 
     def work(part: slice) -> None:
-        kernels.align_poses(
+        kernels.align_poses(  # type: ignore[call-arg]
             *scene,
             settings.blur,
             settings.blur_normal,
@@ -153,7 +156,7 @@ def costs(
     out = np.zeros(len(rotations))
 
     def work(part: slice) -> None:
-        kernels.cost_poses(
+        kernels.cost_poses(  # type: ignore[call-arg]
             *scene,
             settings.blur,
             settings.blur_normal,
@@ -180,7 +183,7 @@ def terms(
     rotations, middles = _split(model, pose)
     scene, prior_parts = _scene(model, evidence, prior)
     hessian, gradient = np.zeros((6, 6)), np.zeros(6)
-    cost = kernels.cost_terms(
+    cost = kernels.cost_terms(  # type: ignore[call-arg]
         *scene,
         settings.blur,
         settings.blur_normal,

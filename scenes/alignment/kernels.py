@@ -210,7 +210,7 @@ def cost_terms(
             for j in range(i + 1):
                 hessian[i, j] += wj * jac[j]
         if with_normal:
-            # m = R (I - uu^T) H R^T / |g|, first in object axes; a gradient shorter than the least one is not unit length
+            # m = R (I - uu^T) H R^T / |g|, first in object axes; a gradient below the shortest is not of unit length
             ux, uy, uz = g[0] / length, g[1] / length, g[2] / length
             if ux * ux + uy * uy + uz * uz < 0.999999:
                 ux = uy = uz = 0.0
@@ -369,7 +369,7 @@ def align_poses(
     hessians,
     used,
 ):
-    """Levenberg-Marquardt on every pose, in place: rotations (b, 3, 3), middles (b, 3) -> costs (b,), hessians (b, 6, 6).
+    """Levenberg-Marquardt on poses, in place: rotations (b, 3, 3), middles (b, 3) -> costs (b,), hessians (b, 6, 6).
 
     Stops at `iterations` tried steps, or when a step turns less than tolerance_angle (rad) and moves less than
     tolerance_distance (m). Steps are shortened to longest_angle and longest_distance. radius (m) of the object scales

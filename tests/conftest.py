@@ -1,0 +1,61 @@
+"""What several test files share: settings of property tests, data that may be absent, frames slow to make."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import settings
+
+from scenes import library
+
+# compiled kernels take seconds at their first call, so an example has no deadline
+settings.register_profile("palpate", deadline=None, max_examples=40)
+settings.load_profile("palpate")
+
+DATA = Path(os.environ.get("PALPATE_DATA", Path(__file__).resolve().parents[1].parent / "shared" / "data"))
+
+
+@pytest.fixture(scope="session")
+def contact_data():
+    """Folder of the real and simulated iCub contacts."""
+    folder = DATA / "icub-contacts"
+    if not folder.is_dir():
+        pytest.skip(f"no contact sets at {folder} (set PALPATE_DATA to where they are)")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def hand():
+    from scenes.hand_generation import five_finger_hand
+
+    return five_finger_hand()
+
+
+@pytest.fixture(scope="session")
+def drill():
+    return library.make("drill")
+
+
+@pytest.fixture(scope="session")
+def lab_frame(hand, drill):
+    """One frame of a drill, 60 % hidden by the hand, with every error of the preset."""
+    from scenes.synthesis import SynthesisSettings, synthesize_frames
+
+    return synthesize_frames(drill, hand, occlusion=0.6, noise="lab", seed=5, settings=SynthesisSettings(mask=True))[0]
+
+
+@pytest.fixture(scope="session")
+def exact_frame(hand, drill):
+    """The same grasp without any error."""
+    from scenes.noise import PRESETS
+    from scenes.synthesis import SynthesisSettings, synthesize_frames
+
+    return synthesize_frames(
+        drill, hand, occlusion=0.6, noise=PRESETS["none"], seed=5, settings=SynthesisSettings(mask=True)
+    )[0]
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(7)
