@@ -6,7 +6,7 @@ Readable as the method: each step is one named stage of the trace, run or skippe
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from vision.clouds import DepthModel
 from vision.hand_view import CalibrationModel
 from vision.segmentation import SegmentationSettings, free_space_rows, segment, surface_rows
 from vision.starts import pixel_starts
+from vision.visibility import Sight, visibility
 
 Array = NDArray[np.float64]
 
@@ -120,15 +121,17 @@ def _estimate(
     if len(rows) == 0:
         return _nothing(frame, model, believed, trace, settings)
 
+    sight = Sight(frame if "vision" in senses else _blind(frame), model, settings.depth)
     with trace.stage("search", True, "") as stage:
         starts = _starts(model, believed, looked.pixels.points, felt.contacts.moved(correction), settings, rng)
         blur = float(np.clip(settings.blur_share * model.radius, *settings.blur_limits))
-        found = search(model, rows, starts, search_stages(blur, believed is not None), believed)
+        found = search(model, rows, starts, search_stages(blur, believed is not None), believed, rank=sight.costs)
         stage.note(len(rows), f"{len(starts)} starts, blur {1e3 * blur:.1f} mm")
     with trace.stage("refine", True, "") as stage:
         refined = align(model, rows, found.poses, believed, AlignSettings(iterations=30))
-        modes = distinct_modes(model, refined, settings.modes)
-        stage.note(len(rows), f"{len(modes)} modes")
+        past = sight.costs(refined.poses)
+        modes = distinct_modes(model, replace(refined, costs=refined.costs + past), settings.modes)
+        stage.note(len(rows), f"{len(modes)} minima, best costs {past.min():.1f} for what the camera saw past it")
     with trace.stage("solve together", True, "") as stage:
         problem = joint.JointProblem(
             model,
@@ -144,8 +147,9 @@ def _estimate(
             settings=settings.joint,
         )
         solved = joint.solve_modes(problem, [m.pose for m in modes])
-        modes = _rejudged(model, modes, solved, settings)
-        best = solved[int(np.argmin([s.cost for s in solved]))]
+        past = sight.costs(np.array([s.pose for s in solved]))
+        modes = _rejudged(model, solved, past, settings)
+        best = solved[int(np.argmin([s.cost + c for s, c in zip(solved, past)]))]
         stage.note(
             len(rows), f"calibration moved {1e3 * np.linalg.norm(best.xi[3:]):.1f} mm, scale {100 * best.scale:+.2f} %"
         )
@@ -153,7 +157,8 @@ def _estimate(
         corrected = felt.contacts.moved(best.correct())
         residuals = posterior.contact_residuals(model, corrected, modes[0].pose, settings.verdict)
         share, rms = posterior.pixel_agreement(model, seen, modes[0].pose)
-        word, why = posterior.verdict(model, modes, residuals, share, len(seen), settings.verdict)
+        seeing = visibility(frame if "vision" in senses else _blind(frame), model, modes[0].pose, settings.depth)
+        word, why = posterior.verdict(model, modes, residuals, share, seeing, settings.verdict)
         stage.note(len(rows), why)
 
     pose = modes[0].pose
@@ -165,7 +170,7 @@ def _estimate(
         verdict=word,
         unobservable=posterior.unobservable(model, pose, modes[0].covariance, settings.verdict),
         hand_from_object=hand_from_object(frame, pose, best.correct()),
-        visible_fraction=share,
+        visible_fraction=seeing.visible,
         trace=trace.stages,
         contacts=residuals,
         pixel_rms_mm=1e3 * rms,
@@ -194,8 +199,8 @@ def search_stages(blur: float, near: bool) -> tuple[SearchStage, ...]:
     """Coarse to fine: wide starts need more survivors than those around a prior."""
     if near:
         return (
-            SearchStage(blur, 0.5, 80, 8, 64),
-            SearchStage(blur / 3, 0.25, 160, 10, 24),
+            SearchStage(blur, 0.5, 80, 8, 80),
+            SearchStage(blur / 3, 0.25, 160, 10, 40),
         )
     return (
         SearchStage(2 * blur, 0.6, 50, 6, 800),
@@ -238,11 +243,11 @@ def _starts(
 
 
 def _rejudged(
-    model: ObjectModel, modes: tuple[Mode, ...], solved: list[joint.JointResult], settings: EstimateSettings
+    model: ObjectModel, solved: list[joint.JointResult], past: Array, settings: EstimateSettings
 ) -> tuple[Mode, ...]:
     """The modes after the joint solution: its poses, costs and covariances; weights by Laplace's method."""
     hessians = np.array([np.linalg.inv(s.covariance) for s in solved])
-    poses, costs = np.array([s.pose for s in solved]), np.array([s.cost for s in solved])
+    poses, costs = np.array([s.pose for s in solved]), np.array([s.cost + c for s, c in zip(solved, past)])
     return distinct_modes(
         model, Alignment(poses, costs, hessians, np.zeros(len(solved), dtype=np.int64)), settings.modes
     )
@@ -272,12 +277,8 @@ def _nothing(
 
 
 def _blind(frame: Frame) -> Frame:
-    from dataclasses import replace
-
     return replace(frame, depth=None, rgb=None, mask=None, cloud=None, cloud_colours=None)
 
 
 def _numb(frame: Frame) -> Frame:
-    from dataclasses import replace
-
     return replace(frame, contacts=Contacts(np.zeros((0, 3))), no_contact=None, wrenches=(), tactile={})

@@ -12,6 +12,7 @@ from scenes import poses as se3
 from scenes.evidence import POINT, SIGMA, Evidence
 from scenes.frames import Contacts
 from scenes.objects import ObjectModel
+from vision.visibility import Visibility
 
 Array = NDArray[np.float64]
 
@@ -31,6 +32,10 @@ class VerdictSettings:
     # Least share of contacts, and of the pixels taken for the object, that an answer must explain.
     least_contacts: float = 0.5
     least_pixels: float = 0.3
+    # Share of the object's own pixels through which the camera may see, noise at the outline included.
+    most_violated: float = 0.25
+    # Without touch, an answer from less than this share of the object is a guess.
+    least_visible: float = 0.12
 
 
 def contact_residuals(
@@ -100,7 +105,7 @@ def verdict(
     modes: tuple[Mode, ...],
     residuals: tuple[ContactResidual, ...],
     pixel_share: float,
-    pixel_rows: int,
+    seeing: Visibility,
     settings: VerdictSettings | None = None,
 ) -> tuple[str, str]:
     """The verdict and its reason: lost when the evidence is not explained, ambiguous when it fits several poses."""
@@ -111,8 +116,12 @@ def verdict(
         good = float(np.mean([not r.outlier for r in residuals]))
         if good < settings.least_contacts:
             return "lost", f"{good:.0%} of the contacts explained"
-    if pixel_rows and np.isfinite(pixel_share) and pixel_share < settings.least_pixels and not residuals:
+    if np.isfinite(pixel_share) and pixel_share < settings.least_pixels and not residuals:
         return "lost", f"{pixel_share:.0%} of the pixels explained"
+    if np.isfinite(seeing.violated) and seeing.violated > settings.most_violated:
+        return "lost", f"the camera sees past {seeing.violated:.0%} of the object"
+    if not residuals and np.isfinite(seeing.visible) and seeing.visible < settings.least_visible:
+        return "ambiguous", f"only {seeing.visible:.0%} of the object is seen and nothing touches it"
     if modes[0].weight < settings.sure_share:
         return "ambiguous", f"first of {len(modes)} modes holds {modes[0].weight:.0%}"
     covariance = modes[0].covariance

@@ -50,3 +50,9 @@ class Surface:
         near = length < 1e-6
         gradient = np.where(near[:, None], normal, offset / np.where(near, 1.0, distance)[:, None])
         return np.where(near, side, distance), gradient, foot + self._middle
+
+    def cast(self, origins: Array, directions: Array) -> Array:
+        """Ray parameter t (n,) of the first hit, inf for none: origins (n, 3) + t directions (n, 3)."""
+        o3d = open3d()
+        rays = np.concatenate([origins - self._middle, directions], axis=1).astype(np.float32)
+        return self._scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy().astype(np.float64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from scenes import poses as se3
 from scenes.alignment.batch import Alignment, AlignSettings, Prior, align
+from scenes.errors import InputError
 from scenes.evidence import TOUCH, VISION, WEIGHT, Evidence
 from scenes.objects import ObjectModel
 
@@ -42,7 +44,7 @@ def thin(evidence: Evidence, count: int) -> Evidence:
 
 
 def rotation_grid(count: int, rng: np.random.Generator | None = None) -> Array:
-    """(count, 3, 3) rotations spread evenly over SO(3): super-Fibonacci spirals (Alexa, CVPR 2022), turned at random."""
+    """(count, 3, 3) rotations even over SO(3): super-Fibonacci spirals (Alexa, CVPR 2022), all turned at random."""
     phi, psi = np.sqrt(2.0), 1.533751168755204288118041
     s = np.arange(count) + 0.5
     t = s / count
@@ -72,8 +74,9 @@ def search(
     stages: tuple[SearchStage, ...],
     prior: Prior | None = None,
     settings: AlignSettings | None = None,
+    rank: Callable[[Array, float], Array] | None = None,
 ) -> Alignment:
-    """Run the stages; returns the last stage's survivors, best first, with their final costs and Hessians."""
+    """Run the stages; rank(poses, blur) -> (n,) is added to the costs when survivors are chosen (not when poses move); returns the last stage's survivors, best first, with their final costs and Hessians."""
     settings = settings or AlignSettings()
     poses = starts
     result = None
@@ -86,11 +89,12 @@ def search(
             prior,
             replace(settings, blur=stage.blur, blur_normal=stage.blur_normal, iterations=stage.iterations),
         )
-        order = distinct_first(model, result, stage.keep)
+        ranked = result.costs if rank is None else result.costs + rank(result.poses, stage.blur)
+        order = distinct_first(model, replace(result, costs=ranked), stage.keep)
         result = result.take(order)
         poses = result.poses
     if result is None:
-        raise ValueError("search: expected at least one stage")
+        raise InputError("search: expected at least one stage, got none")
     return result
 
 
