@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.answer import Estimate
-from fusion.estimate import estimate
+from fusion.estimation import estimate
 from fusion.judging import Agreement, Errors, Judge, json_number
 from scenes import poses
 from scenes.captures import Capture

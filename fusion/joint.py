@@ -56,7 +56,7 @@ class JointSettings:
     # Independent error of the hand's surface (m): joint errors move whole links; and how many of its pixels share it.
     hand_sigma: float = 0.001
     hand_sharing: float = 6.0
-    # Weight of a pixel when nothing tells the object from what hides it: whole fingers, not single pixels, are mistaken.
+    # Weight of a pixel when nothing tells the object from what hides it: whole fingers are mistaken, not single pixels.
     weight_unknown: float = 0.5
     # What a mesh and its lattice leave out of a real object, metres.
     model_sigma: float = 0.0004
@@ -64,9 +64,9 @@ class JointSettings:
 
 @dataclass(frozen=True)
 class JointResult:
-    """pose (4, 4) camera_from_object; covariance (6, 6) about the centroid, all else marginalised; xi (6,) correction of
-    what touch reports (camera frame, about `centre`); scale: depth scale error; cost: negative log posterior, and
-    log_evidence of the level of shared errors it was solved for.
+    """pose (4, 4) camera_from_object; covariance (6, 6) about the centroid, all else marginalised; xi (6,)
+    correction of what touch reports (camera frame, about `centre`); scale: depth scale error; cost: negative log
+    posterior, and log_evidence of the level of shared errors it was solved for.
     """
 
     pose: Array
@@ -122,8 +122,8 @@ class JointProblem:
         self._hand_blocks(hand_points)
 
     def _lay_bias(self, hand_points: Array) -> None:
-        self._inducing = np.zeros((0, 2))
-        self._factor = np.zeros((0, 0))
+        self._inducing: Array = np.zeros((0, 2))
+        self._factor: Array = np.zeros((0, 0))
         if self.camera is None or not len(self.seen):
             return
         uv, _ = self.camera.project(np.concatenate([self.seen.points, hand_points]))
@@ -132,8 +132,8 @@ class JointProblem:
         while True:
             counts = np.maximum(1, np.ceil((high - low) / step)).astype(int) + 1
             if counts.prod() <= 4 * self.settings.most_inducing:
-                grid = np.stack(np.meshgrid(*[np.linspace(a, b, n) for a, b, n in zip(low, high, counts)]), -1)
-                grid = grid.reshape(-1, 2)
+                axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts)]
+                grid = np.stack([x.ravel() for x in np.meshgrid(*axes)], axis=1)
                 gap = np.array([np.min(np.sum((uv - g) ** 2, axis=1)) for g in grid])
                 grid = grid[gap < step**2]
                 if len(grid) <= self.settings.most_inducing:
@@ -141,18 +141,18 @@ class JointProblem:
             step *= 1.2
         self._inducing = grid
         kernel = self._kernel(grid, grid) + 1e-6 * np.eye(len(grid))
-        self._factor = np.linalg.cholesky(kernel)
+        self._factor = np.asarray(np.linalg.cholesky(kernel), dtype=np.float64)
 
     def _kernel(self, a: Array, b: Array) -> Array:
         square = np.sum((a[:, None] - b[None]) ** 2, axis=-1)
-        return np.exp(-0.5 * square / self.depth.bias_length**2)
+        return np.asarray(np.exp(-0.5 * square / self.depth.bias_length**2), dtype=np.float64)
 
     def _basis(self, points: Array) -> Array:
         """(n, k) bias at the points' pixels per whitened unknown, in units of the bias' sigma."""
         if self.camera is None or not len(self._inducing) or not len(points):
             return np.zeros((len(points), len(self._inducing)))
         uv, _ = self.camera.project(points)
-        return np.linalg.solve(self._factor, self._kernel(self._inducing, uv)).T
+        return np.asarray(np.linalg.solve(self._factor, self._kernel(self._inducing, uv)).T, dtype=np.float64)
 
     def _hand_blocks(self, points: Array) -> None:
         """The hand's pixels, linear in (xi, s, b): their constant part, for unit sigmas of s and b."""

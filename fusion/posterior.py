@@ -125,7 +125,7 @@ def verdict(
     if modes[0].weight < settings.sure_share:
         return "ambiguous", f"first of {len(modes)} modes holds {modes[0].weight:.0%}"
     covariance = modes[0].covariance
-    open_directions = [d for d in unobservable(model, modes[0].pose, covariance, settings)]
+    open_directions = unobservable(model, modes[0].pose, covariance, settings)
     symmetric = {f"rotation about {_axis_name(a.direction)}" for a in model.symmetries.axes[:1]}
     hidden = [d for d in open_directions if d not in symmetric]
     if hidden and not model.symmetries.is_spherical:

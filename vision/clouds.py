@@ -31,8 +31,8 @@ class DepthModel:
     # what is in front, whole fingers and not single pixels are taken for the object, and they outvote the contacts.
     sharing_length: float = 12.0
     sharing_length_unknown: float = 40.0
-    # A cloud without its camera says nothing of its noise: error of a filtered stereo cloud in a hand's frame, metres, and
-    # how many independent patches its points amount to.
+    # A cloud without its camera says nothing of its noise: error of a filtered stereo cloud in a hand's frame, metres,
+    # and how many independent patches its points amount to.
     cloud_sigma: float = 0.0035
     cloud_patches: float = 30.0
     # Relative error of the depth scale.

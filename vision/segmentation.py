@@ -50,7 +50,8 @@ class Segments:
 
     pixels: may be the object; hand: explained by the hand; others: seen beyond or beside the region (for free space).
     region: where the object is looked for. hand_view: the aligned hand. dropped: counts by reason. is_cloud: the points
-    come from a cloud, not from pixels of a camera. told_apart: a mask or the hand's model removed what hides the object.
+    come from a cloud, not from pixels of a camera. told_apart: a mask or the hand's model
+    removed what hides the object.
     """
 
     pixels: Pixels

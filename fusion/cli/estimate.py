@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when a frame's answer is lost."""
-    from fusion.estimate import check_senses, estimate
+    from fusion.estimation import check_senses, estimate
     from fusion.judging import Judge
     from fusion.results import frame_errors, result_json, write_results
     from scenes.captures import read_capture

@@ -140,7 +140,7 @@ def _by_touch(model: ObjectModel, used: Contacts, every: Contacts, method: str, 
 
 def _by_both(model: ObjectModel, used: Contacts, every: Contacts, cloud: Any, seed: int) -> dict[str, Any]:
     """The fused answer, and what each sense alone makes of the same data."""
-    from fusion.estimate import estimate
+    from fusion.estimation import estimate
     from fusion.judging import Judge
     from scenes.frames import Frame
 

@@ -76,7 +76,10 @@ def search(
     settings: AlignSettings | None = None,
     rank: Callable[[Array, float], Array] | None = None,
 ) -> Alignment:
-    """Run the stages; rank(poses, blur) -> (n,) is added to the costs when survivors are chosen (not when poses move); returns the last stage's survivors, best first, with their final costs and Hessians."""
+    """Run the stages; returns the last stage's survivors, best first, with their final costs and Hessians.
+
+    rank(poses, blur) -> (n,) is added to the costs when survivors are chosen (not when poses move).
+    """
     settings = settings or AlignSettings()
     poses = starts
     result = None

@@ -27,8 +27,9 @@ from touch.contacts import contact_starts, feel
 from vision.clouds import DepthModel
 from vision.hand_view import CalibrationModel
 from vision.segmentation import SegmentationSettings, free_space_rows, segment, surface_rows
+from vision.sight import Sight
 from vision.starts import pixel_starts
-from vision.visibility import Sight, visibility
+from vision.visibility import visibility
 
 Array = NDArray[np.float64]
 
