@@ -27,6 +27,10 @@ class IntrinsicSettings:
     smallest_force: float = 0.05
     # Lever arms (|M| / |F|) longer than this many radii cannot come from the fingertip's surface.
     longest_lever: float = 1.2
+    # Numbers beyond this (N, N m) are no measurement; their fourth powers would not be finite either.
+    largest: float = 1e6
+    # A force this near to the surface's tangent (cosine) does not press: round-off decides its sign.
+    grazing: float = 1e-9
 
 
 def sphere_contact(force: Array, torque: Array, radius: float) -> tuple[Array, Array, NDArray[np.bool_]]:
@@ -34,7 +38,8 @@ def sphere_contact(force: Array, torque: Array, radius: float) -> tuple[Array, A
 
     force (n, 3) N: what the object does to the finger; torque (n, 3) N m about the origin; radius m. Returns points
     (n, 3), moments about the normal (n,) N m (signed along the outward normal of the finger), and valid (n,):
-    False for zero forces, for forces that pull instead of press, and for moments too large for the sphere.
+    False for zero forces, for forces that pull instead of press, for moments too large for the sphere, and for what is
+    not finite.
 
     Closed form: M = p x F + q p with p on the sphere (q: the moment about the normal over the radius). Dotting with
     F gives F.M = q F.p; with |p| = R the scalar q solves q^4 R^2 + q^2 (R^2 F^2 - M^2) - (F.M)^2 = 0, the same
@@ -44,6 +49,9 @@ def sphere_contact(force: Array, torque: Array, radius: float) -> tuple[Array, A
     force = np.atleast_2d(np.asarray(force, dtype=np.float64))
     torque = np.atleast_2d(np.asarray(torque, dtype=np.float64))
     settings = IntrinsicSettings()
+    both = np.concatenate([force, torque], axis=1)
+    measured = (np.abs(both) < settings.largest).all(axis=1)  # False for NaN
+    force, torque = (np.where(measured[:, None], part, 0.0) for part in (force, torque))
     f2 = np.einsum("ni,ni->n", force, force)
     m2 = np.einsum("ni,ni->n", torque, torque)
     fm = np.einsum("ni,ni->n", force, torque)
@@ -67,9 +75,9 @@ def sphere_contact(force: Array, torque: Array, radius: float) -> tuple[Array, A
     points = np.where(general[:, None], twisted, straight)
     length = np.linalg.norm(points, axis=1)
     points = points * (radius / np.where(length > 0, length, 1.0))[:, None]
-    pressing = np.einsum("ni,ni->n", force, points) < 0
+    pressing = np.einsum("ni,ni->n", force, points) < -settings.grazing * radius * np.sqrt(f2)
     reachable = m2 <= (settings.longest_lever * radius) ** 2 * f2
-    return points, q * radius, strong & pressing & reachable & np.isfinite(points).all(axis=1)
+    return points, q * radius, measured & strong & pressing & reachable
 
 
 def wrench_contacts(frame: Frame) -> Contacts:

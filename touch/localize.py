@@ -59,6 +59,11 @@ class LocalizeSettings:
     surprise: float = 1.5
     # Inferred noise has an unknown shape: residuals beyond this many sigmas count linearly.
     huber: float = 0.3
+    # Share of the posterior that the first mode must hold to be the answer, and standard deviations (rad, m) of its
+    # directions beyond which it is none: as in the verdict on both senses.
+    sure_share: float = 0.9
+    unknown_angle: float = float(np.deg2rad(20.0))
+    unknown_distance: float = 0.015
     # Contacts finer than this share of the lattice's spacing are finished on the exact mesh.
     exact_below: float = 0.2
 
@@ -214,7 +219,7 @@ def multistart(
         modes,
         contact_index(model, contacts, pose),
         sigma,
-        verdict_of(modes),
+        verdict_of(modes, model, settings),
         time.perf_counter() - begin,
     )
 
@@ -235,6 +240,25 @@ def _inferred_noise(
     return None
 
 
-def verdict_of(modes: tuple[Mode, ...], share: float = 0.9) -> str:
-    """Ok when the first mode holds `share` of the posterior, else ambiguous."""
-    return "ok" if modes and modes[0].weight >= share else "ambiguous"
+def verdict_of(
+    modes: tuple[Mode, ...], model: ObjectModel | None = None, settings: LocalizeSettings | None = None
+) -> str:
+    """Ok when the first mode holds nearly all of the posterior, else ambiguous.
+
+    With a model, a mode so wide that it leaves a direction open is ambiguous too, but for the object's own symmetry.
+    """
+    settings = settings or LocalizeSettings()
+    if not modes or modes[0].weight < settings.sure_share:
+        return "ambiguous"
+    if model is None:
+        return "ok"
+    covariance, rotation = modes[0].covariance, modes[0].pose[:3, :3]
+    turning = covariance[:3, :3]
+    if model.symmetries.is_spherical:
+        turning = np.zeros((3, 3))
+    elif model.symmetries.axes:
+        axis = rotation @ model.symmetries.axes[0].direction
+        across = np.eye(3) - np.outer(axis, axis)
+        turning = across @ turning @ across
+    widest = np.sqrt([np.linalg.eigvalsh(turning)[-1], np.linalg.eigvalsh(covariance[3:, 3:])[-1]])
+    return "ok" if widest[0] < settings.unknown_angle and widest[1] < settings.unknown_distance else "ambiguous"

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes import poses as se3
-from scenes.alignment.batch import Alignment
+from scenes.alignment.batch import Alignment, AlignSettings, terms
 from scenes.alignment.modes import Mode, distinct_modes
+from scenes.evidence import TOUCH, from_contacts
 from scenes.frames import Contacts
 from scenes.objects import ObjectModel
 
@@ -15,12 +16,14 @@ Array = NDArray[np.float64]
 
 # Gauss-Newton steps; from within a lattice cell it converges quadratically, or linearly under the linear loss.
 STEPS = 25
+# A sigma (m) at which a distance says nothing.
+NO_DISTANCE = 1e6
 
 
 def polish(
     model: ObjectModel, contacts: Contacts, modes: tuple[Mode, ...], sigma: float, huber: float = 0.0
 ) -> tuple[Mode, ...]:
-    """Modes moved to the minimum of the exact distances (normals keep what they already decided).
+    """Modes moved to the minimum of the exact distances, and of the normals against the lattice's.
 
     sigma (m) of a contact; huber (sigmas): residuals beyond count linearly, 0 = never. All modes in one batch; a mode
     whose cost would rise stays where it was. Weights are judged anew from the exact costs.
@@ -73,4 +76,14 @@ def _terms(
         w, loss = np.ones_like(r), r * r
     hessian = np.einsum("mn,mni,mnj->mij", w, jac, jac)
     gradient = np.einsum("mn,mni,mn->mi", w, jac, r)
-    return 0.5 * loss.sum(axis=1), hessian, gradient
+    cost = 0.5 * loss.sum(axis=1)
+    if contacts.has_normal.any():
+        # the same contacts with distances that weigh nothing: what remains of the compiled cost are the normals
+        rows = from_contacts(contacts.take(contacts.has_normal)).with_sigma(NO_DISTANCE, TOUCH)
+        poses = se3.make_poses(rotations, middles - rotations @ model.centroid)
+        for m, pose in enumerate(poses):
+            part = terms(model, rows, pose, settings=AlignSettings(huber=huber))
+            cost[m] += part[0]
+            gradient[m] += part[1]
+            hessian[m] += part[2]
+    return cost, hessian, gradient

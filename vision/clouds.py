@@ -56,9 +56,12 @@ class Region:
         near = z - self.radius
         if z <= 0:
             return None
-        near = max(near, 0.2 * z)
-        u0, u1 = camera.fx * (x - self.radius) / near + camera.cx, camera.fx * (x + self.radius) / near + camera.cx
-        v0, v1 = camera.fy * (y - self.radius) / near + camera.cy, camera.fy * (y + self.radius) / near + camera.cy
+        near, far = max(near, 0.2 * z), z + self.radius
+        # left of the axis the ball's near side is the outermost, right of it the far side is the innermost
+        left, right = (min((x - self.radius) / d for d in (near, far)), max((x + self.radius) / d for d in (near, far)))
+        top, bottom = (min((y - self.radius) / d for d in (near, far)), max((y + self.radius) / d for d in (near, far)))
+        u0, u1 = camera.fx * left + camera.cx, camera.fx * right + camera.cx
+        v0, v1 = camera.fy * top + camera.cy, camera.fy * bottom + camera.cy
         box = (
             max(0, int(np.floor(u0))),
             max(0, int(np.floor(v0))),
