@@ -83,7 +83,7 @@ def test_what_is_no_contact(force, torque):
 @given(seeds)
 def test_what_pulls_is_a_contact_on_the_other_side_or_none(seed):
     """A wrench cannot tell a pull here from a press there: whatever is called valid presses and explains the wrench."""
-    point, moment, force, torque = contact(np.random.default_rng(seed), 20)
+    point, moment, force, _ = contact(np.random.default_rng(seed), 20)
     pull = -force
     felt = np.cross(point, pull) + moment[:, None] * point / RADIUS
     found, turning, valid = sphere_contact(pull, felt, RADIUS)

@@ -262,7 +262,7 @@ def test_real_contacts_reach_the_floor(contact_data, name):
     object_name, floor = FLOORS[name]
     contact_file = next(iter(sorted((contact_data / "contacts").glob(f"{name}*.off"))), None)
     model_file = next(
-        (p for p in sorted(contact_data.rglob(f"{object_name}.off")) if "contacts" != p.parent.name), None
+        (p for p in sorted(contact_data.rglob(f"{object_name}.off")) if p.parent.name != "contacts"), None
     )
     if contact_file is None or model_file is None:
         pytest.skip(f"no contacts {name} or no model {object_name} in {contact_data}")
