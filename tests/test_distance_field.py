@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import igl
@@ -345,3 +346,18 @@ def test_the_size_of_the_lattice_is_bounded():
     limits = FieldSettings(max_nodes=200_000)
     field = build(np.array(mesh.vertices), np.array(mesh.faces), limits)
     assert field.values.size < 1.3 * limits.max_nodes
+
+
+def test_a_mesh_of_many_faces_gets_the_same_lattice_from_fewer_queries():
+
+    model = library.make("mug")
+    exact = build(model.vertices, model.faces, FieldSettings())
+    quick = build(model.vertices, model.faces, replace(FieldSettings(), most_faces=0))
+    assert quick.values.shape == exact.values.shape
+    error = np.abs(quick.values - exact.values)
+    near = np.abs(exact.values) < 1.5 * exact.spacing
+    assert error[near].max() < 1e-6
+    # away from the surface the closest points that neighbours found are nearly the closest
+    assert np.sqrt(np.mean(error**2)) < 0.1 * exact.spacing
+    assert error.max() < exact.spacing
+    assert (np.sign(quick.values) == np.sign(exact.values)).mean() > 0.99999
