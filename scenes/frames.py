@@ -43,10 +43,10 @@ class Contacts:
         sigma_known: bool | None = None,
     ) -> None:
         """Check and keep; raises InputError for wrong shapes, non-finite points or a sigma that is not positive."""
+        if np.size(points) and (np.ndim(points) > 2 or np.shape(points)[-1] != 3):
+            raise InputError(f"contacts: expected points of shape (n, 3), got {np.shape(points)}")
         self.points = np.array(points, dtype=np.float64).reshape(-1, 3) if np.size(points) else np.zeros((0, 3))
         n = len(self.points)
-        if np.size(points) != 3 * n:
-            raise InputError(f"contacts: expected points of shape (n, 3), got {np.shape(points)}")
         bad = ~np.isfinite(self.points).all(axis=1)
         if bad.any():
             raise InputError(f"contacts: expected finite points, got row {int(np.argmax(bad))} = {self.points[bad][0]}")
@@ -128,7 +128,7 @@ class Contacts:
             np.concatenate([p.sigma_normal for p in parts]),
             [name for p in parts for name in p.sensors],
             np.concatenate([p.forces for p in parts]),
-            all(p.sigma_known for p in parts),
+            all(p.sigma_known for p in parts if len(p)),  # a part without contacts says nothing of the others
         )
 
 
