@@ -1,8 +1,10 @@
 """Touch alone: where is the object, given points (and perhaps normals) on its surface?
 
-The default method is a batched multi-start: thousands of starts, each refined by Levenberg-Marquardt on distance and
-normal (T1 eqs. 3.3, 3.5 with an analytic Jacobian), blur falling from a share of the object's size to the noise of the
-contacts; all distinct minima are kept. Noise larger than the contacts claim is inferred from their residuals.
+The default method is a batched multi-start: many starts, each refined by Levenberg-Marquardt on distance and normal (T1
+eqs. 3.3, 3.5 with an analytic Jacobian), blur falling from a share of the object's size to the noise of the contacts;
+all distinct minima are kept. Where starts come from depends on what is known: a narrow prior is drawn from; contacts
+with normals suggest poses pair by pair; bare points are tried everywhere. Noise larger than the contacts claim is
+inferred from their residuals.
 """
 
 from __future__ import annotations
@@ -16,13 +18,14 @@ from numpy.typing import NDArray
 
 from scenes import evidence as tables
 from scenes import poses as se3
-from scenes.alignment.batch import Alignment, AlignSettings, Prior, align
-from scenes.alignment.modes import Mode, ModeSettings, distinct_modes
+from scenes.alignment.batch import Alignment, AlignSettings, Prior, align, costs
+from scenes.alignment.modes import Mode, ModeSettings, covariance_of, distinct_modes
 from scenes.alignment.search import SearchStage, rotation_grid, search
 from scenes.errors import InputError
 from scenes.evidence import Evidence
 from scenes.frames import Contacts
 from scenes.objects import ObjectModel
+from touch.pair_starts import pair_table
 from touch.polish import polish
 
 Array = NDArray[np.float64]
@@ -45,7 +48,25 @@ METHODS = {
 class LocalizeSettings:
     """The multi-start search over contacts."""
 
-    # Starts; each costs about 10 microseconds with five contacts.
+    # A prior narrower than this (rad, and share of the object's radius, per axis) is drawn from: how often, and the
+    # blurs (shares of the radius, rad), steps and survivors of the passes.
+    narrow_angle: float = 0.5
+    narrow_share: float = 0.7
+    draws: int = 100
+    draw_passes: tuple[tuple[float, float, int, int], ...] = ((0.1, 0.3, 6, 30), (0.03, 0.1, 8, 15))
+    # With normals on at least this many contacts: poses hypothesised from pairs of them, and of those the ones refined,
+    # with their one pass as above. Rows that ranking and refining may spend: with many contacts a few starts do.
+    least_normals: int = 3
+    hypotheses: int = 8000
+    rank_blur: tuple[float, float] = (0.07, 0.25)
+    ranked: int = 500
+    pair_pass: tuple[float, float, int, int] = (0.04, 0.15, 8, 120)
+    # They are shaken by this much (rad, and share of the radius), a fraction of the table's grid: other seeds then look
+    # at other places.
+    jitter: float = 0.03
+    budget_rank: int = 100_000
+    budget_ranked: int = 20_000
+    # Otherwise: starts everywhere; each costs about 10 microseconds with five contacts.
     starts: int = 6000
     # Blur of the first pass as a share of the object's radius: its basins are as wide as the object's features.
     widest_blur: float = 0.25
@@ -145,6 +166,50 @@ def contact_stages(model: ObjectModel, rows: int, settings: LocalizeSettings) ->
     return starts, tuple(SearchStage(b, a, 10**9, i, k) for b, a, i, k in zip(blurs, angles, steps, keeps))
 
 
+def find_candidates(
+    model: ObjectModel,
+    contacts: Contacts,
+    rows: Evidence,
+    rng: np.random.Generator,
+    prior: Prior | None,
+    settings: LocalizeSettings,
+) -> Alignment:
+    """Roughly refined poses, best first, from the starts that suit what is known (see the top of this file).
+
+    rows: the contacts' own first, then any others.
+    """
+    if prior is not None:
+        covariance = covariance_of(model, prior.information)
+        widths = np.sqrt(np.diag(covariance))
+        if widths[:3].max() < settings.narrow_angle and widths[3:].max() < settings.narrow_share * model.radius:
+            delta = rng.normal(size=(settings.draws, 6)) @ np.linalg.cholesky(covariance).T
+            delta[0] = 0.0
+            starts = se3.perturb(prior.pose, delta, model.centroid)
+            return search(model, rows, starts, _passes(model, settings.draw_passes), prior)
+    if int(contacts.has_normal.sum()) >= settings.least_normals:
+        count = int(np.clip(settings.budget_rank // len(contacts), 1000, settings.hypotheses))
+        rotations, origins = pair_table(model).hypotheses(contacts, count)
+        if len(rotations):
+            starts = se3.make_poses(rotations, origins)
+            blur, blur_normal = settings.rank_blur
+            rough = AlignSettings(blur=blur * model.radius, blur_normal=blur_normal)
+            merits = costs(model, rows.take(np.arange(len(contacts))), starts, prior, rough)
+            keep = int(np.clip(settings.budget_ranked // (8 * len(rows)), 60, settings.ranked))
+            starts = starts[np.argsort(merits, kind="stable")[:keep]]
+            widths = np.repeat([settings.jitter, settings.jitter * model.radius], 3)
+            starts = se3.perturb(starts, widths * rng.normal(size=(len(starts), 6)), model.centroid)
+            if prior is not None:
+                starts = np.concatenate([starts, prior.pose[None]])
+            return search(model, rows, starts, _passes(model, (settings.pair_pass,)), prior)
+    count, stages = contact_stages(model, len(rows), settings)
+    return search(model, rows, contact_starts(model, contacts, count, rng), stages, prior)
+
+
+def _passes(model: ObjectModel, passes: tuple[tuple[float, float, int, int], ...]) -> tuple[SearchStage, ...]:
+    """Stages from (blur as a share of the radius, blur of normals in rad, steps, survivors)."""
+    return tuple(SearchStage(blur * model.radius, angle, 10**9, steps, keep) for blur, angle, steps, keep in passes)
+
+
 def refine_contacts(
     model: ObjectModel, contacts: Contacts, starts: Array, prior: Prior | None = None, use_normals: bool = True
 ) -> Alignment:
@@ -192,15 +257,15 @@ def multistart(
 ) -> Localization:
     """The default method; arguments as in `localize`."""
     settings = settings or LocalizeSettings()
-    model.field  # noqa: B018  (building the lattice is not part of the search's time)
+    model.field  # noqa: B018  (building the lattice is not part of the search's time, nor is the table of pairs)
+    if int(contacts.has_normal.sum()) >= settings.least_normals:
+        pair_table(model)
     begin = time.perf_counter()
     rng = np.random.default_rng(seed)
     rows = tables.from_contacts(contacts)
     if extra is not None:
         rows = tables.stack(rows, extra)
-    count, stages = contact_stages(model, len(rows), settings)
-    starts = contact_starts(model, contacts, count, rng)
-    found = search(model, rows, starts, stages, prior)
+    found = find_candidates(model, contacts, rows, rng, prior, settings)
     result = align(model, rows, found.poses, prior)
     sigma = float(np.sqrt(np.mean(contacts.sigma_point**2)))
     inferred = _inferred_noise(model, contacts, result, settings)

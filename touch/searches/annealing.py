@@ -1,0 +1,39 @@
+"""Simulated annealing on the compiled cost of T1 eq. 4.1, as in T1 table 5.2: scipy's generalised annealing (Tsallis
+visits, Xiang et al. 1997) without its local search, then one polish.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from scenes.alignment.batch import Prior
+from scenes.evidence import Evidence
+from scenes.frames import Contacts
+from scenes.objects import ObjectModel
+from touch.localize import Localization, refine_contacts
+from touch.searches.direct import BoxSettings, objective
+from touch.searches.published import conclude
+
+
+def localize(
+    model: ObjectModel, contacts: Contacts, seed: int, prior: Prior | None, extra: Evidence | None
+) -> Localization:
+    """The method behind `touch.localize(method="annealing")`."""
+    from scipy.optimize import dual_annealing
+
+    model.field  # noqa: B018  (built before anything is timed)
+    begin = time.perf_counter()
+    settings = BoxSettings()
+    cost, bounds, pose = objective(model, contacts, prior, settings)
+    found = dual_annealing(
+        cost,
+        bounds,
+        maxfun=settings.evaluations,
+        maxiter=settings.evaluations,
+        no_local_search=True,
+        rng=np.random.default_rng(seed),
+    )
+    polished = refine_contacts(model, contacts, pose(found.x)[None]).poses
+    return conclude(model, contacts, polished, "annealing", begin, None, extra)
