@@ -204,8 +204,9 @@ def search_stages(blur: float, near: bool) -> tuple[SearchStage, ...]:
             SearchStage(blur / 3, 0.25, 160, 10, 40),
         )
     return (
-        SearchStage(2 * blur, 0.6, 50, 6, 800),
-        SearchStage(blur, 0.4, 80, 8, 160),
+        SearchStage(3 * blur, 0.8, 40, 0, 1200),
+        SearchStage(2 * blur, 0.6, 40, 5, 400),
+        SearchStage(blur, 0.4, 60, 8, 120),
         SearchStage(blur / 3, 0.2, 160, 10, 40),
     )
 

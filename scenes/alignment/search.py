@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes import poses as se3
-from scenes.alignment.batch import Alignment, AlignSettings, Prior, align
+from scenes.alignment.batch import Alignment, AlignSettings, Prior, align, costs
 from scenes.errors import InputError
-from scenes.evidence import TOUCH, VISION, WEIGHT, Evidence
+from scenes.evidence import GATE_ABOVE, TOUCH, VISION, Evidence
 from scenes.objects import ObjectModel
 
 Array = NDArray[np.float64]
@@ -24,23 +24,33 @@ class SearchStage:
     # Blur of this pass: metres and radians (see AlignSettings).
     blur: float
     blur_normal: float
-    # Vision rows looked at (evenly over the table, weights scaled up to the same total); touch rows are few: all.
+    # Rows looked at (see `thin`).
     rows: int
-    # Steps per pose, and poses that go on to the next pass.
+    # Steps per pose (0: only ranked where they are), and poses that go on to the next pass.
     iterations: int
     keep: int
 
 
 def thin(evidence: Evidence, count: int) -> Evidence:
-    """About `count` vision rows, evenly spaced over the table, carrying the weight of all; every touch row."""
-    vision = np.flatnonzero(evidence.sense == VISION)
-    if len(vision) <= count:
+    """Every contact, and of the vision rows and of touch's OUTSIDE rows about `count` each, carrying the weight of all.
+
+    Rows are taken evenly over the table; contacts are few and each tells another thing.
+    """
+    silent = evidence.rows[:, GATE_ABOVE] == 0.0
+    chosen, factors = [], []
+    for group, most in (
+        (np.flatnonzero((evidence.sense == TOUCH) & ~silent), len(evidence)),
+        (np.flatnonzero((evidence.sense == VISION) & ~silent), count),
+        (np.flatnonzero((evidence.sense == VISION) & silent), count // 2),
+        (np.flatnonzero((evidence.sense == TOUCH) & silent), count // 2),
+    ):
+        most = max(1, min(most, len(group)))
+        if len(group):
+            chosen.append(group[(np.arange(most) * len(group)) // most])
+            factors.append(np.full(most, len(group) / most))
+    if not chosen or sum(map(len, chosen)) == len(evidence):
         return evidence
-    chosen = vision[(np.arange(count) * len(vision)) // count]
-    rows = np.concatenate([np.flatnonzero(evidence.sense == TOUCH), chosen])
-    few = evidence.take(rows)
-    few.rows[few.sense == VISION, WEIGHT] *= len(vision) / count
-    return few
+    return evidence.take(np.concatenate(chosen)).reweighted(np.concatenate(factors))
 
 
 def rotation_grid(count: int, rng: np.random.Generator | None = None) -> Array:
@@ -85,13 +95,12 @@ def search(
     result = None
     for stage in stages:
         rows = thin(evidence, stage.rows)
-        result = align(
-            model,
-            rows,
-            poses,
-            prior,
-            replace(settings, blur=stage.blur, blur_normal=stage.blur_normal, iterations=stage.iterations),
-        )
+        how = replace(settings, blur=stage.blur, blur_normal=stage.blur_normal, iterations=stage.iterations)
+        if stage.iterations:
+            result = align(model, rows, poses, prior, how)
+        else:
+            steps = np.zeros(len(poses), dtype=np.int64)
+            result = Alignment(poses, costs(model, rows, poses, prior, how), np.zeros((len(poses), 6, 6)), steps)
         ranked = result.costs if rank is None else result.costs + rank(result.poses, stage.blur)
         order = distinct_first(model, replace(result, costs=ranked), stage.keep)
         result = result.take(order)
