@@ -1,9 +1,6 @@
-"""What sensors do to the truth: depth cameras, contacts, joints, and the calibration between camera and robot.
+"""What sensors do to the truth: contacts, wrenches, joints, the calibration between camera and robot; presets of all.
 
-Depth errors of structured light follow Nguyen, Izadi and Lovell, "Modeling Kinect sensor noise for improved 3D
-reconstruction and tracking" (3DIMPVT 2012): axial noise that grows with depth and incidence, lateral noise in
-pixels. The lateral part moves the place that a pixel looks at, and depth is read in steps of disparity, both as in
-Handa et al., "A benchmark for RGB-D visual odometry, 3D reconstruction and SLAM" (ICRA 2014). Metres and radians.
+Depth images are in `depth_noise`. Metres, radians, newtons.
 """
 
 from __future__ import annotations
@@ -15,48 +12,53 @@ from numpy.typing import NDArray
 
 from scenes import poses
 from scenes.cameras import Camera
+from scenes.depth_noise import (
+    DepthErrors,
+    DepthNoise,
+    axial_sigma,
+    depth_steps,
+    draw_depth_errors,
+    incidence_angles,
+    lateral_sigma,
+    observed,
+    projector_shadow,
+    quantised,
+    smooth_field,
+)
 from scenes.errors import InputError
 from scenes.frames import DEFAULT_SIGMA_NORMAL, DEFAULT_SIGMA_POINT, Contacts
-from scenes.rendering import Rendering, region_rays
+from scenes.rendering import Rendering
+
+__all__ = [
+    "PRESETS",
+    "DepthErrors",
+    "DepthNoise",
+    "LastingErrors",
+    "NoisePreset",
+    "RobotNoise",
+    "TouchNoise",
+    "axial_sigma",
+    "camera_from_robot_error",
+    "depth_steps",
+    "draw_lasting_errors",
+    "incidence_angles",
+    "lateral_sigma",
+    "observe_contacts",
+    "observe_depth",
+    "observe_joints",
+    "observe_wrench",
+    "preset",
+    "projector_shadow",
+    "quantised",
+    "smooth_field",
+]
 
 Array = NDArray[np.float64]
 Depth = NDArray[np.float32]
 
-# Incidence is held below this (rad): the formulas diverge at 90 degrees, where no light comes back anyway.
-LARGEST_INCIDENCE = np.deg2rad(88.0)
 # Sigmas written beside perfect contacts: a sigma of 0 would be infinite trust (m, rad).
 SMALLEST_SIGMA_POINT = 1e-4
 SMALLEST_SIGMA_NORMAL = np.deg2rad(0.5)
-
-
-@dataclass(frozen=True)
-class DepthNoise:
-    """Every error of a depth image; each part is off at 0. Defaults: a structured-light camera without bias."""
-
-    # Share of the axial sigma of Nguyen et al. (no unit); 0 switches it off, 1 is their camera.
-    axial: float = 1.0
-    # Share of their lateral sigma (no unit).
-    lateral: float = 1.0
-    # Smallest step of disparity (px) and distance between projector and camera (m): Kinect, 1/8 px and 75 mm.
-    disparity_step: float = 0.125
-    baseline: float = 0.075
-    # Incidence at which readings begin to be lost and where all are (rad): 70 to 85 degrees; pi/2 for both is off.
-    grazing_start: float = float(np.deg2rad(70.0))
-    grazing_end: float = float(np.deg2rad(85.0))
-    # Readings lost at random (share of pixels).
-    dropout: float = 0.0
-    # Lose what the projector cannot light because something nearer stands in its way.
-    shadow: bool = False
-    # Share of the pixels beside a depth step that read a depth in between.
-    flying: float = 0.0
-    # A depth step: difference between neighbours above this (m).
-    step: float = 0.010
-    # Smooth error of depth over the image: standard deviation (m) and correlation length (px; correlation
-    # exp(-d^2 / 2 L^2)).
-    bias: float = 0.0
-    bias_length: float = 40.0
-    # Standard deviation of the depth scale (no unit), one draw per frame.
-    scale: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,15 @@ class TouchNoise:
     offset: float = 0.0
     # Standard deviation of force and torque, share of the largest component of each.
     wrench: float = 0.01
+    # Standard deviation of an offset along the normal that each fingertip has of its own (m): its shape is not the
+    # one in the sensors file.
+    shape: float = 0.0
+    # What each wrench sensor reads when nothing touches it, standard deviation per axis (N, N m), and how far that
+    # moves from frame to frame (N, N m; a random walk).
+    force_offset: float = 0.0
+    torque_offset: float = 0.0
+    force_drift: float = 0.0
+    torque_drift: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -96,6 +107,9 @@ class NoisePreset:
     robot: RobotNoise = field(default_factory=RobotNoise)
 
 
+# A fingertip force/torque sensor of 12 mm after taring: offsets of 20 mN and 0.1 N mm, drifting by a tenth of that.
+_LAB_TOUCH = TouchNoise(force_offset=0.02, torque_offset=1e-4, force_drift=0.002, torque_drift=1e-5)
+_LAB_ROBOT = RobotNoise(float(np.deg2rad(0.3)), 0.002, float(np.deg2rad(0.3)))
 _NO_DEPTH_NOISE = DepthNoise(axial=0, lateral=0, disparity_step=0, grazing_start=np.pi / 2, grazing_end=np.pi / 2)
 
 PRESETS: dict[str, NoisePreset] = {
@@ -106,8 +120,8 @@ PRESETS: dict[str, NoisePreset] = {
         NoisePreset(
             "lab",
             DepthNoise(flying=0.5, bias=0.002, scale=0.005),
-            TouchNoise(),
-            RobotNoise(float(np.deg2rad(0.3)), 0.002, float(np.deg2rad(0.3))),
+            _LAB_TOUCH,
+            _LAB_ROBOT,
         ),
         NoisePreset(
             "harsh",
@@ -121,9 +135,38 @@ PRESETS: dict[str, NoisePreset] = {
                 flying=0.8,
                 bias=0.004,
                 scale=0.01,
+                thin=5,
+                multipath=0.3,
             ),
-            TouchNoise(2 * DEFAULT_SIGMA_POINT, 2 * float(DEFAULT_SIGMA_NORMAL), 0.0005, 0.02),
+            TouchNoise(
+                2 * DEFAULT_SIGMA_POINT, 2 * float(DEFAULT_SIGMA_NORMAL), 0.0005, 0.02, 0.0005, 0.05, 3e-4, 5e-3, 3e-5
+            ),
             RobotNoise(float(np.deg2rad(0.6)), 0.004, float(np.deg2rad(0.6))),
+        ),
+        # The lab with other cameras. Time of flight reads no disparity and throws no shadow, but light takes detours;
+        # stereo has a baseline of 50 mm and windows of some pixels, in which thin parts vanish.
+        NoisePreset(
+            "lab-time-of-flight",
+            DepthNoise("time of flight", disparity_step=0, multipath=0.4, flying=0.8, bias=0.002, scale=0.003),
+            _LAB_TOUCH,
+            _LAB_ROBOT,
+        ),
+        NoisePreset(
+            "lab-stereo",
+            DepthNoise(
+                "stereo",
+                match_length=3.0,
+                lateral=0.5,
+                disparity_step=1 / 32,
+                baseline=0.05,
+                thin=7,
+                shadow=True,
+                flying=0.3,
+                bias=0.002,
+                scale=0.005,
+            ),
+            _LAB_TOUCH,
+            _LAB_ROBOT,
         ),
     )
 }
@@ -138,153 +181,71 @@ def preset(noise: str | NoisePreset) -> NoisePreset:
     return PRESETS[noise]
 
 
-def axial_sigma(z: Array, incidence: Array) -> Array:
-    """Standard deviation (m) of depth z (m) at an incidence (rad) between ray and normal (Nguyen et al., eq. 3, 4).
-
-    0.0012 + 0.0019 (z - 0.4)^2, and for an incidence above 60 degrees + 0.0001 / sqrt(z) theta^2 / (pi/2 - theta)^2.
-    """
-    theta = np.minimum(incidence, LARGEST_INCIDENCE)
-    safe = np.maximum(z, 0.05)  # nearer than any camera of the kind reads; keeps the square root finite
-    steep = 0.0001 / np.sqrt(safe) * theta**2 / (np.pi / 2 - theta) ** 2
-    return 0.0012 + 0.0019 * (z - 0.4) ** 2 + np.where(theta > np.deg2rad(60.0), steep, 0.0)
-
-
-def lateral_sigma(incidence: Array) -> Array:
-    """Standard deviation (px) of where a pixel looks: 0.8 + 0.035 theta / (pi/2 - theta) (Nguyen et al., eq. 2)."""
-    theta = np.minimum(incidence, LARGEST_INCIDENCE)
-    return 0.8 + 0.035 * theta / (np.pi / 2 - theta)
-
-
-def incidence_angles(rendering: Rendering, camera: Camera) -> Array:
-    """(h, w) angle (rad) between each pixel's ray and the surface normal there; 0 where nothing is seen."""
-    rays = region_rays(camera, rendering.region)
-    cosine = np.abs(np.einsum("hwi,hwi->hw", rays, rendering.normals)) / np.linalg.norm(rays, axis=2)
-    return np.where(rendering.ids >= 0, np.arccos(np.clip(cosine, 0.0, 1.0)), 0.0)
-
-
 def observe_depth(
-    rendering: Rendering, camera: Camera, noise: DepthNoise | NoisePreset | str, rng: np.random.Generator
+    rendering: Rendering,
+    camera: Camera,
+    noise: DepthNoise | NoisePreset | str,
+    rng: np.random.Generator,
+    errors: DepthErrors | None = None,
 ) -> Depth:
-    """The depth image (h, w) float32 metres, 0 = no reading, that a camera with these errors records of a view."""
-    settings = noise if isinstance(noise, DepthNoise) else preset(noise).depth
-    truth = rendering.depth.astype(np.float64)
-    shape = truth.shape
-    seen = truth > 0
-    incidence = incidence_angles(rendering, camera)
-    depth = truth
-    if settings.lateral > 0:
-        shift = rng.normal(size=(2, *shape)) * (settings.lateral * lateral_sigma(incidence))
-        depth = _looked_up(truth, rendering.ids, shift)
-        seen &= depth > 0
-    if settings.flying > 0:
-        depth = _flying(depth, truth, settings, rng)
-    if settings.axial > 0:
-        depth = depth + settings.axial * axial_sigma(depth, incidence) * rng.normal(size=shape)
-    if settings.bias > 0:
-        depth = depth + settings.bias * smooth_field(shape, settings.bias_length, rng)
-    if settings.scale > 0:
-        depth = depth * (1.0 + settings.scale * rng.normal())
-    if settings.disparity_step > 0:
-        depth = quantised(depth, camera.fx * settings.baseline, settings.disparity_step)
-    if settings.grazing_start < np.pi / 2:
-        ramp = (incidence - settings.grazing_start) / max(settings.grazing_end - settings.grazing_start, 1e-9)
-        seen &= rng.random(shape) >= np.clip(ramp, 0.0, 1.0)
-    if settings.dropout > 0:
-        seen &= rng.random(shape) >= settings.dropout
-    if settings.shadow:
-        seen &= ~projector_shadow(truth, camera.fx * settings.baseline)
-    return np.where(seen & (depth > 0), depth, 0.0).astype(np.float32)
+    """As `depth_noise.observed`, for the settings of a preset too."""
+    return observed(rendering, camera, noise if isinstance(noise, DepthNoise) else preset(noise).depth, rng, errors)
 
 
-def _looked_up(truth: Array, ids: NDArray[np.int32], shift: Array) -> Array:
-    """Depth at each pixel moved by shift (2, h, w) px in (u, v): inverse depth, which is linear in the image on a
-    plane, is interpolated within one instance; across instances or steps the nearest pixel is read.
+@dataclass(frozen=True)
+class LastingErrors:
+    """What is wrong in the same way in every frame of a recording: one camera, one calibration, the same fingers.
+
+    depth: see DepthErrors. camera_from_robot (4, 4), see camera_from_robot_error. joints: name -> rad. tip: offset of
+    all contacts (m), tips: of each sensor's (m). wrenches: sensor -> (6,) offset of force and torque (N, N m).
     """
-    height, width = truth.shape
-    v, u = np.mgrid[0:height, 0:width]
-    x = np.clip(u + shift[0], 0.0, width - 1.0)
-    y = np.clip(v + shift[1], 0.0, height - 1.0)
-    x0, y0 = np.minimum(x.astype(int), max(width - 2, 0)), np.minimum(y.astype(int), max(height - 2, 0))
-    x1, y1 = np.minimum(x0 + 1, width - 1), np.minimum(y0 + 1, height - 1)
-    a, b = x - x0, y - y0
-    flat = np.divide(1.0, truth, out=np.zeros_like(truth), where=truth > 0)
-    corners = [(y0, x0), (y0, x1), (y1, x0), (y1, x1)]
-    values = np.stack([flat[c] for c in corners])
-    inverse = (values * np.stack([(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b])).sum(axis=0)
-    owners = np.stack([ids[c] for c in corners])
-    whole = (owners == owners[0]).all(axis=0) & (values.min(axis=0) > 0)
-    # Two percent of inverse depth between neighbours is a step (12 mm at 0.6 m) even within one instance
-    whole &= values.max(axis=0) < 1.02 * values.min(axis=0)
-    nearest = truth[np.rint(y).astype(int), np.rint(x).astype(int)]
-    return np.where(whole, np.divide(1.0, inverse, out=np.zeros_like(inverse), where=whole), nearest)
+
+    depth: DepthErrors
+    camera_from_robot: Array
+    joints: dict[str, float]
+    tip: float
+    tips: dict[str, float]
+    wrenches: dict[str, Array]
+
+    def drifted(self, noise: TouchNoise, rng: np.random.Generator) -> LastingErrors:
+        """The same one frame later: wrench sensors have drifted."""
+        step = np.repeat([noise.force_drift, noise.torque_drift], 3)
+        wrenches = {name: offset + step * rng.normal(size=6) for name, offset in self.wrenches.items()}
+        return LastingErrors(self.depth, self.camera_from_robot, self.joints, self.tip, self.tips, wrenches)
 
 
-def depth_steps(depth: Array, step: float) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Pixels (h, w) beside a jump above `step` (m), and the nearest and farthest depth among their 3 x 3 neighbours.
+def draw_lasting_errors(
+    noise: NoisePreset, camera: Camera, joints: list[str], sensors: list[str], rng: np.random.Generator
+) -> LastingErrors:
+    """One recording's draw, for these joints and touch sensors."""
+    step = np.repeat([noise.touch.force_offset, noise.touch.torque_offset], 3)
+    return LastingErrors(
+        draw_depth_errors(camera, noise.depth, rng),
+        camera_from_robot_error(noise.robot, rng),
+        observe_joints(dict.fromkeys(joints, 0.0), noise.robot, rng),
+        noise.touch.offset * rng.normal(),
+        {name: noise.touch.shape * rng.normal() for name in sensors},
+        {name: step * rng.normal(size=6) for name in sensors},
+    )
 
-    Pixels without a reading neither make a jump nor are beside one.
+
+def observe_contacts(
+    contacts: Contacts, noise: TouchNoise, rng: np.random.Generator, errors: LastingErrors | None = None
+) -> Contacts:
+    """The contacts with the sensors' independent errors, each sensor's own offset and the common one.
+
+    errors: the recording's lasting ones; without them the offsets are drawn anew. The sigmas written are those of the
+    independent errors: nobody tells an estimator of the rest.
     """
-    from scipy.ndimage import maximum_filter, minimum_filter
-
-    near = minimum_filter(np.where(depth > 0, depth, np.inf), size=3, mode="nearest")
-    far = maximum_filter(depth, size=3, mode="nearest")
-    return (depth > 0) & (far - near > step), near, far
-
-
-def _flying(depth: Array, truth: Array, settings: DepthNoise, rng: np.random.Generator) -> Array:
-    edge, near, far = depth_steps(truth, settings.step)
-    chosen = edge & (rng.random(depth.shape) < settings.flying)
-    share = rng.random(depth.shape)
-    return np.where(chosen, share * np.where(chosen, near, 0.0) + (1 - share) * far, depth)
-
-
-def smooth_field(shape: tuple[int, ...], length: float, rng: np.random.Generator) -> Array:
-    """Gaussian random field over (h, w) pixels: mean 0, variance 1, correlation exp(-d^2 / (2 length^2)).
-
-    White noise on a lattice of length / 4 is smoothed by a Gaussian of length / sqrt(2), whose correlation with
-    itself is the one asked for, and read off at the pixels by cubic interpolation.
-    """
-    from scipy.ndimage import gaussian_filter, map_coordinates
-
-    pitch = max(1.0, length / 4.0)
-    sigma = length / np.sqrt(2.0) / pitch
-    margin = int(np.ceil(4 * sigma))
-    size = [int(np.ceil(n / pitch)) + 2 * margin + 2 for n in shape]
-    smooth = gaussian_filter(rng.normal(size=size), sigma, mode="wrap", truncate=5.0)
-    # Variance of the smoothed noise: the sum of the squared kernel, separable
-    reach = np.arange(-int(5.0 * sigma + 0.5), int(5.0 * sigma + 0.5) + 1)
-    kernel = np.exp(-0.5 * (reach / sigma) ** 2)
-    kernel /= kernel.sum()
-    grid = np.meshgrid(*[margin + np.arange(n) / pitch for n in shape], indexing="ij")
-    return np.asarray(map_coordinates(smooth, grid, order=3, mode="nearest") / np.sum(kernel**2))
-
-
-def quantised(depth: Array, focal_baseline: float, step: float) -> Array:
-    """Depth (m) read through disparity focal_baseline / depth (px m / m) rounded to whole steps (px)."""
-    safe = np.where(depth > 0, depth, 1.0)
-    steps = np.maximum(np.rint(focal_baseline / safe / step), 1.0)
-    return np.where(depth > 0, focal_baseline / (steps * step), 0.0)
-
-
-def projector_shadow(depth: Array, focal_baseline: float) -> NDArray[np.bool_]:
-    """Pixels (h, w) that a projector `baseline` to the right of the camera (+x) cannot light.
-
-    The projector sees pixel column u at column u - focal_baseline / depth of its own. Going right in the camera's
-    image its column must grow; a pixel with a greater one than some pixel to its right lies behind that one.
-    """
-    columns = np.arange(depth.shape[1]) - focal_baseline / np.where(depth > 0, depth, np.inf)
-    columns = np.where(depth > 0, columns, np.inf)
-    least = np.minimum.accumulate(columns[:, ::-1], axis=1)[:, ::-1]
-    # Half a pixel of slack: neighbours on one steep surface are not each other's shadow
-    return np.asarray((depth > 0) & (columns > least + 0.5))
-
-
-def observe_contacts(contacts: Contacts, noise: TouchNoise, rng: np.random.Generator) -> Contacts:
-    """The contacts with the sensors' independent errors and their common offset; sigmas are those of the noise."""
     n = len(contacts)
-    offset = noise.offset * rng.normal()
+    offset = np.full(n, noise.offset * rng.normal() if errors is None else errors.tip)
     points = contacts.points + noise.point * rng.normal(size=(n, 3))
-    points = points + offset * np.nan_to_num(contacts.normals)
+    if errors is not None:
+        offset += [errors.tips.get(name, 0.0) for name in contacts.sensors]
+    elif noise.shape > 0:
+        own = {name: noise.shape * rng.normal() for name in dict.fromkeys(contacts.sensors)}
+        offset += [own[name] for name in contacts.sensors]
+    points = points + offset[:, None] * np.nan_to_num(contacts.normals)
     normals = contacts.normals.copy()
     known = contacts.has_normal
     tilt = noise.normal * rng.normal(size=(n, 3))
@@ -298,6 +259,19 @@ def observe_contacts(contacts: Contacts, noise: TouchNoise, rng: np.random.Gener
         contacts.sensors,
         contacts.forces,
     )
+
+
+def observe_wrench(
+    sensor: str, wrench: Array, noise: TouchNoise, rng: np.random.Generator, errors: LastingErrors | None = None
+) -> Array:
+    """A wrench (6,) (N, N m) as its sensor tells it: noise in proportion, an offset, and what has drifted."""
+    sigma = noise.wrench * np.repeat([np.abs(wrench[:3]).max(), np.abs(wrench[3:]).max()], 3)
+    measured = wrench + sigma * rng.normal(size=6)
+    if errors is not None:
+        return np.asarray(measured + errors.wrenches.get(sensor, 0.0))
+    if noise.force_offset > 0 or noise.torque_offset > 0:
+        measured = measured + np.repeat([noise.force_offset, noise.torque_offset], 3) * rng.normal(size=6)
+    return np.asarray(measured)
 
 
 def observe_joints(joints: dict[str, float], noise: RobotNoise, rng: np.random.Generator) -> dict[str, float]:

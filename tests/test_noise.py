@@ -242,5 +242,5 @@ def test_joint_noise_and_presets():
     assert list(seen) == list(joints)
     assert np.std([seen[k] - joints[k] for k in joints]) == pytest.approx(np.deg2rad(0.3), rel=0.06)
     assert noise.preset("lab") is noise.preset(noise.PRESETS["lab"])
-    with pytest.raises(InputError, match="none, clean, lab, harsh"):
+    with pytest.raises(InputError, match="none, clean, lab, harsh, lab-time-of-flight, lab-stereo"):
         noise.preset("loud")
