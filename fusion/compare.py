@@ -38,7 +38,7 @@ SENSES = {"vision": ("vision",), "touch": ("touch",), "fused": ("vision", "touch
 @dataclass(frozen=True)
 class Row:
     """One method on one frame. pose (4, 4) camera_from_object; errors None without ground truth; estimate None for ICP;
-    verdict "ok", "ambiguous" or "lost"; time_ms.
+    verdict "ok", "ambiguous" or "lost", "" of a method that does not judge itself; time_ms.
     """
 
     capture: str
@@ -177,7 +177,7 @@ def _summary(group: str, method: str, rows: list[Row], success: float) -> Summar
         median(1e3 * row.agreement.cloud for row in rows),
         median(1e3 * row.agreement.contacts for row in rows),
         median(row.time_ms for row in rows),
-        dict(Counter(row.verdict for row in rows)),
+        dict(Counter(row.verdict for row in rows if row.verdict)),
     )
 
 
@@ -190,7 +190,8 @@ def _run(method: str, frame: Frame, model: ObjectModel, seed: int) -> tuple[Arra
     points = crop_points(frame, model, start) if method == "icp" else object_points(frame, model, start)
     spent = 1e3 * (time.perf_counter() - began)
     result = icp(points, model, start)
-    return result.pose, "lost" if result.degenerate else "ok", spent + result.ms, None
+    # ICP cannot judge itself; only a degenerate cloud gives it away
+    return result.pose, "lost" if result.degenerate else "", spent + result.ms, None
 
 
 def _centred(frame: Frame, model: ObjectModel) -> Array:

@@ -132,7 +132,7 @@ def _estimate(
         refined = align(model, rows, found.poses, believed, AlignSettings(iterations=30))
         past = sight.costs(refined.poses)
         modes = distinct_modes(model, replace(refined, costs=refined.costs + past), settings.modes)
-        stage.note(len(rows), f"{len(modes)} minima, best costs {past.min():.1f} for what the camera saw past it")
+        stage.note(len(rows), f"minima: {len(modes)}; what the camera saw past the best costs {past.min():.1f}")
     with trace.stage("solve together", True, "") as stage:
         problem = joint.JointProblem(
             model,

@@ -87,7 +87,7 @@ def test_every_method_finds_an_unhidden_box(methods):
     assert [row.method for row in rows] == list(methods)
     for row in rows:
         assert row.time_ms > 0
-        assert row.verdict in ("ok", "ambiguous", "lost")
+        assert row.verdict in (("", "lost") if row.method.startswith("icp") else ("ok", "ambiguous", "lost"))
         assert (row.estimate is None) == row.method.startswith("icp")
         if row.method != "touch":
             assert row.errors is not None
