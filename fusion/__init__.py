@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fusion.answer import Estimate
-    from fusion.estimation import EstimateSettings, estimate
+    from fusion.estimation import estimate
+    from fusion.stages import EstimateSettings
 
 __all__ = ["Estimate", "EstimateSettings", "estimate"]
 
-_HOMES = {"Estimate": "fusion.answer", "EstimateSettings": "fusion.estimation", "estimate": "fusion.estimation"}
+_HOMES = {"Estimate": "fusion.answer", "EstimateSettings": "fusion.stages", "estimate": "fusion.estimation"}
 
 
 def __getattr__(name: str) -> Any:

@@ -20,6 +20,7 @@ for a few levels (a well-calibrated rig, a usual one, a poor one) and the level 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +31,14 @@ from scenes import poses as se3
 from scenes.alignment import Prior
 from scenes.cameras import Camera
 from scenes.evidence import FACING, GATE_ABOVE, GATE_BELOW, NORMAL, OFFSET, POINT, SIGMA, WEIGHT, Evidence
+from scenes.frames import Frame
 from scenes.objects import ObjectModel
 from vision.clouds import DepthModel
 from vision.hand_view import CalibrationModel, HandView, prior_information
+from vision.segmentation import Segments
+
+if TYPE_CHECKING:
+    from fusion.stages import EstimateSettings
 
 Array = NDArray[np.float64]
 
@@ -78,6 +84,11 @@ class JointResult:
     log_evidence: float
     level: float
 
+    @property
+    def millimetres(self) -> float:
+        """How far the calibration was off at `centre`."""
+        return 1e3 * float(np.linalg.norm(self.xi[3:]))
+
     def correct(self) -> Array:
         """camera_from_camera transform that moves what the robot reports to where it is."""
         return se3.perturb(np.eye(4), self.xi, self.centre)
@@ -103,6 +114,33 @@ class JointProblem:
     has_robot: bool = True
     told_apart: bool = True
     settings: JointSettings = field(default_factory=JointSettings)
+
+    @staticmethod
+    def of(
+        model: ObjectModel,
+        frame: Frame,
+        looked: Segments,
+        seen: Evidence,
+        felt: Evidence,
+        prior: Prior | None,
+        hand: HandView | None,
+        settings: EstimateSettings,
+    ) -> JointProblem:
+        """From a frame's evidence. A cloud and its contacts were recorded in one frame: no calibration between them."""
+        has_image = frame.depth is not None
+        return JointProblem(
+            model,
+            seen,
+            felt,
+            prior,
+            hand,
+            settings.depth,
+            settings.calibration,
+            frame.camera if has_image else None,
+            has_robot=has_image,
+            told_apart=looked.told_apart,
+            settings=settings.joint,
+        )
 
     def __post_init__(self) -> None:
         """Lay the inducing pixels and the hand's constant block."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
-from fusion.answer import Stage
+from fusion.answer import Estimate, Stage
 
 
 class _Running:
@@ -43,6 +44,11 @@ class Trace:
     def over_budget(self) -> bool:
         """Whether optional work should be skipped."""
         return self._budget is not None and self.spent_ms > self._budget
+
+    def skipping(self, answer: Estimate, name: str, why: str) -> Estimate:
+        """The answer with a line of its trace rewritten: stage `name` was skipped, for this reason."""
+        stages = tuple(Stage(name, False, why) if s.name == name and not s.ran else s for s in answer.trace)
+        return replace(answer, trace=stages)
 
     @contextmanager
     def stage(self, name: str, run: bool, why_not: str) -> Iterator[_Running]:

@@ -39,9 +39,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when a frame's answer is lost."""
-    from fusion.estimation import check_senses, estimate
+    from fusion.estimation import estimate
     from fusion.judging import Judge
     from fusion.results import frame_errors, result_json, write_results
+    from fusion.stages import check_senses
     from scenes.captures import read_capture
     from scenes.validation import check_usable
 

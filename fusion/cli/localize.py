@@ -20,6 +20,9 @@ METHODS = (
     "direct",
     "annealing",
     "mupf",
+    "upf",
+    "particle-filter",
+    "annealed-particle-filter",
     "scaling-series",
     "icp",
 )

@@ -1,0 +1,176 @@
+"""The steps of an estimate that need more than a line, and their settings. Camera frame, metres, radians."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion import joint, posterior
+from fusion.answer import Estimate
+from fusion.trace import Trace
+from scenes import poses as se3
+from scenes.alignment import Alignment, Prior
+from scenes.alignment.modes import Mode, ModeSettings, distinct_modes
+from scenes.alignment.search import SearchStage, starts_around
+from scenes.errors import InputError
+from scenes.frames import Contacts, Frame
+from scenes.objects import ObjectModel
+from touch.contacts import contact_starts
+from vision.clouds import DepthModel
+from vision.hand_view import CalibrationModel
+from vision.segmentation import SegmentationSettings
+from vision.starts import pixel_starts
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class EstimateSettings:
+    """The whole estimate; each stage's own settings are nested."""
+
+    # Width of a coarse start given without one, per axis: T1's 16 degrees and 33 mm in a random direction.
+    prior_angle: float = float(np.deg2rad(10.0))
+    prior_distance: float = 0.02
+    # Starts drawn around a prior, and without one.
+    starts_near: int = 320
+    starts_global: int = 4000
+    # Object pixels of the last stage.
+    pixels: int = 500
+    # First blur of the search as a share of the object's radius, and its limits in metres.
+    blur_share: float = 0.14
+    blur_limits: tuple[float, float] = (0.004, 0.015)
+    # A contact is as likely a false one at this many sigmas.
+    contact_gate: float = 4.0
+    segmentation: SegmentationSettings = field(default_factory=SegmentationSettings)
+    depth: DepthModel = field(default_factory=DepthModel)
+    calibration: CalibrationModel = field(default_factory=CalibrationModel)
+    joint: joint.JointSettings = field(default_factory=joint.JointSettings)
+    modes: ModeSettings = field(default_factory=ModeSettings)
+    verdict: posterior.VerdictSettings = field(default_factory=posterior.VerdictSettings)
+
+
+def check_senses(use: Iterable[str]) -> frozenset[str]:
+    """The senses asked for; raises InputError for none or unknown ones."""
+    senses = frozenset([use] if isinstance(use, str) else use)
+    if not senses or senses - {"vision", "touch"}:
+        raise InputError(f"use: expected vision, touch or both, got {', '.join(sorted(senses)) or 'nothing'}")
+    return senses
+
+
+def check_limits(tolerance: tuple[float, float] | None, budget_ms: float | None) -> None:
+    """Raises InputError for a tolerance that is not two positive numbers (m, rad) or a budget below 0 ms."""
+    if tolerance is not None and (len(tolerance) != 2 or not all(np.isfinite(t) and t > 0 for t in tolerance)):
+        raise InputError(f"tolerance: expected metres and radians above 0, got {tolerance}")
+    if budget_ms is not None and not budget_ms >= 0:
+        raise InputError(f"budget: expected milliseconds from 0, got {budget_ms}")
+
+
+def good_enough(answer: Estimate, tolerance: tuple[float, float]) -> bool:
+    """Whether an answer is sure and its largest standard deviations are within tolerance (m, rad)."""
+    if answer.verdict != "ok" or answer.unobservable:
+        return False
+    turn, move = (float(np.linalg.eigvalsh(answer.covariance[k : k + 3, k : k + 3]).max()) for k in (0, 3))
+    return move <= tolerance[0] ** 2 and turn <= tolerance[1] ** 2
+
+
+def as_prior(prior: Array | Prior | None, settings: EstimateSettings) -> Prior | None:
+    """A Gaussian on the pose from what the caller gave."""
+    if prior is None or isinstance(prior, Prior):
+        return prior
+    return Prior.isotropic(se3.check_pose(prior, "prior"), settings.prior_angle, settings.prior_distance)
+
+
+def search_stages(blur: float, near: bool) -> tuple[SearchStage, ...]:
+    """Coarse to fine: wide starts need more survivors than those around a prior."""
+    if near:
+        return (
+            SearchStage(blur, 0.5, 80, 8, 80),
+            SearchStage(blur / 3, 0.25, 160, 10, 40),
+        )
+    return (
+        SearchStage(3 * blur, 0.8, 40, 0, 1200),
+        SearchStage(2 * blur, 0.6, 40, 5, 400),
+        SearchStage(blur, 0.4, 60, 8, 120),
+        SearchStage(blur / 3, 0.2, 160, 10, 40),
+    )
+
+
+def hand_from_object(frame: Frame, pose: Array, correction: Array) -> Array | None:
+    """(4, 4) pose of the object in the hand, with the calibration as corrected; None without a hand pose."""
+    if frame.world_from_hand is None:
+        return None
+    return se3.inverse(correction @ frame.camera_from_world @ frame.world_from_hand) @ pose
+
+
+def starts_of(
+    model: ObjectModel,
+    prior: Prior | None,
+    pixels: Array,
+    contacts: Contacts,
+    settings: EstimateSettings,
+    rng: np.random.Generator,
+) -> Array:
+    """Starts (n, 4, 4): draws from the prior, or from contacts and pixels when there is none."""
+    if prior is not None:
+        sigma = np.sqrt(1.0 / np.maximum(np.diag(prior.information), 1e-12))
+        return starts_around(
+            model,
+            prior.pose,
+            float(min(sigma[:3].max(), np.pi / 3)),
+            float(min(sigma[3:].max(), model.diameter)),
+            settings.starts_near,
+            rng,
+        )
+    parts = []
+    if len(contacts):
+        parts.append(contact_starts(model, contacts, settings.starts_global // (2 if len(pixels) else 1), rng))
+    if len(pixels):
+        parts.append(pixel_starts(model, pixels, settings.starts_global // (2 if parts else 1), rng))
+    return np.concatenate(parts)
+
+
+def rejudged(
+    model: ObjectModel, solved: list[joint.JointResult], past: Array, settings: EstimateSettings
+) -> tuple[Mode, ...]:
+    """The modes after the joint solution: its poses, costs and covariances; weights by Laplace's method."""
+    hessians = np.array([np.linalg.inv(s.covariance) for s in solved])
+    poses, costs = np.array([s.pose for s in solved]), np.array([s.cost + c for s, c in zip(solved, past)])
+    return distinct_modes(
+        model, Alignment(poses, costs, hessians, np.zeros(len(solved), dtype=np.int64)), settings.modes
+    )
+
+
+def no_answer(
+    frame: Frame, model: ObjectModel, prior: Prior | None, trace: Trace, settings: EstimateSettings
+) -> Estimate:
+    """No row of evidence at all: the prior (or the identity), as wide as it is, and the verdict lost."""
+    pose = prior.pose if prior is not None else np.eye(4)
+    information = prior.information if prior is not None else np.zeros((6, 6))
+    nothing = Alignment(pose[None], np.zeros(1), information[None], np.zeros(1, dtype=np.int64))
+    modes = distinct_modes(model, nothing, settings.modes)
+    return Estimate(
+        frame.index,
+        pose,
+        modes[0].covariance,
+        modes,
+        "lost",
+        posterior.unobservable(model, pose, modes[0].covariance, settings.verdict),
+        hand_from_object(frame, pose, np.eye(4)),
+        0.0,
+        trace.stages,
+        notes=("no evidence: no pixel of the object and no contact",),
+        start=prior.pose if prior is not None else None,
+    )
+
+
+def blind(frame: Frame) -> Frame:
+    """The frame without what a camera gave."""
+    return replace(frame, depth=None, rgb=None, mask=None, cloud=None, cloud_colours=None)
+
+
+def numb(frame: Frame) -> Frame:
+    """The frame without what touch gave."""
+    return replace(frame, contacts=Contacts(np.zeros((0, 3))), no_contact=None, wrenches=(), tactile={})
