@@ -1,5 +1,5 @@
 """Intrinsic contact sensing: from the wrench on a convex fingertip to the contact point (Bicchi, Salisbury & Brock
-1993; T1 section 2.2.1). Spherical fingertips, rigid, in closed form.
+1993; T1 section 2.2.1). Spherical fingertips, rigid, in closed form here; other shapes and soft layers in `fingertips`.
 
 A soft finger pressed at p on its surface S(p) = 0 by a force F feels the moment M = p x F + k grad S(p): only a moment
 about the normal is transmitted (T1 eq. 2.3). On a sphere of radius R about the sensor's origin the normal is p / R,
@@ -9,6 +9,9 @@ and with K = 2k:   M = p x F + (K / R^2) ... p, solved by one quadratic for K.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +88,8 @@ def wrench_contacts(frame: Frame) -> Contacts:
 
     Raises CaptureError for wrenches without a hand, joints or a surface to solve on.
     """
+    from touch.fingertips import SoftLayer, tip_contacts  # which builds on the sphere above
+
     if not frame.wrenches:
         return Contacts(np.zeros((0, 3)))
     if frame.hand is None or frame.joints is None or frame.world_from_hand is None:
@@ -96,18 +101,37 @@ def wrench_contacts(frame: Frame) -> Contacts:
         if sensor is None:
             known = ", ".join(frame.hand.sensors)
             raise CaptureError(f"{frame.where}: expected a sensor of the hand ({known}), got {wrench.sensor}")
-        radius = sensor.radius
-        if radius is None:
-            raise CaptureError(f"{frame.where}: sensor {wrench.sensor} needs a sphere as its surface")
-        point, _, valid = sphere_contact(wrench.force, wrench.torque, radius)
-        if not valid[0]:
+        if sensor.surface is None:
+            raise CaptureError(f"{frame.where}: sensor {wrench.sensor} needs a surface to solve its wrench on")
+        surface = _with_mesh(sensor.surface, f"{frame.where}: sensor {wrench.sensor}")
+        found = tip_contacts(wrench.force, wrench.torque, surface, SoftLayer.parse(sensor.soft_layer))
+        if not found.valid[0]:
             continue
         world_from_sensor = frame.world_from_hand @ hand_from_sensor[wrench.sensor]
-        points.append(world_from_sensor[:3, :3] @ point[0] + world_from_sensor[:3, 3])
+        points.append(world_from_sensor[:3, :3] @ found.points[0] + world_from_sensor[:3, 3])
         # the fingertip's outward normal looks into the object: the object's looks back
-        normals.append(world_from_sensor[:3, :3] @ (-point[0] / radius))
+        normals.append(world_from_sensor[:3, :3] @ -found.normals[0])
         forces.append(world_from_sensor[:3, :3] @ wrench.force)
         names.append(wrench.sensor)
     if not points:
         return Contacts(np.zeros((0, 3)))
     return Contacts(points, normals, np.full(len(points), DEFAULT_SIGMA_POINT), DEFAULT_SIGMA_NORMAL, names, forces)
+
+
+def _with_mesh(surface: dict[str, dict[str, Any]], where: str) -> dict[str, dict[str, Any]]:
+    """The surface; a mesh with its convex hull's vertices and faces beside the name of its file."""
+    if "mesh" not in surface or "vertices" in surface["mesh"]:
+        return surface
+    path = Path(surface["mesh"]["file"])
+    if not path.is_file():
+        raise CaptureError(f"{where}: expected the mesh of its surface, found no file {path}")
+    return {"mesh": dict(zip(("vertices", "faces"), _hull(path, path.stat().st_mtime_ns)))}
+
+
+@lru_cache(maxsize=32)
+def _hull(path: Path, changed: int) -> tuple[Array, NDArray[np.int64]]:
+    """Read once for every state of the file."""
+    import trimesh
+
+    hull = trimesh.convex.convex_hull(trimesh.load_mesh(path).vertices)
+    return np.asarray(hull.vertices, dtype=np.float64), np.asarray(hull.faces, dtype=np.int64)
