@@ -75,6 +75,7 @@ def close(
     mesh.update_vertices(np.isin(np.arange(len(vertices)), used))
     mesh.merge_vertices(digits_vertex=digits, merge_tex=True, merge_norm=True)
     mesh.update_faces(mesh.nondegenerate_faces(height=1e-12 * diameter))
+    mesh.update_faces(_without_fins(np.asarray(mesh.faces)))
     mesh.update_faces(mesh.unique_faces())
     mesh.remove_unreferenced_vertices()
     if len(mesh.faces) == 0:
@@ -113,6 +114,25 @@ def close(
             f"{name}: expected a solid, got a mesh of volume {mesh.volume:.3g} for a diameter of {diameter:.3g}"
         )
     return np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int64), mended
+
+
+def _without_fins(faces: Faces) -> NDArray[np.bool_]:
+    """Triangles to keep (m,): not two of the same corners wound against each other (a fin without volume, as mesh
+    simplification leaves them), where dropping both leaves no edge of theirs open.
+    """
+    keep = np.ones(len(faces), dtype=bool)
+    _, group, size = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True)
+    for number in np.flatnonzero(size == 2):
+        pair = np.flatnonzero(group.ravel() == number)
+        first, second = (np.roll(faces[i], -int(np.argmin(faces[i]))) for i in pair)
+        if first[1] == second[1]:
+            continue  # the same triangle twice
+        rest = np.delete(faces, pair, axis=0)
+        left = [
+            int(((rest == a).any(axis=1) & (rest == b).any(axis=1)).sum()) for a, b in zip(first, np.roll(first, 1))
+        ]
+        keep[pair] = not all(count in (0, 2) for count in left)
+    return keep
 
 
 def _is_clean(vertices: Array, faces: Faces, diameter: float) -> bool:

@@ -175,3 +175,14 @@ def test_winding_numbers_agree_with_the_reference(rng):
     points = rng.uniform(model.vertices.min(axis=0) - 0.02, model.vertices.max(axis=0) + 0.02, size=(100, 3))
     ours = mesh_repair.winding_numbers(model.vertices, model.faces, points)
     assert np.allclose(ours, igl.winding_number(model.vertices, model.faces, points), atol=1e-9)
+
+
+def test_a_fin_without_volume_goes_and_leaves_no_hole():
+    vertices, faces = ball(2)
+    # two triangles, wound against each other, stand on one edge: simplified scans have them
+    a, b = faces[0][:2]
+    other = int(np.setdiff1d(faces[np.isin(faces, [a]).any(axis=1)], faces[0])[0])
+    finned = np.concatenate([faces, [[a, b, other], [b, a, other]]])
+    mesh, _ = closed(vertices, finned)
+    assert mesh.is_watertight
+    assert len(mesh.faces) == len(faces)

@@ -2,5 +2,6 @@
 
 from scenes.frames import Contacts
 from touch.localize import Localization, localize
+from touch.recognition import Identification, identify
 
-__all__ = ["Contacts", "Localization", "localize"]
+__all__ = ["Contacts", "Identification", "Localization", "identify", "localize"]

@@ -39,6 +39,9 @@ METHODS = {
     "direct": "touch.searches.direct:localize",
     "annealing": "touch.searches.annealing:localize",
     "mupf": "touch.searches.memory_unscented_particle_filter:localize",
+    "upf": "touch.searches.memory_unscented_particle_filter:upf",
+    "particle-filter": "touch.searches.particle_filters:plain",
+    "annealed-particle-filter": "touch.searches.particle_filters:annealed",
     "scaling-series": "touch.searches.scaling_series:localize",
     "icp": "touch.searches.contact_icp:localize",
 }

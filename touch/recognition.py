@@ -1,0 +1,276 @@
+"""Which of several known objects was touched (T1 section 6.2.1, T2 chapter 5).
+
+Every candidate is searched for in batches; those that fit far worse than the best are given up early. Two likelihoods
+are told: the published one, 1/G normalised, and the marginal likelihood over the pose (Laplace, all modes) and over the
+unknown scale of the noise, in which contacts that err alike count once. Contacts' frame, metres.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes import evidence as tables
+from scenes import poses as se3
+from scenes.alignment.batch import Alignment, AlignSettings, align, costs
+from scenes.alignment.modes import distinct_modes
+from scenes.alignment.search import SearchStage, search
+from scenes.errors import InputError
+from scenes.evidence import Evidence
+from scenes.frames import Contacts
+from scenes.objects import ObjectModel
+from touch.localize import contact_starts
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RecognitionSettings:
+    """The search of every candidate, and what its fit is worth."""
+
+    # Starts of every candidate, and again of those still in play.
+    starts: int = 1000
+    more_starts: int = 2000
+    # Contacts looked at by the first passes and by the last ones, evenly chosen.
+    few_contacts: int = 36
+    most_contacts: int = 150
+    # Poses kept after the passes.
+    keep: tuple[int, int] = (250, 50)
+    # A candidate whose index is this many times the best's, and this much (m) above it, is given up.
+    hopeless_ratio: float = 2.5
+    hopeless_above: float = 1.5e-3
+    # Noise of a contact, metres: no mesh is truer than the first, no finger worse than the second. The scale between
+    # them is integrated over with equal weight per factor.
+    least_noise: float = 0.5e-3
+    largest_noise: float = 0.015
+    # Contacts count at most for this many independent ones: errors of the mesh and of the calibration are shared.
+    most_independent: float = 25.0
+    # Share of the likelihood at which the answer is sure.
+    sure: float = 0.95
+    # Where a contact is as likely a false one, in sigmas of the inferred noise.
+    gate: float = 4.0
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One object: index, mean |distance| of all contacts at its best pose (m); likelihood, share of the marginal
+    likelihood; inverse_cost, share of 1/G (T1 section 6.2.1); pose (4, 4) contacts_frame_from_object; given_up: the
+    search ended early because nothing near the best was in sight.
+    """
+
+    name: str
+    index: float
+    likelihood: float
+    inverse_cost: float
+    pose: Array
+    given_up: bool
+
+
+@dataclass(frozen=True)
+class Identification:
+    """candidates, the likeliest first; best, its name; verdict: ok, ambiguous, or lost when nothing fits; margin: log
+    of its likelihood over the next one's; sigma, inferred noise of a contact (m); independent: how many contacts count.
+    """
+
+    best: str
+    verdict: str
+    candidates: tuple[Candidate, ...]
+    margin: float
+    sigma: float
+    independent: float
+    time_s: float
+
+
+def identify(
+    models: Sequence[ObjectModel],
+    contacts: Contacts,
+    seed: int = 0,
+    extra: Evidence | None = None,
+    settings: RecognitionSettings | None = None,
+) -> Identification:
+    """Tell which of the models (their names must differ) the contacts lie on.
+
+    contacts in any frame, metres; normals are used where known. extra: more rows of evidence in the same frame, such as
+    regions felt to be empty. Raises InputError for no contacts, no model, or a name that comes twice.
+    """
+    settings = settings or RecognitionSettings()
+    names = [model.name for model in models]
+    if not names or len(set(names)) < len(names):
+        raise InputError(f"identify: expected models of different names, got {', '.join(names) or 'none'}")
+    if len(contacts) == 0:
+        raise InputError("identify: expected at least one contact, got none")
+    for model in models:
+        model.field, model.surface  # noqa: B018  (built before anything is timed)
+    begin = time.perf_counter()
+    rng = np.random.default_rng(seed)
+    few, many = _evenly(contacts, settings.few_contacts), _evenly(contacts, settings.most_contacts)
+    streams = rng.spawn(len(models))
+    found = [_look(model, few, many, extra, settings.starts, settings, s) for model, s in zip(models, streams)]
+    index = np.array([_index(model, contacts, one.poses[0]) for model, one in zip(models, found)])
+    limit = max(settings.hopeless_ratio * index.min(), index.min() + settings.hopeless_above)
+    given_up = index > limit
+    for k in map(int, np.flatnonzero(~given_up)):
+        again = _look(models[k], few, many, extra, settings.more_starts, settings, streams[k])
+        found[k] = _merged(found[k], again)
+    sigma, poses, volumes = _finished(models, many, extra, found, given_up, settings)
+    index = np.array([_index(model, contacts, pose) for model, pose in zip(models, poses)])
+    independent = _independent(models[int(np.argmin(index))], contacts, poses[int(np.argmin(index))], settings)
+    fits = _fits(models, contacts, extra, poses, index, sigma, independent, settings)
+    fit_share, likelihood = _shares(fits), _shares(fits + volumes)
+    inverse = 1.0 / np.maximum(index, 1e-9)
+    order = np.argsort(-likelihood, kind="stable")
+    best = int(order[0])
+    # the width of a mode alone never decides: it knows only how many poses would do, not which object it is
+    sure = min(fit_share[best], likelihood[best]) >= settings.sure
+    verdict = "ok" if sure else "ambiguous"
+    if index[best] > settings.largest_noise:
+        verdict = "lost"
+    logs = np.sort(fits + volumes)[::-1]
+    candidates = tuple(
+        Candidate(
+            names[k],
+            float(index[k]),
+            float(likelihood[k]),
+            float(inverse[k] / inverse.sum()),
+            poses[k],
+            bool(given_up[k]),
+        )
+        for k in order
+    )
+    margin = float(logs[0] - logs[1]) if len(logs) > 1 else np.inf
+    return Identification(names[best], verdict, candidates, margin, sigma, independent, time.perf_counter() - begin)
+
+
+def _evenly(contacts: Contacts, most: int) -> Contacts:
+    if len(contacts) <= most:
+        return contacts
+    return contacts.take(np.linspace(0, len(contacts) - 1, most).astype(int))
+
+
+def _index(model: ObjectModel, contacts: Contacts, pose: Array) -> float:
+    """Mean |distance| (m), through the lattice: T2 eq. 5.1."""
+    return float(np.abs(model.field.distance(se3.apply(se3.inverse(pose), contacts.points))).mean())
+
+
+def _rows(contacts: Contacts, extra: Evidence | None) -> Evidence:
+    rows = tables.from_contacts(contacts)
+    return rows if extra is None else tables.stack(rows, extra)
+
+
+def _look(
+    model: ObjectModel,
+    few: Contacts,
+    many: Contacts,
+    extra: Evidence | None,
+    starts: int,
+    settings: RecognitionSettings,
+    rng: np.random.Generator,
+) -> Alignment:
+    """Search one candidate: two blurred passes over few contacts, one sharp pass over many."""
+    wide = 0.25 * model.radius
+    stages = (
+        SearchStage(wide, 0.6, 10**9, 6, settings.keep[0]),
+        SearchStage(wide / 5, 0.2, 10**9, 10, settings.keep[1]),
+    )
+    found = search(model, _rows(few, extra), contact_starts(model, few, starts, rng), stages)
+    sharp = AlignSettings(blur=0.01 * model.radius, blur_normal=0.05, iterations=12)
+    result = align(model, _rows(many, extra), found.poses, settings=sharp)
+    return result.take(np.argsort(result.costs, kind="stable"))
+
+
+def _merged(a: Alignment, b: Alignment) -> Alignment:
+    both = Alignment(
+        *(np.concatenate([getattr(a, f), getattr(b, f)]) for f in ("poses", "costs", "hessians", "iterations"))
+    )
+    return both.take(np.argsort(both.costs, kind="stable"))
+
+
+def _finished(
+    models: Sequence[ObjectModel],
+    many: Contacts,
+    extra: Evidence | None,
+    found: list[Alignment],
+    given_up: NDArray[np.bool_],
+    settings: RecognitionSettings,
+) -> tuple[float, list[Array], Array]:
+    """Noise (m) that the best candidate speaks of; every candidate's best pose under it; log volume of its modes."""
+    claimed = float(np.sqrt(np.mean(many.sigma_point**2)))
+    n = len(many)
+    sigma = claimed
+    if not many.sigma_known and n > 6:
+        least = min(_index(model, many, one.poses[0]) for model, one in zip(models, found))
+        sigma = float(np.clip(1.25 * least * n / (n - 6), settings.least_noise, settings.largest_noise))
+    rows = tables.from_contacts(many, settings.gate).with_sigma(sigma, tables.TOUCH)
+    # all together count no more than their independent part, or modes would look sharper than they are
+    rows = rows.reweighted(min(1.0, settings.most_independent / n))
+    if extra is not None:
+        rows = tables.stack(rows, extra)
+    poses, volumes = [], np.zeros(len(models))
+    for k, (model, one) in enumerate(zip(models, found)):
+        kept = 1 if given_up[k] else 40
+        start = one.take(np.arange(min(kept, len(one.costs))))
+        result = align(model, rows, start.poses, settings=AlignSettings(iterations=5 if given_up[k] else 20))
+        modes = distinct_modes(model, result)
+        logs = np.array([modes[0].cost - m.cost + 0.5 * np.linalg.slogdet(m.covariance)[1] for m in modes])
+        volumes[k] = np.logaddexp.reduce(logs)
+        poses.append(modes[0].pose)
+    return sigma, poses, volumes
+
+
+def _independent(model: ObjectModel, contacts: Contacts, pose: Array, settings: RecognitionSettings) -> float:
+    """How many independent contacts these are worth: neighbours whose residuals agree say one thing together.
+
+    The correlation of each residual with its nearest neighbour's, as in a first-order chain: n (1 - c) / (1 + c).
+    """
+    from scipy.spatial import cKDTree
+
+    n = len(contacts)
+    if n < 8:
+        return float(n)
+    residual = model.field.distance(se3.apply(se3.inverse(pose), contacts.points))
+    neighbour = cKDTree(contacts.points).query(contacts.points, k=2)[1][:, 1]
+    correlation = float(residual @ residual[neighbour] / max(residual @ residual, 1e-300))
+    correlation = float(np.clip(correlation, 0.0, 0.98))
+    return float(np.clip(n * (1 - correlation) / (1 + correlation), 1.0, settings.most_independent))
+
+
+def _fits(
+    models: Sequence[ObjectModel],
+    contacts: Contacts,
+    extra: Evidence | None,
+    poses: list[Array],
+    index: Array,
+    sigma: float,
+    independent: float,
+    settings: RecognitionSettings,
+) -> Array:
+    """Log likelihood (k,) of the contacts at each candidate's pose, the scale of exponential noise integrated out.
+
+    Known sigmas bound the scale from both sides. Normals and extra rows add their own costs.
+    """
+    low, high = settings.least_noise, settings.largest_noise
+    if contacts.sigma_known:
+        low = max(low, 0.8 * sigma)
+        high = max(low, min(high, 1.5 * sigma))
+    scales = np.geomspace(low, max(high, 1.001 * low), 60)
+    logs = -independent * (np.log(scales)[None] + index[:, None] / scales[None])
+    out = np.logaddexp.reduce(logs, axis=1)
+    share = min(1.0, independent / len(contacts))
+    if contacts.has_normal.any():
+        with_normals = tables.from_contacts(contacts, settings.gate).with_sigma(sigma, tables.TOUCH)
+        without = tables.from_contacts(contacts, settings.gate, use_normals=False).with_sigma(sigma, tables.TOUCH)
+        for k, (model, pose) in enumerate(zip(models, poses)):
+            added = costs(model, with_normals, pose[None]) - costs(model, without, pose[None])
+            out[k] -= share * float(added[0])
+    if extra is not None:
+        out -= np.array([float(costs(model, extra, pose[None])[0]) for model, pose in zip(models, poses)])
+    return out
+
+
+def _shares(logs: Array) -> Array:
+    shares = np.exp(logs - logs.max())
+    return shares / shares.sum()
