@@ -55,8 +55,8 @@ class LocalizeSettings:
     # blurs (shares of the radius, rad), steps and survivors of the passes.
     narrow_angle: float = 0.5
     narrow_share: float = 0.7
-    draws: int = 100
-    draw_passes: tuple[tuple[float, float, int, int], ...] = ((0.1, 0.3, 6, 30), (0.03, 0.1, 8, 15))
+    draws: int = 60
+    draw_passes: tuple[tuple[float, float, int, int], ...] = ((0.07, 0.25, 8, 12),)
     # With normals on at least this many contacts: poses hypothesised from pairs of them, and of those the ones refined,
     # with their one pass as above. Rows that ranking and refining may spend: with many contacts a few starts do.
     least_normals: int = 3

@@ -68,10 +68,10 @@ def add_contact_sensing(report: Report, settings: BenchSettings) -> None:
     columns = [Column("fingertip"), Column("skin"), Column("force noise mN", 0), Column("error um", 1)]
     columns += [Column("median um", 1), Column("valid"), Column("contacts per s, thousands", 0)]
     note = (
-        f"Press {PRESS[0]:.0f} to {PRESS[1]:.0f} N, friction up to 0.5, torsion up to 0.5 mm; noise of the moment: "
-        "that force at 3 mm. Published: 266 um rigid, 320 um soft, > 800 Hz (force noise not stated). The mesh is a faceted "
-        "ellipsoid felt as the smooth one: its error without noise is the facets'. The soft ellipsoid is solved with "
-        "shorter radii, the truth is indented along the normal."
+        f"Press {PRESS[0]:.0f} to {PRESS[1]:.0f} N, friction up to 0.5, torsion up to 0.5 mm; noise of the "
+        "moment: that force at 3 mm. Published: 266 um rigid, 320 um soft, > 800 Hz (force noise not stated)."
+        " The mesh is a faceted ellipsoid felt as the smooth one: its error without noise is the facets'. The"
+        " soft ellipsoid is solved with shorter radii, the truth is indented along the normal."
     )
     table = Table("Intrinsic contact sensing", columns, note=note)
     rng = np.random.default_rng([settings.seed, 22])

@@ -52,10 +52,11 @@ def run(settings: BenchSettings) -> Report:
     columns += [Column("position mm", 2), Column("÷ bound rot"), Column("÷ bound pos"), Column("optimal")]
     columns += [Column("sure, wrong"), Column("median ms", 1)]
     note = (
-        "T1 (wine glass, five contacts, 0.9 mm and 5°): 7.1 mm, 3.72°, 63 s; > 75 % with four or more. Success: < 1 cm, "
-        "< 15°, modulo symmetry. From the truth: the success of an oracle that starts its refinement there: what the "
-        "contacts allow. Listed: some listed mode is a success. ÷ bound: RMS error in the right mode over the "
-        "Cramér-Rao bound. Optimal: cost at most the truth's. Sure, wrong: verdict ok without success."
+        "T1 (wine glass, five contacts, 0.9 mm and 5°): 7.1 mm, 3.72°, 63 s; > 75 % with four or more. "
+        "Success: < 1 cm, < 15°, modulo symmetry. From the truth: the success of an oracle that starts its "
+        "refinement there: what the contacts allow. Listed: some listed mode is a success. ÷ bound: RMS error"
+        " in the right mode over the Cramér-Rao bound. Optimal: cost at most the truth's. Sure, wrong: "
+        "verdict ok without success."
     )
     table = Table("Global search", columns, note=note)
     chart: dict[str, list[tuple[float, float]]] = {}

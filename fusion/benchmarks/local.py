@@ -92,10 +92,10 @@ def _table_31(report: Report, settings: BenchSettings, count: int) -> None:
     columns += [Column("MDTS cm", 3), Column("MATN °", 2), Column("RME cm", 3), Column("MAE °", 2)]
     columns += [Column("improved"), Column("median ms", 3)]
     note = (
-        "MDTS: contacts to surface; MATN: their normals to the surface's; RME, MAE: to the touched points and their "
-        "normals. Improved: RME or MAE below the start's. T1, LM, w_n 0/20: cube MDTS 0.103/0.113, MATN 11.5/4.6, "
-        "5.0/3.5 s; cylinder 0.072/0.083, 8.0/2.7, 4.3/0.8 s; gradient descent cube 0.166/0.200, cylinder 0.148/0.110; > 95 % "
-        "improved."
+        "MDTS: contacts to surface; MATN: their normals to the surface's; RME, MAE: to the touched points and"
+        " their normals. Improved: RME or MAE below the start's. T1, LM, w_n 0/20: cube MDTS 0.103/0.113, "
+        "MATN 11.5/4.6, 5.0/3.5 s; cylinder 0.072/0.083, 8.0/2.7, 4.3/0.8 s; gradient descent cube "
+        "0.166/0.200, cylinder 0.148/0.110; > 95 % improved."
     )
     table = Table("T1 table 3.1: four exact contacts, start within 15° and 1.4 cm", columns, note=note)
     fastest, improved = np.inf, {}
@@ -167,9 +167,10 @@ def _correction(report: Report, settings: BenchSettings, count: int) -> None:
     columns += [Column("rotation °", 2), Column("position mm", 2), Column("÷ bound rot"), Column("÷ bound pos")]
     columns += [Column("optimal"), Column("median ms", 2)]
     note = (
-        "T1, five contacts, 0.9 mm and 5°: 4.05 ± 2.8 mm, 5.0 ± 2.2°, 0.64 s; > 80 % with four below 1.8 mm, 10°. "
-        "Success: < 1 cm and < 15°. ÷ bound: RMS error of the trials in the right mode over the Cramér-Rao bound of the "
-        "same contacts without a prior (below 1: the prior helps). Optimal: cost, prior included, at most the truth's."
+        "T1, five contacts, 0.9 mm and 5°: 4.05 ± 2.8 mm, 5.0 ± 2.2°, 0.64 s; > 80 % with four below 1.8 mm, "
+        "10°. Success: < 1 cm and < 15°. ÷ bound: RMS error of the trials in the right mode over the Cramér-"
+        "Rao bound of the same contacts without a prior (below 1: the prior helps). Optimal: cost, prior "
+        "included, at most the truth's."
     )
     table = Table(f"Correction of a start 33.2 mm, 16° away ({COMPLEX})", columns, note=note)
     model = library.make(COMPLEX)
