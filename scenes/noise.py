@@ -83,6 +83,9 @@ class TouchNoise:
     torque_offset: float = 0.0
     force_drift: float = 0.0
     torque_drift: float = 0.0
+    # Taxels: noise of a reading, standard deviation (Pa), and the share of taxels that are broken.
+    taxel: float = 0.0
+    dead: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -108,7 +111,7 @@ class NoisePreset:
 
 
 # A fingertip force/torque sensor of 12 mm after taring: offsets of 20 mN and 0.1 N mm, drifting by a tenth of that.
-_LAB_TOUCH = TouchNoise(force_offset=0.02, torque_offset=1e-4, force_drift=0.002, torque_drift=1e-5)
+_LAB_TOUCH = TouchNoise(force_offset=0.02, torque_offset=1e-4, force_drift=0.002, torque_drift=1e-5, taxel=400.0)
 _LAB_ROBOT = RobotNoise(float(np.deg2rad(0.3)), 0.002, float(np.deg2rad(0.3)))
 _NO_DEPTH_NOISE = DepthNoise(axial=0, lateral=0, disparity_step=0, grazing_start=np.pi / 2, grazing_end=np.pi / 2)
 
@@ -139,7 +142,17 @@ PRESETS: dict[str, NoisePreset] = {
                 multipath=0.3,
             ),
             TouchNoise(
-                2 * DEFAULT_SIGMA_POINT, 2 * float(DEFAULT_SIGMA_NORMAL), 0.0005, 0.02, 0.0005, 0.05, 3e-4, 5e-3, 3e-5
+                2 * DEFAULT_SIGMA_POINT,
+                2 * float(DEFAULT_SIGMA_NORMAL),
+                offset=0.0005,
+                wrench=0.02,
+                shape=0.0005,
+                force_offset=0.05,
+                torque_offset=3e-4,
+                force_drift=5e-3,
+                torque_drift=3e-5,
+                taxel=1500.0,
+                dead=0.08,
             ),
             RobotNoise(float(np.deg2rad(0.6)), 0.004, float(np.deg2rad(0.6))),
         ),

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scenes import rendering_kernels as kernels
 from scenes.cameras import Camera
 from scenes.errors import InputError
 from scenes.poses import apply, check_pose, inverse
@@ -104,26 +105,22 @@ class _Caster:
         high = np.clip(np.ceil(pixels.max(axis=0)) + 2, -1e9, 1e9).astype(int)
         return (max(region[0], low[0]), max(region[1], low[1]), min(region[2], high[0]), min(region[3], high[1]))
 
-    def cast(self, rays: Array, pose: Array) -> tuple[Array, NDArray[np.int64]]:
-        """z-depths (inf for no hit) and triangle indices (-1) of camera-frame rays (h, w, 3) through the origin."""
+    def cast(self, camera: Camera, part: Region, pose: Array) -> tuple[Array, NDArray[np.uint32]]:
+        """z-depths (h, w), inf for no hit, and triangle indices of the rays through the pixels of `part`."""
         mesh_from_camera = inverse(pose)
-        origin = mesh_from_camera[:3, 3]
-        directions = rays @ mesh_from_camera[:3, :3].T
-        both = np.zeros((*rays.shape[:2], 6), dtype=np.float32)
-        both[..., :3] = origin - self.centre
-        both[..., 3:] = directions
+        origin, rotation = mesh_from_camera[:3, 3].copy(), np.ascontiguousarray(mesh_from_camera[:3, :3])
+        shape = (part[3] - part[1], part[2] - part[0])
+        view = (camera.fx, camera.fy, camera.cx, camera.cy, part[0], part[1])
+        rays = np.zeros((*shape, 6), dtype=np.float32)
+        kernels.mesh_rays(*view, origin - self.centre, rotation, rays)
         from scenes._open3d import open3d
 
-        answer = self._build().cast_rays(open3d().core.Tensor(both), nthreads=thread_count())
-        rough = answer["t_hit"].numpy().astype(np.float64)
-        hit = np.isfinite(rough)
-        triangles = np.where(hit, answer["primitive_ids"].numpy().astype(np.int64), -1)
-        picked = triangles[hit]
-        slope = np.einsum("ij,ij->i", self.normals[picked], directions[hit])
-        exact = (self.offsets[picked] - self.normals[picked] @ origin) / np.where(slope == 0, np.inf, slope)
-        coarse = rough[hit]
-        rough[hit] = np.where(np.abs(exact - coarse) < LARGEST_REFINEMENT, exact, coarse)
-        return rough, triangles
+        answer = self._build().cast_rays(open3d().core.Tensor(rays), nthreads=thread_count())
+        hits, triangles = answer["t_hit"].numpy(), answer["primitive_ids"].numpy()
+        depth = np.zeros(shape)
+        planes = (self.normals, self.offsets, LARGEST_REFINEMENT)
+        kernels.exact_hits(*view, origin, rotation, *planes, hits, triangles, depth)
+        return depth, triangles
 
 
 class Renderer:
@@ -172,17 +169,14 @@ class Renderer:
             part = caster.bounds(camera, pose, whole)
             if part[2] <= part[0] or part[3] <= part[1]:
                 continue
-            t, triangles = caster.cast(region_rays(camera, part), pose)
+            t, triangles = caster.cast(camera, part, pose)
             rows = slice(part[1] - whole[1], part[3] - whole[1])
             columns = slice(part[0] - whole[0], part[2] - whole[0])
-            nearer = t < depth[rows, columns]
-            depth[rows, columns][nearer] = t[nearer]
-            ids[rows, columns][nearer] = index
-            normals[rows, columns][nearer] = caster.normals[triangles[nearer]] @ pose[:3, :3].T
-        seen = ids >= 0
-        depth[~seen] = 0.0
-        away = np.einsum("hwi,hwi->hw", normals, region_rays(camera, whole)) > 0
-        normals[away] *= -1.0
+            rotation = np.ascontiguousarray(pose[:3, :3])
+            image = (depth[rows, columns], ids[rows, columns], normals[rows, columns])
+            view = (camera.fx, camera.fy, camera.cx, camera.cy, part[0], part[1])
+            kernels.merge(*view, rotation, caster.normals, index, t, triangles, *image)
+        depth[ids < 0] = 0.0
         return Rendering(depth.astype(np.float32), ids, tuple(checked), normals, whole)
 
     def own_pixels(self, camera: Camera, poses: Mapping[str, ArrayLike], name: str) -> tuple[int, int]:
@@ -193,7 +187,7 @@ class Renderer:
         part = self._casters[name].bounds(camera, checked[name], _clip(None, camera))
         if part[2] <= part[0] or part[3] <= part[1]:
             return 0, 0
-        own, _ = self._casters[name].cast(region_rays(camera, part), checked[name])
+        own, _ = self._casters[name].cast(camera, part, checked[name])
         alone = np.isfinite(own)
         front = alone.copy()
         for other, pose in checked.items():
@@ -203,7 +197,7 @@ class Renderer:
             sub = caster.bounds(camera, pose, part)
             if sub[2] <= sub[0] or sub[3] <= sub[1]:
                 continue
-            t, _ = caster.cast(region_rays(camera, sub), pose)
+            t, _ = caster.cast(camera, sub, pose)
             rows, columns = slice(sub[1] - part[1], sub[3] - part[1]), slice(sub[0] - part[0], sub[2] - part[0])
             front[rows, columns] &= own[rows, columns] <= t
         return int(alone.sum()), int(front.sum())
@@ -254,6 +248,7 @@ def shade(
     table.append(background)
     toward = np.asarray(light, dtype=np.float64)
     toward = toward / np.linalg.norm(toward)
-    lambert = AMBIENT + (1 - AMBIENT) * np.clip(rendering.normals @ toward, 0.0, 1.0)
+    facing = sum(rendering.normals[..., i] * toward[i] for i in range(3))
+    lambert = AMBIENT + (1 - AMBIENT) * np.clip(facing, 0.0, 1.0)
     lambert[rendering.ids < 0] = 1.0
     return np.clip(np.array(table, dtype=np.float64)[rendering.ids] * lambert[..., None], 0, 255).astype(np.uint8)

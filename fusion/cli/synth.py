@@ -17,8 +17,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--hand", metavar="NAME", default="five-finger", help="five-finger (default), a URDF, or none: loose fingers"
     )
-    parser.add_argument("--touch", metavar="KINDS", type=names, default=("point",), help="point, wrench, array")
-    parser.add_argument("--noise", metavar="NAME", default="lab", help="none, clean, lab (default), harsh")
+    parser.add_argument("--touch", metavar="KINDS", type=names, default=("point",), help="point, wrench, array, empty")
+    parser.add_argument("--taxels", metavar="LAYOUT", default="fingertip", help="fingertip (12, default), pad (3 x 8)")
+    noises = "none, clean, lab (default), harsh, lab-time-of-flight, lab-stereo"
+    parser.add_argument("--noise", metavar="NAME", default="lab", help=noises)
+    hiders = "hand, fingers, object, border or none; +clutter after it lets other things stand about"
+    parser.add_argument("--occluders", metavar="KIND", help=hiders)
+    moves = "carry, turn, slip or leave: one grasp filmed; default: every frame another grasp and view"
+    parser.add_argument("--motion", metavar="KIND", help=moves)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -28,8 +34,20 @@ def run(args: argparse.Namespace) -> int:
 
     refuse_foreign_folder(args.out)  # before the work, not after it
     model, hand = load_object(args.object, args.unit), load_hand(args.hand)
-    capture = synthesize(args.out, model, hand, args.frames, args.occlusion, args.touch, args.noise, args.seed)
-    contacts = [len(frame.contacts) + len(frame.wrenches) for frame in capture]
+    capture = synthesize(
+        args.out,
+        model,
+        hand,
+        args.frames,
+        args.occlusion,
+        args.touch,
+        args.noise,
+        args.seed,
+        args.occluders,
+        motion=args.motion,
+        taxels=args.taxels,
+    )
+    contacts = [max(len(frame.contacts), len(frame.wrenches), len(frame.tactile)) for frame in capture]
     asked = {"object": model.name, "occlusion": args.occlusion, "noise": args.noise, "seed": args.seed}
     write_json(args.json, {"capture": str(capture.path), "frames": len(capture), "contacts": contacts, **asked})
     felt = f"{min(contacts)}" if min(contacts) == max(contacts) else f"{min(contacts)} to {max(contacts)}"
