@@ -19,7 +19,7 @@ for a few levels (a well-calibrated rig, a usual one, a poor one) and the level 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -54,6 +54,8 @@ class JointSettings:
     steps: int = 8
     # Factors on the believed sizes of calibration, scale and bias errors that are tried.
     levels: tuple[float, ...] = (0.1, 0.4, 1.0, 2.0)
+    # Standard deviation of the logarithm of the level before anything is seen.
+    level_spread: float = 0.8
     # Modes that are solved (the rest of the posterior is negligible), and candidates for choosing the level.
     modes: int = 5
     # Pixels between inducing points of the bias, in correlation lengths, and the most of them.
@@ -371,9 +373,30 @@ def _marginal(normal: Array) -> tuple[Array, float]:
 
 
 def solve_modes(problem: JointProblem, starts: list[Array]) -> list[JointResult]:
-    """Solve from each start; the level of shared errors is the one of highest evidence at the first start."""
-    tried = [problem.solve(starts[0], problem.settings.levels[0])]
-    for level in problem.settings.levels[1:]:
+    """Solve from each start; how large the shared errors are is averaged over at the first start.
+
+    A level weighs exp(log evidence) times a log-normal prior around 1. The first answer is the levels' weighted mean
+    and mixture covariance, so that not knowing the level is part of its uncertainty; other modes use the best level.
+    """
+    settings = problem.settings
+    tried = [problem.solve(starts[0], settings.levels[0])]
+    for level in settings.levels[1:]:
         tried.append(problem.solve(tried[-1].pose, level))
-    best = max(tried, key=lambda result: result.log_evidence)
-    return [best, *(problem.solve(start, best.level) for start in starts[1 : problem.settings.modes])]
+    score = np.array([t.log_evidence - 0.5 * (np.log(t.level) / settings.level_spread) ** 2 for t in tried])
+    weights = np.exp(score - score.max())
+    best = tried[int(np.argmax(score))]
+    first = _averaged(problem.model, tried, weights / weights.sum(), best)
+    return [first, *(problem.solve(start, best.level) for start in starts[1 : settings.modes])]
+
+
+def _averaged(model: ObjectModel, tried: list[JointResult], weights: Array, best: JointResult) -> JointResult:
+    """The levels' mixture about `best`: levels that ended in another minimum do not count."""
+    delta = np.array([se3.difference(t.pose, best.pose, model.centroid) for t in tried])
+    moved = np.linalg.norm(delta[:, :3], axis=1) * model.radius + np.linalg.norm(delta[:, 3:], axis=1)
+    weights = np.where(moved < 0.2 * model.radius, weights, 0.0)
+    weights = weights / weights.sum()
+    mean = weights @ delta
+    spread = delta - mean
+    covariance = np.einsum("l,lij->ij", weights, [t.covariance for t in tried])
+    covariance += np.einsum("l,li,lj->ij", weights, spread, spread)
+    return replace(best, pose=se3.perturb(best.pose, mean, model.centroid), covariance=covariance)
