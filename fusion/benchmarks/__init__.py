@@ -18,7 +18,7 @@ BENCHMARKS = {
     "skipping": "fusion.benchmarks.skipping",
     "stability": "fusion.benchmarks.stability",
     "peers": "fusion.benchmarks.peers",
-    "captures": "fusion.benchmarks.captures",
+    "scenes": "fusion.benchmarks.scenes",
 }
 
 
