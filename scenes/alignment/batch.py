@@ -26,6 +26,9 @@ class AlignSettings:
     blur_normal: float = 0.0
     # Residuals beyond this many sigmas count linearly instead of by the rows' gates; 0 = the gates decide.
     huber: float = 0.0
+    # Share of a point's sigma by which its normal may have been felt elsewhere on a bent surface; 0 = normals are those
+    # exactly at the point.
+    bend: float = 1.0
     # Steps tried per pose.
     iterations: int = 30
     # A step below both ends the work: 1e-5 rad on a 10 cm object is a micrometre.
@@ -123,6 +126,7 @@ def align(
             settings.blur,
             settings.blur_normal,
             settings.huber,
+            settings.bend,
             *prior_parts,
             settings.iterations,
             settings.tolerance_angle,
@@ -161,6 +165,7 @@ def costs(
             settings.blur,
             settings.blur_normal,
             settings.huber,
+            settings.bend,
             *prior_parts,
             rotations[part],
             middles[part],
@@ -188,6 +193,7 @@ def terms(
         settings.blur,
         settings.blur_normal,
         settings.huber,
+        settings.bend,
         rotations[0],
         middles[0],
         *prior_parts,

@@ -8,6 +8,9 @@ R <- exp(theta) R, m <- m + tau (poses.perturb). With y = p - m, q = R^T y + cen
 
 and for a contact normal n with the model's a = R g/|g| and M = R (I - gg^T/|g|^2)/|g| H R^T, H the lattice's second
 differences:  r_n = (n - a) / sigma_n,  dr_n/dtheta = ([a]x - M [y]x) / sigma_n,  dr_n/dtau = M / sigma_n.
+A contact that is felt sigma beside its true place meets a normal turned by M sigma there: sigma_n^2 grows by
+sigma^2 |M|^2 / 2 and the loss by the logarithm of that growth (errors in variables). Without it a contact at an edge
+would claim to know its place to micrometres.
 """
 
 from __future__ import annotations
@@ -122,6 +125,7 @@ def cost_terms(
     blur,
     blur_normal,
     huber,
+    bend,
     rotation,
     middle,
     prior_rotation,
@@ -135,7 +139,8 @@ def cost_terms(
     """Cost (negative log posterior up to a constant) at a pose; fills hessian (6, 6) and gradient (6,) when `need`.
 
     rows (n, 13): see scenes.evidence. blur (m), blur_normal (rad): added to the sigmas in quadrature, for coarse
-    stages. huber: see _robust, 0 = off.
+    stages. huber: see _robust, 0 = off. bend: share of a point's sigma that counts as not knowing where on a bent
+    surface its normal was felt; that widening is taken as constant in the derivatives.
     information (6, 6) of the prior about (prior_rotation, prior_middle); zeros when there is none.
     scratch (10, 3): working room.
     """
@@ -180,15 +185,23 @@ def cost_terms(
             normal_at(values, origin, spacing, qx, qy, qz, g, h)
             length = math.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
             length = max(length, SHORTEST_GRADIENT)
-            inverse_normal = 1.0 / math.sqrt(sigma_normal * sigma_normal + blur_normal * blur_normal)
             ux, uy, uz = g[0] / length, g[1] / length, g[2] / length
+            # where the surface bends, the error of the point tilts the normal that it is compared with
+            turning = 0.0
+            for j in range(3):
+                along = ux * h[0, j] + uy * h[1, j] + uz * h[2, j]
+                turning += h[0, j] * h[0, j] + h[1, j] * h[1, j] + h[2, j] * h[2, j] - along * along
+            turning *= 0.5 * bend * bend / (length * length)
+            narrow = sigma_normal * sigma_normal + blur_normal * blur_normal
+            wide = narrow + rows[n, 6] * rows[n, 6] * max(turning, 0.0)
+            inverse_normal = 1.0 / math.sqrt(wide)
             ax = r00 * ux + r01 * uy + r02 * uz
             ay = r10 * ux + r11 * uy + r12 * uz
             az = r20 * ux + r21 * uy + r22 * uz
             ex = (rows[n, 3] - ax) * inverse_normal
             ey = (rows[n, 4] - ay) * inverse_normal
             ez = (rows[n, 5] - az) * inverse_normal
-            s += ex * ex + ey * ey + ez * ez
+            s += ex * ex + ey * ey + ez * ez + 2.0 * math.log(wide / narrow)
         rho, belongs = _robust(s, gate, huber)
         weight = rows[n, 8]
         total += 0.5 * weight * rho
@@ -354,6 +367,7 @@ def align_poses(
     blur,
     blur_normal,
     huber,
+    bend,
     prior_rotation,
     prior_middle,
     information,
@@ -395,6 +409,7 @@ def align_poses(
             blur,
             blur_normal,
             huber,
+            bend,
             rotations[b],
             middles[b],
             prior_rotation,
@@ -443,6 +458,7 @@ def align_poses(
                 blur,
                 blur_normal,
                 huber,
+                bend,
                 rotation,
                 middle,
                 prior_rotation,
@@ -490,6 +506,7 @@ def cost_poses(
     blur,
     blur_normal,
     huber,
+    bend,
     prior_rotation,
     prior_middle,
     information,
@@ -511,6 +528,7 @@ def cost_poses(
             blur,
             blur_normal,
             huber,
+            bend,
             rotations[b],
             middles[b],
             prior_rotation,
