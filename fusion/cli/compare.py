@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from fusion.cli.options import (
     add_object,
     add_prior,
+    announce_compiling,
     load_object,
     names,
     number,
@@ -59,6 +60,7 @@ def run(args: argparse.Namespace) -> int:
     captures = [read_capture(path) for path in args.captures]
     model = load_object(args.object, args.unit) if args.object else None
     total = len(methods) * sum(map(len, captures))
+    announce_compiling()
     rows = list(
         progress(compare(captures, methods, args.seed, model, prior_setter(args.prior, args.seed)), total, "comparing")
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.cli.options import say, write_json
+from fusion.cli.options import announce_compiling, say, write_json
 
 OBJECT = "drill"
 OCCLUSION = 0.8
@@ -27,6 +27,7 @@ def run(args: argparse.Namespace) -> int:
     from scenes.synthesis import synthesize
 
     model = library.make(OBJECT)
+    announce_compiling()
     say(f"a {OBJECT} in a hand that hides {100 * OCCLUSION:.0f} % of it, noise like a {NOISE}'s")
     capture = synthesize(
         args.out / "capture", model, five_finger_hand(), 1, OCCLUSION, ("point",), NOISE, seed=args.seed

@@ -8,6 +8,7 @@ from pathlib import Path
 from fusion.cli.options import (
     add_object,
     add_prior,
+    announce_compiling,
     length_and_angle,
     load_object,
     names,
@@ -52,6 +53,7 @@ def run(args: argparse.Namespace) -> int:
     prepare = prior_setter(args.prior, args.seed)
     judge = Judge(model)
     frames, answers, errors, rows = [], [], [], []
+    announce_compiling()
     warm = False
     for recorded in progress(capture, len(capture), "estimating"):
         frame = prepare(recorded, model)

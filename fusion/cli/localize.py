@@ -6,7 +6,16 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion.cli.options import add_object, load_object, number, positive, say, show_table, write_json
+from fusion.cli.options import (
+    add_object,
+    announce_compiling,
+    load_object,
+    number,
+    positive,
+    say,
+    show_table,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from scenes.frames import Contacts
@@ -58,6 +67,7 @@ def run(args: argparse.Namespace) -> int:
     model = load_object(args.object, args.unit)
     check_usable(Frame(0, where=str(args.contacts), contacts=contacts, cloud=cloud), model)
     model.field  # noqa: B018  (built or read from the cache before anything is timed)
+    announce_compiling()
     # a few contacts once, so that no trial's time tells of the compiler
     few = _some(contacts, 8, args.seed)
     if cloud is None:

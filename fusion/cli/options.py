@@ -208,6 +208,17 @@ def say(text: str) -> None:
     sys.stdout.write(f"{text}\n")
 
 
+def announce_compiling() -> None:
+    """On a machine's first run, say what the next half minute is spent on (standard error, so results stay clean)."""
+    from scenes.alignment import kernels
+
+    # numba keeps an index beside the module, or in the user's cache folder when it may not write there
+    stats = kernels.align_poses._cache  # type: ignore[attr-defined]
+    if not any(Path(stats.cache_path).glob("kernels.align_poses-*.nbi")):
+        sys.stderr.write("compiling the kernels, once on this machine: some 20 s\n")
+        sys.stderr.flush()
+
+
 def number(value: float | None, digits: int = 2) -> str:
     """A number for a table; a dash for what is not known."""
     if value is None or math.isnan(value):
