@@ -60,6 +60,8 @@ def twin_update(model, point, sigma, alpha, kappa, beta, pose, covariance):
         for _ in range(2):
             d, g = field.distance_and_gradient(local)
             local = local - d[:, None] * g / max(float((g * g).sum()), kernels.SHORTEST_GRADIENT**2)
+            if abs(d[0]) < field.spacing:
+                break
         predicted.append(poses.apply(one, local)[0])
     predicted = np.array(predicted)
     mean = mean_weights @ predicted

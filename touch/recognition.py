@@ -18,7 +18,7 @@ from scenes import evidence as tables
 from scenes import poses as se3
 from scenes.alignment.batch import Alignment, AlignSettings, align, costs
 from scenes.alignment.modes import distinct_modes
-from scenes.alignment.search import SearchStage, search
+from scenes.alignment.search import SearchStage, distinct_first, search
 from scenes.errors import InputError
 from scenes.evidence import Evidence
 from scenes.frames import Contacts
@@ -47,12 +47,20 @@ class RecognitionSettings:
     # them is integrated over with equal weight per factor.
     least_noise: float = 0.5e-3
     largest_noise: float = 0.015
+    # Shares of false contacts that are thought possible, and how far off the surface one lies at most (m).
+    false_shares: tuple[float, ...] = (0.02, 0.1, 0.2, 0.35, 0.5)
+    false_reach: float = 0.1
+    # Residuals beyond this many sigmas (or blurs) count linearly while poses are refined: false contacts pull little.
+    huber: float = 0.5
+    # Poses of a candidate that are judged by the full likelihood.
+    judged: int = 12
+    # Contacts that any shape can meet, one for each freedom of a pose; and the share of few contacts that still counts.
+    freedoms: float = 6.0
+    least_share: float = 0.25
     # Contacts count at most for this many independent ones: errors of the mesh and of the calibration are shared.
     most_independent: float = 25.0
     # Share of the likelihood at which the answer is sure.
     sure: float = 0.95
-    # Where a contact is as likely a false one, in sigmas of the inferred noise.
-    gate: float = 4.0
 
 
 @dataclass(frozen=True)
@@ -116,10 +124,12 @@ def identify(
     for k in map(int, np.flatnonzero(~given_up)):
         again = _look(models[k], few, many, extra, settings.more_starts, settings, streams[k])
         found[k] = _merged(found[k], again)
-    sigma, poses, volumes = _finished(models, many, extra, found, given_up, settings)
+    sigma, aligned, volumes = _finished(models, many, extra, found, given_up, settings)
+    near = int(np.argmin([_index(model, contacts, one.poses[0]) for model, one in zip(models, aligned)]))
+    independent = _independent(models[near], contacts, aligned[near].poses[0], settings)
+    judged = [_judged(m, contacts, extra, one, sigma, independent, settings) for m, one in zip(models, aligned)]
+    fits, poses = np.array([fit for fit, _ in judged]), [pose for _, pose in judged]
     index = np.array([_index(model, contacts, pose) for model, pose in zip(models, poses)])
-    independent = _independent(models[int(np.argmin(index))], contacts, poses[int(np.argmin(index))], settings)
-    fits = _fits(models, contacts, extra, poses, index, sigma, independent, settings)
     fit_share, likelihood = _shares(fits), _shares(fits + volumes)
     inverse = 1.0 / np.maximum(index, 1e-9)
     order = np.argsort(-likelihood, kind="stable")
@@ -127,7 +137,7 @@ def identify(
     # the width of a mode alone never decides: it knows only how many poses would do, not which object it is
     sure = min(fit_share[best], likelihood[best]) >= settings.sure
     verdict = "ok" if sure else "ambiguous"
-    if index[best] > settings.largest_noise:
+    if index.min() > settings.largest_noise:
         verdict = "lost"
     logs = np.sort(fits + volumes)[::-1]
     candidates = tuple(
@@ -153,7 +163,12 @@ def _evenly(contacts: Contacts, most: int) -> Contacts:
 
 def _index(model: ObjectModel, contacts: Contacts, pose: Array) -> float:
     """Mean |distance| (m), through the lattice: T2 eq. 5.1."""
-    return float(np.abs(model.field.distance(se3.apply(se3.inverse(pose), contacts.points))).mean())
+    return float(np.abs(_residuals(model, contacts, pose)).mean())
+
+
+def _residuals(model: ObjectModel, contacts: Contacts, pose: Array) -> Array:
+    """Signed distances (n,) of the contacts, metres, through the lattice."""
+    return model.field.distance(se3.apply(se3.inverse(pose), contacts.points))
 
 
 def _rows(contacts: Contacts, extra: Evidence | None) -> Evidence:
@@ -176,8 +191,9 @@ def _look(
         SearchStage(wide, 0.6, 10**9, 6, settings.keep[0]),
         SearchStage(wide / 5, 0.2, 10**9, 10, settings.keep[1]),
     )
-    found = search(model, _rows(few, extra), contact_starts(model, few, starts, rng), stages)
-    sharp = AlignSettings(blur=0.01 * model.radius, blur_normal=0.05, iterations=12)
+    robust = AlignSettings(huber=settings.huber)
+    found = search(model, _rows(few, extra), contact_starts(model, few, starts, rng), stages, settings=robust)
+    sharp = AlignSettings(blur=0.01 * model.radius, blur_normal=0.05, huber=settings.huber, iterations=12)
     result = align(model, _rows(many, extra), found.poses, settings=sharp)
     return result.take(np.argsort(result.costs, kind="stable"))
 
@@ -196,29 +212,32 @@ def _finished(
     found: list[Alignment],
     given_up: NDArray[np.bool_],
     settings: RecognitionSettings,
-) -> tuple[float, list[Array], Array]:
-    """Noise (m) that the best candidate speaks of; every candidate's best pose under it; log volume of its modes."""
-    claimed = float(np.sqrt(np.mean(many.sigma_point**2)))
+) -> tuple[float, list[Alignment], Array]:
+    """Noise (m) that the best candidate speaks of; every candidate's poses under it, the best first; log volume of its
+    modes.
+    """
     n = len(many)
-    sigma = claimed
+    sigma = float(np.sqrt(np.mean(many.sigma_point**2)))
     if not many.sigma_known and n > 6:
-        least = min(_index(model, many, one.poses[0]) for model, one in zip(models, found))
-        sigma = float(np.clip(1.25 * least * n / (n - 6), settings.least_noise, settings.largest_noise))
-    rows = tables.from_contacts(many, settings.gate).with_sigma(sigma, tables.TOUCH)
+        # the median forgives false contacts; 1.48 of it is the sigma of a Gaussian
+        medians = [float(np.median(np.abs(_residuals(m, many, one.poses[0])))) for m, one in zip(models, found)]
+        sigma = float(np.clip(1.48 * min(medians) * n / (n - 6), settings.least_noise, settings.largest_noise))
     # all together count no more than their independent part, or modes would look sharper than they are
+    rows = tables.from_contacts(many).with_sigma(sigma, tables.TOUCH)
     rows = rows.reweighted(min(1.0, settings.most_independent / n))
     if extra is not None:
         rows = tables.stack(rows, extra)
-    poses, volumes = [], np.zeros(len(models))
+    aligned, volumes = [], np.zeros(len(models))
     for k, (model, one) in enumerate(zip(models, found)):
-        kept = 1 if given_up[k] else 40
-        start = one.take(np.arange(min(kept, len(one.costs))))
-        result = align(model, rows, start.poses, settings=AlignSettings(iterations=5 if given_up[k] else 20))
+        start = one.take(np.arange(min(1 if given_up[k] else 40, len(one.costs))))
+        steps = 5 if given_up[k] else 20
+        result = align(model, rows, start.poses, settings=AlignSettings(huber=settings.huber, iterations=steps))
+        result = result.take(distinct_first(model, result, settings.judged))
         modes = distinct_modes(model, result)
         logs = np.array([modes[0].cost - m.cost + 0.5 * np.linalg.slogdet(m.covariance)[1] for m in modes])
         volumes[k] = np.logaddexp.reduce(logs)
-        poses.append(modes[0].pose)
-    return sigma, poses, volumes
+        aligned.append(result)
+    return sigma, aligned, volumes
 
 
 def _independent(model: ObjectModel, contacts: Contacts, pose: Array, settings: RecognitionSettings) -> float:
@@ -231,44 +250,53 @@ def _independent(model: ObjectModel, contacts: Contacts, pose: Array, settings: 
     n = len(contacts)
     if n < 8:
         return float(n)
-    residual = model.field.distance(se3.apply(se3.inverse(pose), contacts.points))
+    residual = _residuals(model, contacts, pose)
     neighbour = cKDTree(contacts.points).query(contacts.points, k=2)[1][:, 1]
     correlation = float(residual @ residual[neighbour] / max(residual @ residual, 1e-300))
     correlation = float(np.clip(correlation, 0.0, 0.98))
     return float(np.clip(n * (1 - correlation) / (1 + correlation), 1.0, settings.most_independent))
 
 
-def _fits(
-    models: Sequence[ObjectModel],
+def _judged(
+    model: ObjectModel,
     contacts: Contacts,
     extra: Evidence | None,
-    poses: list[Array],
-    index: Array,
+    aligned: Alignment,
     sigma: float,
     independent: float,
     settings: RecognitionSettings,
-) -> Array:
-    """Log likelihood (k,) of the contacts at each candidate's pose, the scale of exponential noise integrated out.
+) -> tuple[float, Array]:
+    """Log likelihood of the contacts at the candidate's likeliest pose, and that pose (4, 4).
 
-    Known sigmas bound the scale from both sides. Normals and extra rows add their own costs.
+    A contact is off the surface by exponential noise of an unknown scale, or false, anywhere within reach, with an
+    unknown probability; both unknowns are integrated out over a grid. Known sigmas bound the scale from both sides.
+    Contacts that merely fix the pose tell nothing about the object. Normals and extra rows add their own costs.
     """
     low, high = settings.least_noise, settings.largest_noise
     if contacts.sigma_known:
         low = max(low, 0.8 * sigma)
         high = max(low, min(high, 1.5 * sigma))
-    scales = np.geomspace(low, max(high, 1.001 * low), 60)
-    logs = -independent * (np.log(scales)[None] + index[:, None] / scales[None])
-    out = np.logaddexp.reduce(logs, axis=1)
-    share = min(1.0, independent / len(contacts))
+    scales = np.geomspace(low, max(high, 1.001 * low), 24)[:, None, None]
+    false = np.array(settings.false_shares)[None, :, None]
+    worth = max(independent - settings.freedoms, settings.least_share * independent)
+    step = max(1, len(contacts) // settings.most_contacts)
+    fits = np.zeros(len(aligned.poses))
+    for i, pose in enumerate(aligned.poses):
+        size = np.abs(_residuals(model, contacts, pose))[::step]
+        density = (1 - false) * np.exp(-size / scales) / scales + false / settings.false_reach
+        mean = np.log(density).mean(axis=2)
+        fits[i] = np.logaddexp.reduce(worth * mean, axis=None) - np.log(mean.size)
     if contacts.has_normal.any():
-        with_normals = tables.from_contacts(contacts, settings.gate).with_sigma(sigma, tables.TOUCH)
-        without = tables.from_contacts(contacts, settings.gate, use_normals=False).with_sigma(sigma, tables.TOUCH)
-        for k, (model, pose) in enumerate(zip(models, poses)):
-            added = costs(model, with_normals, pose[None]) - costs(model, without, pose[None])
-            out[k] -= share * float(added[0])
+        share = min(1.0, independent / len(contacts))
+        with_normals = tables.from_contacts(contacts).with_sigma(sigma, tables.TOUCH)
+        without = tables.from_contacts(contacts, use_normals=False).with_sigma(sigma, tables.TOUCH)
+        robust = AlignSettings(huber=3.0)
+        added = costs(model, with_normals, aligned.poses, settings=robust)
+        fits -= share * (added - costs(model, without, aligned.poses, settings=robust))
     if extra is not None:
-        out -= np.array([float(costs(model, extra, pose[None])[0]) for model, pose in zip(models, poses)])
-    return out
+        fits -= costs(model, extra, aligned.poses)
+    best = int(np.argmax(fits))
+    return float(fits[best]), aligned.poses[best]
 
 
 def _shares(logs: Array) -> Array:

@@ -67,10 +67,10 @@ class UnscentedSettings:
     fewest_updates: int = 24
     # Contacts before the first resampling, t_0.
     keep_all: int = 2
-    # Resampling when fewer than this share of the particles carry the weight (the authors' program; 1 = always).
-    effective_share: float = 0.05
+    # Resampling when fewer than this share of the particles carry the weight (1 = always, as printed).
+    effective_share: float = 0.2
     # Components below this share of the heaviest one's weight are left out of the estimate's mixture.
-    least_weight: float = 1e-8
+    least_weight: float = 1e-3
 
 
 class UnscentedParticleFilter:

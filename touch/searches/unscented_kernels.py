@@ -22,7 +22,7 @@ SHORTEST_GRADIENT = 0.3
 
 @numba.njit(cache=True, nogil=True)
 def closest_point(values, origin, spacing, x, y, z):
-    """A surface point nearest to (x, y, z), object frame: two Newton steps on the lattice, from its box inwards."""
+    """A surface point nearest to (x, y, z), object frame: at most two Newton steps on the lattice, from its box."""
     shape = values.shape
     x = min(max(x, origin[0]), origin[0] + spacing * (shape[0] - 1))
     y = min(max(y, origin[1]), origin[1] + spacing * (shape[1] - 1))
@@ -34,6 +34,8 @@ def closest_point(values, origin, spacing, x, y, z):
         x -= step * gx
         y -= step * gy
         z -= step * gz
+        if abs(d) < spacing:
+            break  # so near, one step is exact to the lattice's own rounding
     return x, y, z
 
 
