@@ -54,6 +54,8 @@ class JointSettings:
     steps: int = 8
     # Factors on the believed sizes of calibration, scale and bias errors that are tried.
     levels: tuple[float, ...] = (0.1, 0.4, 1.0, 2.0)
+    # Share of a contact's sigma by which its normal may have been felt elsewhere on a bent surface (AlignSettings).
+    bend: float = 1.0
     # Standard deviation of the logarithm of the level before anything is seen.
     level_spread: float = 0.8
     # Modes that are solved (the rest of the posterior is negligible), and candidates for choosing the level.
@@ -322,7 +324,7 @@ class JointProblem:
         """Touch rows through the compiled kernel: moving all contacts by xi is moving the object by -xi."""
         xi = self._white_xi @ unknown[XI]
         moved = self.felt.moved(se3.perturb(np.eye(4), xi, self._centre))
-        cost, g, h = alignment.terms(self.model, moved, pose)
+        cost, g, h = alignment.terms(self.model, moved, pose, settings=alignment.AlignSettings(bend=self.settings.bend))
         lever = np.eye(6)
         lever[3:, :3] = -se3.skew(pose[:3, :3] @ self.model.centroid + pose[:3, 3] - self._centre)
         chain = np.concatenate([np.eye(6), -lever @ self._white_xi], axis=1)
