@@ -176,7 +176,7 @@ def _correction(report: Report, settings: BenchSettings, count: int) -> None:
     model = library.make(COMPLEX)
     model.field  # noqa: B018
     chart: dict[str, list[tuple[float, float]]] = {}
-    for source, grasps in (("scattered", 0), ("grasps", settings.count(12, 3))):
+    for source, grasps in (("scattered", 0), ("grasps", 3 if settings.quick else 12)):
         for contacts in (3, 4, 5):
             for label, noise in scene.NOISES.items():
                 for method in ("monte-carlo", "multistart"):
