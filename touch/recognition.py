@@ -50,6 +50,8 @@ class RecognitionSettings:
     # Shares of false contacts that are thought possible, and how far off the surface one lies at most (m).
     false_shares: tuple[float, ...] = (0.02, 0.1, 0.2, 0.35, 0.5)
     false_reach: float = 0.1
+    # Share of contacts far off the best object from which on no answer is sure.
+    most_elsewhere: float = 0.35
     # Residuals beyond this many sigmas (or blurs) count linearly while poses are refined: false contacts pull little.
     huber: float = 0.5
     # Poses of a candidate that are judged by the full likelihood.
@@ -60,7 +62,7 @@ class RecognitionSettings:
     # Contacts count at most for this many independent ones: errors of the mesh and of the calibration are shared.
     most_independent: float = 25.0
     # Share of the likelihood at which the answer is sure.
-    sure: float = 0.95
+    sure: float = 0.99
 
 
 @dataclass(frozen=True)
@@ -136,6 +138,8 @@ def identify(
     best = int(order[0])
     # the width of a mode alone never decides: it knows only how many poses would do, not which object it is
     sure = min(fit_share[best], likelihood[best]) >= settings.sure
+    # when nearly half of the contacts are elsewhere, they may as well be the true ones
+    sure = sure and _elsewhere(models[best], contacts, poses[best], settings) <= settings.most_elsewhere
     verdict = "ok" if sure else "ambiguous"
     if index.min() > settings.largest_noise:
         verdict = "lost"
@@ -238,6 +242,13 @@ def _finished(
         volumes[k] = np.logaddexp.reduce(logs)
         aligned.append(result)
     return sigma, aligned, volumes
+
+
+def _elsewhere(model: ObjectModel, contacts: Contacts, pose: Array, settings: RecognitionSettings) -> float:
+    """Share of contacts farther than four sigmas off, sigma from the nearest quarter: right with half of them false."""
+    size = np.abs(_residuals(model, contacts, pose))
+    sigma = max(float(np.quantile(size, 0.25)) / 0.32, settings.least_noise)
+    return float((size > 4 * sigma).mean())
 
 
 def _independent(model: ObjectModel, contacts: Contacts, pose: Array, settings: RecognitionSettings) -> float:
