@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
     from fusion.benchmarks.charts import Chart
@@ -164,6 +164,8 @@ class Report:
     tables: list[Table] = field(default_factory=list)
     charts: list[Chart] = field(default_factory=list)
     claims: list[Claim] = field(default_factory=list)
+    # name -> (h, w, 3) uint8, written as NAME_name.png beside the report
+    pictures: dict[str, NDArray[np.uint8]] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data, with machine and versions."""
@@ -265,6 +267,11 @@ def write_report(report: Report, folder: Path) -> list[Path]:
     if report.charts:
         paths.append(folder / f"{report.name}.svg")
         paths[-1].write_text(draw(report.charts), encoding="utf-8")
+    for name, picture in report.pictures.items():
+        from scenes.formats.images import write_rgb
+
+        paths.append(folder / f"{report.name}_{name}.png")
+        write_rgb(paths[-1], picture)
     return paths
 
 
