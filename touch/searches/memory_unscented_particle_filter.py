@@ -37,8 +37,8 @@ class UnscentedSettings:
     # Contacts looked back at, m; None = the share of them all that T2 table 4.3 has (36 of 62, 24 of 40, 9 of 15).
     window: int | None = None
     window_share: float = 0.6
-    # Noise of a contact that the filter believes, metres per axis: what T2 section 4.4.4 measured of the iCub (its filter
-    # had 1 cm in simulation and 2 cm on the robot). A filter of few particles needs it wide.
+    # Noise of a contact that the filter believes, metres per axis: what T2 section 4.4.4 measured of the iCub (its
+    # filter had 1 cm in simulation and 2 cm on the robot). A filter of few particles needs it wide.
     sigma: float = 0.015
     # Sigma of a contact in the Kalman update, metres: the authors' program has none there, so that particles end on the
     # surface; some millimetres keep the gain regular.
