@@ -8,6 +8,7 @@ camera-robot calibration, which moves hand and contacts alike.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,13 +26,14 @@ from scenes.objects import ObjectModel
 from scenes.photography import add_background, photograph
 from scenes.rendering import Renderer
 from scenes.synthesis_settings import SynthesisSettings
+from scenes.threads import thread_count
 from scenes.viewpoints import draw_views, find_view
 
 if TYPE_CHECKING:
     from scenes.captures import Capture
     from scenes.grasping import Grasp
     from scenes.hands import Hand
-    from scenes.motion import MotionSettings
+    from scenes.motion import MotionSettings, Step
 
 __all__ = ["OCCLUDERS", "TOUCH_KINDS", "SynthesisSettings", "synthesize", "synthesize_frames"]
 
@@ -174,7 +176,6 @@ class _Recording:
         steps, self.motion_notes = plan_motion(
             motion, count, grasp, camera_from_hand, self.hand, self.model, camera, rng, settings
         )
-        errors = self._lasting(rng)
         scene = self._scene(grasp, camera_from_hand)
         around = {}
         if self.settings.background:
@@ -182,19 +183,41 @@ class _Recording:
             around["background"] = add_background(self.model, scene, self.renderer, rng, self.settings, tuple(corners))
         if self.clutter:
             around |= self._stand_about({**scene, **around}, rng)
-        forces_seed = int(rng.integers(2**31))
-        return self._recorded(steps, children, errors, around, forces_seed)
+        return self._recorded(steps, children, self._drifting(count, rng), around, int(rng.integers(2**31)))
 
-    def _recorded(self, steps, children, errors, around, forces_seed) -> Iterator[Frame]:  # type: ignore[no-untyped-def]
-        held = None
-        for index, (step, child) in enumerate(zip(steps, children)):
-            rng = np.random.default_rng(child)
-            if step.grasp is not held:
-                held = step.grasp
-                self._scene(held, step.camera_from_hand)
-            frame = self._held(index, step.grasp, step.camera_from_hand, rng, errors, around, forces_seed)
-            yield frame if index == 0 else replace(frame, prior=None)
-            errors = errors.drifted(self.preset.touch, rng)
+    def _drifting(self, count: int, rng: np.random.Generator) -> list[LastingErrors]:
+        """The lasting errors of each frame."""
+        errors = [self._lasting(rng)]
+        while len(errors) < count:
+            errors.append(errors[-1].drifted(self.preset.touch, rng))
+        return errors
+
+    def _recorded(
+        self,
+        steps: list[Step],
+        children: list[np.random.SeedSequence],
+        errors: list[LastingErrors],
+        around: dict[str, Array],
+        forces_seed: int,
+    ) -> Iterator[Frame]:
+        """Frames of one posture of the hand do not depend on one another: each thread makes one."""
+
+        def make(index: int) -> Frame:
+            rng, step = np.random.default_rng(children[index]), steps[index]
+            frame = self._held(index, step.grasp, step.camera_from_hand, rng, errors[index], around, forces_seed)
+            return frame if index == 0 else replace(frame, prior=None)
+
+        threads = thread_count()
+        with ThreadPoolExecutor(threads) as pool:
+            begin = 0
+            while begin < len(steps):
+                grasp = steps[begin].grasp
+                self._scene(grasp, steps[begin].camera_from_hand)
+                end = begin + 1
+                while end < len(steps) and end - begin < 2 * threads and steps[end].grasp is grasp:
+                    end += 1
+                yield from pool.map(make, range(begin, end))
+                begin = end
 
     def _lasting(self, rng: np.random.Generator) -> LastingErrors:
         hand = self.hand

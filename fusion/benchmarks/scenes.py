@@ -105,7 +105,7 @@ def _lattices(report: Report, settings: BenchSettings) -> None:
             Column("everywhere: RMS mm", 3),
             Column("sign wrong %", 3),
         ],
-        note=f"Near: within {1e3 * NEAR:.0f} mm of the surface; everywhere: in the lattice's box.",
+        note=f"Near: within {1e3 * NEAR:.0f} mm of the surface; everywhere: up to 20 mm outside the object's box.",
     )
     rng = np.random.default_rng(settings.seed)
     count = 2000 if settings.quick else 10_000
