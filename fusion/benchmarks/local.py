@@ -168,7 +168,7 @@ def _correction(report: Report, settings: BenchSettings, count: int) -> None:
     columns += [Column("optimal"), Column("median ms", 2)]
     note = (
         "T1, five contacts, 0.9 mm and 5°: 4.05 ± 2.8 mm, 5.0 ± 2.2°, 0.64 s; > 80 % with four below 1.8 mm, "
-        "10°. Success: < 1 cm and < 15°. ÷ bound: RMS error of the trials in the right mode over the Cramér-"
+        "10°. Success: < 1 cm and < 15°. ÷ bound: RMS of each error in the right mode over its Cramér-"
         "Rao bound of the same contacts without a prior (below 1: the prior helps). Optimal: cost, prior "
         "included, at most the truth's."
     )
@@ -230,11 +230,11 @@ def _correct(  # type: ignore[no-untyped-def]
 
 
 def bound_ratios(errors: Array, bounds: Array) -> tuple[float, float]:
-    """RMS error over RMS bound, rotation and position, of trials in the right mode (within 3 bounds) that have one."""
+    """RMS of (error / its own bound), rotation and position, of trials in the right mode (within 3 bounds) with one."""
     kept = np.isfinite(bounds).all(axis=1) & (errors < 3.0 * bounds).all(axis=1)
     if kept.sum() < 3:
         return float("nan"), float("nan")
-    ratio = np.sqrt((errors[kept] ** 2).mean(axis=0) / (bounds[kept] ** 2).mean(axis=0))
+    ratio = np.sqrt(((errors[kept] / bounds[kept]) ** 2).mean(axis=0))
     return float(ratio[0]), float(ratio[1])
 
 
