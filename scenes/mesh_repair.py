@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -243,6 +243,28 @@ def _boundary_edges(faces: Faces) -> NDArray[np.int64]:
     return edges[counts[inverse.ravel()] == 1]
 
 
+def _loops(following: dict[int, list[int]]) -> Iterator[list[int]]:
+    """The simple loops of a boundary: where two holes touch in a vertex they are two, not one figure of eight.
+
+    following: the vertices that come after each vertex; emptied. Open chains give none: the mesh stays open, which the
+    caller sees.
+    """
+    while following:
+        path = [next(iter(following))]
+        while path[-1] in following:
+            current = path[-1]
+            onward = following[current].pop()
+            if not following[current]:
+                del following[current]
+            if onward not in path:
+                path.append(onward)
+                continue
+            first = path.index(onward)
+            if len(path) - first >= 3:
+                yield path[first:]
+            path = path[: first + 1]
+
+
 def _close_holes(vertices: Array, faces: Faces, flat_share: float) -> tuple[Array, Faces, float, float, int]:
     """Close every boundary loop with a fan about its centre.
 
@@ -254,19 +276,7 @@ def _close_holes(vertices: Array, faces: Faces, flat_share: float) -> tuple[Arra
         following.setdefault(int(b), []).append(int(a))  # reversed: the patch runs against its neighbours
     new_vertices, new_faces, curved, flat, holes = [vertices], [faces], 0.0, 0.0, 0
     count = len(vertices)
-    while following:
-        start = next(iter(following))
-        loop, current = [], start
-        while current in following:
-            loop.append(current)
-            onward = following[current].pop()
-            if not following[current]:
-                del following[current]
-            current = onward
-            if current == start:
-                break
-        if current != start or len(loop) < 3:
-            continue  # an open chain cannot be closed; the caller sees the mesh is still open
+    for loop in _loops(following):
         ring = vertices[loop]
         holes += 1
         centre = ring.mean(axis=0)
