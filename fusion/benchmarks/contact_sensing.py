@@ -64,7 +64,7 @@ def presses(kind: str, count: int, rng: np.random.Generator, soft: SoftLayer | N
 def add_contact_sensing(report: Report, settings: BenchSettings) -> None:
     """The table of errors and the claim of speed."""
     count = settings.count(20_000, 2000)
-    count = max(count, 200)
+    count = max(count, 2000)
     columns = [Column("fingertip"), Column("skin"), Column("force noise mN", 0), Column("error um", 1)]
     columns += [Column("median um", 1), Column("valid"), Column("contacts per s, thousands", 0)]
     note = (
@@ -83,9 +83,12 @@ def add_contact_sensing(report: Report, settings: BenchSettings) -> None:
                 force = force + noise * rng.normal(size=force.shape)
                 torque = torque + noise * ARM * rng.normal(size=torque.shape)
                 tip_contacts(force[:10], torque[:10], surface, soft)
-                begin = time.perf_counter()
-                found = tip_contacts(force, torque, surface, soft)
-                rate = count / (time.perf_counter() - begin)
+                durations = []
+                for _ in range(3):
+                    begin = time.perf_counter()
+                    found = tip_contacts(force, torque, surface, soft)
+                    durations.append(time.perf_counter() - begin)
+                rate = count / min(durations)
                 error = np.linalg.norm(found.points - point, axis=1)[found.valid]
                 spread = Spread.of(error, 1e6)
                 table.add(name, skin, 1e3 * noise, spread, spread.median, Rate.of(found.valid), 1e-3 * rate)

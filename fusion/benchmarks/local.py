@@ -48,7 +48,7 @@ def _gradient_descent(model: ObjectModel, contacts: Contacts, start: Array, w_n:
     from touch.searches.gradient_descent import GradientDescentSettings, refine
 
     # without normals the cost has no steep walls and bears a larger step
-    rate = 5e-3 if w_n == 0 else GradientDescentSettings().rate
+    rate = 1e-3 if w_n == 0 else GradientDescentSettings().rate
     return refine(model, contacts, start, seed, GradientDescentSettings(normal_weight=w_n, rate=rate))
 
 
