@@ -356,8 +356,8 @@ def test_a_mesh_of_many_faces_gets_the_same_lattice_from_fewer_queries():
     error = np.abs(quick.values - exact.values)
     near = np.abs(exact.values) < 1.5 * exact.spacing
     assert error[near].max() < 1e-6
-    # away from the surface both are approximate, the first by interpolating every fourth node: on the medial axis, where
-    # distances fold, that is off by up to a good part of four cells
+    # away from the surface both are approximate, the first by interpolating every fourth node: on the medial axis,
+    # where distances fold, that is off by up to a good part of four cells
     assert np.sqrt(np.mean(error**2)) < 0.15 * exact.spacing
     assert error.max() < 4 * exact.spacing
     assert (np.sign(quick.values) == np.sign(exact.values)).mean() > 0.99999
