@@ -27,8 +27,6 @@ class CalibrationModel:
     # camera_from_robot after a usual hand-eye calibration: metres and radians per axis, at the camera.
     translation_sigma: float = 0.002
     rotation_sigma: float = float(np.deg2rad(0.3))
-    # What the finger joints add between palm and fingertip (0.3 degrees at each of three joints), metres.
-    fingertip_sigma: float = 0.0008
 
 
 @dataclass(frozen=True)

@@ -111,8 +111,8 @@ def align(
 ) -> Alignment:
     """Move every start (b, 4, 4) frame_from_object to a local minimum of the evidence's cost.
 
-    evidence and prior in the same frame. The cost of a pose never rises. Degenerate evidence leaves the free
-    directions where they started, and the Hessian tells which they were.
+    evidence and prior in the same frame. The cost of a pose never rises. Along directions that
+    the evidence leaves free a pose may drift by part of the object's size; the Hessian tells which they are.
     """
     settings = settings or AlignSettings()
     rotations, middles = _split(model, starts)
