@@ -76,7 +76,8 @@ class JointSettings:
 class JointResult:
     """pose (4, 4) camera_from_object; covariance (6, 6) about the centroid, all else marginalised; xi (6,)
     correction of what touch reports (camera frame, about `centre`); scale: depth scale error; cost: negative log
-    posterior, and log_evidence of the level of shared errors it was solved for.
+    posterior, and log_evidence of the level of shared errors it was solved for. information (6, 6) of the pose were
+    the shared errors known: its inverse is what averaging over frames can remove.
     """
 
     pose: Array
@@ -87,6 +88,7 @@ class JointResult:
     cost: float
     log_evidence: float
     level: float
+    information: Array = field(default_factory=lambda: np.zeros((6, 6)))
 
     @property
     def millimetres(self) -> float:
@@ -259,6 +261,7 @@ class JointProblem:
             float(cost),
             float(-cost - 0.5 * log_det),
             level,
+            normal[POSE, POSE].copy(),
         )
 
     def _system(self, pose: Array, unknown: Array) -> tuple[float, Array, Array]:
