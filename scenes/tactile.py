@@ -205,26 +205,46 @@ def press(
     """
     layer = SoftLayer.from_json(sensor.soft_layer, f"sensor {sensor.name!r}")
     points, normals, areas = skin(sensor)
-    local = poses.apply(object_from_sensor, points)
     facing = np.maximum(-(normals @ object_from_sensor[:3, :3].T) @ contact_normal, 0.0)
 
-    def pressures(depth: float) -> Array:
-        indentation = -model.field.distance(local - depth * contact_normal)
-        return layer.stiffness * np.clip(indentation, 0.0, 0.9 * layer.thickness)
+    def load(depth: float) -> float:
+        return float((_on_skin_of(model, object_from_sensor, points, contact_normal, depth, layer) * areas) @ facing)
 
     low, high = 0.0, 0.9 * layer.thickness
-    if float((pressures(high) * areas * facing).sum()) > force:
+    if load(high) > force:
         for _ in range(HALVINGS):
             middle = (low + high) / 2
-            low, high = (middle, high) if float((pressures(middle) * areas * facing).sum()) < force else (low, middle)
+            low, high = (middle, high) if load(middle) < force else (low, middle)
+    return press_to(model, object_from_sensor, sensor, contact_normal, high), high
+
+
+def press_to(
+    model: ObjectModel, object_from_sensor: Array, sensor: Sensor, contact_normal: Array, depth: float
+) -> Array:
+    """Pressures (k,) Pa under the layer of an array that goes on by `depth` (m) against contact_normal (3,), object
+    frame, from object_from_sensor (4, 4).
+    """
+    layer = SoftLayer.from_json(sensor.soft_layer, f"sensor {sensor.name!r}")
+    points, _, areas = skin(sensor)
     assert sensor.taxels is not None
-    return _under(layer, sensor.taxels[:, :3], points, areas, pressures(high)), high
+    pressure = _on_skin_of(model, object_from_sensor, points, contact_normal, depth, layer)
+    return _under(layer, sensor.taxels[:, :3], points, areas, pressure)
+
+
+def _on_skin_of(
+    model: ObjectModel, object_from_sensor: Array, points: Array, contact_normal: Array, depth: float, layer: SoftLayer
+) -> Array:
+    """Pressure (n,) on points (n, 3) of the skin, sensor frame."""
+    indentation = -model.field.distance(poses.apply(object_from_sensor, points) - depth * contact_normal)
+    return layer.stiffness * np.clip(indentation, 0.0, 0.9 * layer.thickness)
 
 
 def _under(layer: SoftLayer, places: Array, points: Array, areas: Array, pressure: Array) -> Array:
     """Pressure at the taxels (k, 3): that on the skin, blurred by the layer; along the skin where it is flat enough."""
+    from scipy.spatial.distance import cdist
+
     sigma = max(layer.spread * layer.thickness, 3e-4)
-    square = ((places[:, None] - points[None]) ** 2).sum(axis=2)
+    square = cdist(places, points, "sqeuclidean")
     weight = areas * np.exp(-0.5 * square / sigma**2)
     return (weight @ pressure) / np.maximum(weight.sum(axis=1), 1e-300)
 
