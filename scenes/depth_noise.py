@@ -12,13 +12,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from scenes import depth_kernels as kernels
 from scenes.cameras import Camera
 from scenes.errors import InputError
-from scenes.rendering import Rendering, region_rays
+from scenes.rendering import Rendering
 
 Array = NDArray[np.float64]
 Depth = NDArray[np.float32]
@@ -117,10 +117,10 @@ def lateral_sigma(incidence: Array) -> Array:
 
 def incidence_angles(rendering: Rendering, camera: Camera) -> Array:
     """(h, w) angle (rad) between each pixel's ray and the surface normal there; 0 where nothing is seen."""
-    rays = region_rays(camera, rendering.region)
-    cosine = np.abs(np.einsum("hwi,hwi->hw", rays, rendering.normals))
-    cosine /= np.sqrt(np.einsum("hwi,hwi->hw", rays, rays))
-    return np.where(rendering.ids >= 0, np.arccos(np.clip(cosine, 0.0, 1.0)), 0.0)
+    out = np.zeros(rendering.ids.shape)
+    lens = (camera.fx, camera.fy, camera.cx, camera.cy, rendering.region[0], rendering.region[1])
+    kernels.incidence(*lens, rendering.ids, rendering.normals, out)
+    return out
 
 
 def observed(
@@ -141,8 +141,10 @@ def observed(
     incidence = incidence_angles(rendering, camera)
     depth = truth
     if settings.lateral > 0:
-        shift = rng.normal(size=(2, *shape)) * (settings.lateral * lateral_sigma(incidence))
-        depth = _looked_up(truth, rendering.ids, shift)
+        shift = rng.normal(size=(2, *shape))
+        depth = np.zeros(shape)
+        ids = np.ascontiguousarray(rendering.ids)
+        kernels.look(truth, ids, shift, incidence, settings.lateral, LARGEST_INCIDENCE, depth)
         seen &= depth > 0
     if settings.multipath > 0:
         from scenes.multipath import multipath_error
@@ -150,15 +152,16 @@ def observed(
         depth = depth + multipath_error(rendering, camera, settings.multipath)
     if settings.flying > 0:
         depth = _flying(depth, truth, settings, rng)
+    depth = np.array(depth)  # changed in place from here on
     if settings.axial > 0:
-        depth = depth + settings.axial * _axial(depth, incidence, camera, settings, rng)
+        _add_axial(depth, incidence, camera, settings, rng)
+    bias, factor = np.zeros((0, 0)), 1.0
     if settings.bias > 0:
         bias = smooth_field(shape, settings.bias_length, rng) if errors is None else errors.bias
-        depth = depth + settings.bias * bias
     if settings.scale > 0:
-        depth = depth * (1.0 + settings.scale * (rng.normal() if errors is None else errors.scale))
-    if settings.disparity_step > 0:
-        depth = quantised(depth, camera.fx * settings.baseline, settings.disparity_step)
+        factor += settings.scale * (rng.normal() if errors is None else errors.scale)
+    focal_baseline = camera.fx * settings.baseline
+    kernels.read_off(depth, bias, settings.bias, factor, focal_baseline, settings.disparity_step)
     if settings.grazing_start < np.pi / 2:
         ramp = (incidence - settings.grazing_start) / max(settings.grazing_end - settings.grazing_start, 1e-9)
         seen &= rng.random(shape) >= np.clip(ramp, 0.0, 1.0)
@@ -171,52 +174,19 @@ def observed(
     return np.where(seen & (depth > 0), depth, 0.0).astype(np.float32)
 
 
-def _axial(depth: Array, incidence: Array, camera: Camera, settings: DepthNoise, rng: np.random.Generator) -> Array:
-    """One draw of the axial error (m) of each pixel."""
+def _add_axial(depth: Array, incidence: Array, camera: Camera, settings: DepthNoise, rng: np.random.Generator) -> None:
+    """One draw of the axial error of each pixel, added in place."""
     if settings.principle == "structured light":
-        return axial_sigma(depth, incidence) * rng.normal(size=depth.shape)
-    if settings.principle == "time of flight":
-        return time_of_flight_sigma(depth, incidence) * rng.normal(size=depth.shape)
-    if settings.principle != "stereo":
+        draws = rng.normal(size=depth.shape)
+        kernels.add_structured_light(depth, incidence, draws, settings.axial, LARGEST_INCIDENCE)
+    elif settings.principle == "time of flight":
+        depth += settings.axial * time_of_flight_sigma(depth, incidence) * rng.normal(size=depth.shape)
+    elif settings.principle == "stereo":
+        alike = settings.match_length > 0
+        draws = smooth_field(depth.shape, settings.match_length, rng) if alike else rng.normal(size=depth.shape)
+        depth += settings.axial * stereo_sigma(depth, camera.fx * settings.baseline, settings.match_sigma) * draws
+    else:
         raise InputError(f"depth noise: expected a principle of {', '.join(PRINCIPLES)}, got {settings.principle!r}")
-    sigma = stereo_sigma(depth, camera.fx * settings.baseline, settings.match_sigma)
-    if settings.match_length > 0:
-        return sigma * smooth_field(depth.shape, settings.match_length, rng)
-    return sigma * rng.normal(size=depth.shape)
-
-
-def _looked_up(truth: Array, ids: NDArray[np.int32], shift: Array) -> Array:
-    """Depth at each pixel moved by shift (2, h, w) px in (u, v): inverse depth, which is linear in the image on a
-    plane, is interpolated within one instance; across instances or steps the nearest pixel is read.
-    """
-    out = np.zeros_like(truth)
-    _look(truth, np.ascontiguousarray(ids), shift, out)
-    return out
-
-
-# Inverse depths of neighbours that differ by this factor are a step (12 mm at 0.6 m) even within one instance.
-SAME_SURFACE = 1.02
-
-
-@numba.njit(cache=True, nogil=True)
-def _look(truth, ids, shift, out):  # type: ignore[no-untyped-def]
-    height, width = truth.shape
-    for row in range(height):
-        for column in range(width):
-            x = min(max(column + shift[0, row, column], 0.0), width - 1.0)
-            y = min(max(row + shift[1, row, column], 0.0), height - 1.0)
-            x0, y0 = min(int(x), max(width - 2, 0)), min(int(y), max(height - 2, 0))
-            x1, y1 = min(x0 + 1, width - 1), min(y0 + 1, height - 1)
-            low = min(truth[y0, x0], truth[y0, x1], truth[y1, x0], truth[y1, x1])
-            high = max(truth[y0, x0], truth[y0, x1], truth[y1, x0], truth[y1, x1])
-            owner = ids[y0, x0]
-            if low > 0.0 and high < SAME_SURFACE * low and owner == ids[y0, x1] == ids[y1, x0] == ids[y1, x1]:
-                a, b = x - x0, y - y0
-                upper = (1 - a) / truth[y0, x0] + a / truth[y0, x1]
-                lower = (1 - a) / truth[y1, x0] + a / truth[y1, x1]
-                out[row, column] = 1.0 / ((1 - b) * upper + b * lower)
-            else:
-                out[row, column] = truth[int(np.rint(y)), int(np.rint(x))]
 
 
 def depth_steps(depth: Array, step: float) -> tuple[NDArray[np.bool_], Array, Array]:
@@ -224,10 +194,9 @@ def depth_steps(depth: Array, step: float) -> tuple[NDArray[np.bool_], Array, Ar
 
     Pixels without a reading neither make a jump nor are beside one.
     """
-    from scipy.ndimage import maximum_filter, minimum_filter
-
-    near = minimum_filter(np.where(depth > 0, depth, np.inf), size=3, mode="nearest")
-    far = maximum_filter(depth, size=3, mode="nearest")
+    depth = np.asarray(depth, dtype=np.float64)
+    near, far = np.zeros(depth.shape), np.zeros(depth.shape)
+    kernels.extremes(depth, near, far)
     return (depth > 0) & (far - near > step), near, far
 
 
@@ -235,7 +204,9 @@ def _flying(depth: Array, truth: Array, settings: DepthNoise, rng: np.random.Gen
     edge, near, far = depth_steps(truth, settings.step)
     chosen = edge & (rng.random(depth.shape) < settings.flying)
     share = rng.random(depth.shape)
-    return np.where(chosen, share * np.where(chosen, near, 0.0) + (1 - share) * far, depth)
+    mixed = np.array(depth)
+    mixed[chosen] = share[chosen] * near[chosen] + (1 - share[chosen]) * far[chosen]
+    return mixed
 
 
 def smooth_field(shape: tuple[int, ...], length: float, rng: np.random.Generator) -> Array:

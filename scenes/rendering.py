@@ -29,6 +29,10 @@ Region = tuple[int, int, int, int]
 LARGEST_REFINEMENT = 1e-4
 # Corners nearer than this (m) to the camera plane do not bound the projection: the whole region is cast.
 NEAREST_CORNER = 1e-3
+# A mesh of at most this many faces (walls, tables, boxes) is met by formula instead of a ray-casting scene.
+FEW_FACES = 4
+# A mesh of more vertices than this is bounded by the corners of its box.
+MANY_VERTICES = 4000
 
 
 @dataclass(frozen=True)
@@ -68,7 +72,8 @@ class _Caster:
             low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
             self.centre = (low + high) / 2
             grid = np.array(np.meshgrid(*([[0.0, 1.0]] * 3), indexing="ij")).reshape(3, -1).T
-            self.corners = low + grid * (high - low)
+            # of a mesh of few vertices they bound the projection themselves: a hand fills little of its box
+            self.outline = self.vertices if len(self.vertices) <= MANY_VERTICES else low + grid * (high - low)
             first, second, third = (self.vertices[self.faces[:, i]] for i in range(3))
             normals = np.cross(second - first, third - first)
             length = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -95,7 +100,7 @@ class _Caster:
         """The part of `region` that the mesh's box can project to; empty when u1 <= u0 or v1 <= v0."""
         if not len(self.faces):
             return (region[0], region[1], region[0], region[1])
-        corners = apply(pose, self.corners)
+        corners = apply(pose, self.outline)
         if (corners[:, 2] <= 0).all():
             return (region[0], region[1], region[0], region[1])
         if (corners[:, 2] < NEAREST_CORNER).any():
@@ -107,6 +112,12 @@ class _Caster:
 
     def cast(self, camera: Camera, part: Region, pose: Array) -> tuple[Array, NDArray[np.uint32]]:
         """z-depths (h, w), inf for no hit, and triangle indices of the rays through the pixels of `part`."""
+        if len(self.faces) <= FEW_FACES:
+            shape = (part[3] - part[1], part[2] - part[0])
+            depth, found = np.zeros(shape), np.zeros(shape, dtype=np.uint32)
+            lens = (camera.fx, camera.fy, camera.cx, camera.cy, part[0], part[1])
+            kernels.few_faces(*lens, apply(pose, self.vertices)[self.faces], depth, found)
+            return depth, found
         mesh_from_camera = inverse(pose)
         origin, rotation = mesh_from_camera[:3, 3].copy(), np.ascontiguousarray(mesh_from_camera[:3, :3])
         shape = (part[3] - part[1], part[2] - part[0])
@@ -248,7 +259,6 @@ def shade(
     table.append(background)
     toward = np.asarray(light, dtype=np.float64)
     toward = toward / np.linalg.norm(toward)
-    facing = sum(rendering.normals[..., i] * toward[i] for i in range(3))
-    lambert = AMBIENT + (1 - AMBIENT) * np.clip(facing, 0.0, 1.0)
-    lambert[rendering.ids < 0] = 1.0
-    return np.clip(np.array(table, dtype=np.float64)[rendering.ids] * lambert[..., None], 0, 255).astype(np.uint8)
+    image = np.zeros((*rendering.ids.shape, 3), dtype=np.uint8)
+    kernels.paint(rendering.ids, rendering.normals, np.array(table, dtype=np.float64), toward, AMBIENT, image)
+    return image

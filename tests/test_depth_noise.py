@@ -172,3 +172,32 @@ def test_wrenches_have_noise_offset_and_drift():
             errors = errors.drifted(touch, rng)
         walks.append(errors.wrenches["tip"] - start)
     np.testing.assert_allclose(np.std(walks, axis=0), np.repeat([0.03, 3e-5], 3), rtol=0.12)
+
+
+def test_compiled_loops_agree_with_the_formulas():
+    from scenes import depth_kernels as kernels
+
+    rng = np.random.default_rng(4)
+    view = tilted(np.deg2rad(65.0))
+    rays = (np.stack(np.meshgrid(np.arange(320), np.arange(240)), -1) - [CAMERA.cx, CAMERA.cy]) / CAMERA.fx
+    rays = np.concatenate([rays, np.ones((240, 320, 1))], axis=2)
+    cosine = np.abs((rays * view.normals).sum(axis=2)) / np.linalg.norm(rays, axis=2)
+    angle = noise.incidence_angles(view, CAMERA)
+    np.testing.assert_allclose(angle, np.arccos(np.clip(cosine, 0, 1)), atol=1e-9)
+
+    truth = np.where(rng.random((60, 80)) < 0.1, 0.0, rng.uniform(0.3, 2.0, (60, 80)))
+    draws, angle = rng.normal(size=truth.shape), rng.uniform(0.0, np.pi / 2, truth.shape)
+    depth = truth.copy()
+    kernels.add_structured_light(depth, angle, draws, 0.7, depth_noise.LARGEST_INCIDENCE)
+    np.testing.assert_allclose(depth, truth + 0.7 * depth_noise.axial_sigma(truth, angle) * draws, rtol=1e-12)
+
+    read = truth.copy()
+    kernels.read_off(read, draws, 0.002, 1.004, 40.0, 0.125)
+    np.testing.assert_allclose(read, depth_noise.quantised((truth + 0.002 * draws) * 1.004, 40.0, 0.125), rtol=1e-12)
+
+    steps, near, far = depth_noise.depth_steps(truth, 0.01)
+    padded = np.pad(truth, 1, mode="edge")
+    around = np.stack([padded[i : i + 60, j : j + 80] for i in range(3) for j in range(3)])
+    np.testing.assert_array_equal(far, around.max(axis=0))
+    np.testing.assert_array_equal(near, np.where(around > 0, around, np.inf).min(axis=0))
+    np.testing.assert_array_equal(steps, (truth > 0) & (far - near > 0.01))

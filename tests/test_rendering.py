@@ -163,3 +163,26 @@ def test_thread_setting(monkeypatch):
         thread_count()
     monkeypatch.delenv("PALPATE_THREADS")
     assert thread_count() >= 1
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_few_faces_are_seen_as_the_ray_caster_sees_them(seed, monkeypatch):
+    wall = ([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
+    pose = placed(seed, 0.8)
+    ours = Renderer({"wall": wall}).render(SMALL, {"wall": pose})
+    monkeypatch.setattr("scenes.rendering.FEW_FACES", 0)
+    theirs = Renderer({"wall": wall}).render(SMALL, {"wall": pose})
+    same = ours.ids == theirs.ids
+    assert same.mean() > 0.999  # a ray through an edge may go either way
+    np.testing.assert_allclose(ours.depth[same], theirs.depth[same], rtol=1e-6)
+    np.testing.assert_allclose(ours.normals[same], theirs.normals[same], atol=1e-12)
+
+
+def test_shading_is_lambert():
+    rendering = Renderer({"box": (BOX.vertices, BOX.faces)}).render(SMALL, {"box": placed(5)})
+    light = np.array([0.2, -0.4, -1.0])
+    facing = np.clip(rendering.normals @ (light / np.linalg.norm(light)), 0.0, 1.0)
+    expected = (0.35 + 0.65 * facing)[..., None] * [10, 200, 120]
+    expected[rendering.ids < 0] = [24, 26, 30]
+    image = shade(rendering, {"box": (10, 200, 120)}, light=light)
+    assert np.abs(image.astype(int) - expected.astype(np.uint8)).max() <= 1  # rounding of equal sums
