@@ -25,8 +25,10 @@ Array = NDArray[np.float64]
 LAYOUTS = {"fingertip": 12, "pad": 24}
 # Points of the skin over which pressure is summed: 0.5 mm apart on a fingertip.
 SKIN_POINTS = 2500
-# Bisections of the depth to which a finger presses: 2^-30 of the layer's thickness.
-HALVINGS = 30
+# To how much of the layer's thickness the depth is found to which a finger presses.
+DEPTH_STEP = 1e-5
+# A layer is squeezed to a tenth of its thickness at most.
+DEEPEST = 0.9
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,11 @@ class SoftLayer:
         """Pressure by indentation (Pa / m)."""
         nu = self.poisson
         return self.modulus * (1 - nu) / ((1 + nu) * (1 - 2 * nu)) / self.thickness
+
+    @property
+    def blur(self) -> float:
+        """Standard deviation (m) of the layer's blur; even thin layers spread pressure over the electronics' cells."""
+        return max(self.spread * self.thickness, 3e-4)
 
     def to_json(self) -> dict[str, float]:
         """The sensors file's soft_layer."""
@@ -203,49 +210,66 @@ def press(
     object_from_sensor (4, 4): where the undeformed fingertip just touches; contact_normal (3,) out of the object, in
     its frame. The finger goes on along the normal until the layer carries the force, or is squeezed to a tenth.
     """
+    from scipy.optimize import brentq
+
     layer = SoftLayer.from_json(sensor.soft_layer, f"sensor {sensor.name!r}")
     points, normals, areas = skin(sensor)
     facing = np.maximum(-(normals @ object_from_sensor[:3, :3].T) @ contact_normal, 0.0)
+    moved = object_from_sensor.copy()
 
     def load(depth: float) -> float:
-        return float((_on_skin_of(model, object_from_sensor, points, contact_normal, depth, layer) * areas) @ facing)
+        moved[:3, 3] = object_from_sensor[:3, 3] - depth * contact_normal
+        pressure = layer.stiffness * indentation(model, moved, points, normals, DEEPEST * layer.thickness)
+        return float((pressure * areas) @ facing)
 
-    low, high = 0.0, 0.9 * layer.thickness
-    if load(high) > force:
-        for _ in range(HALVINGS):
-            middle = (low + high) / 2
-            low, high = (middle, high) if load(middle) < force else (low, middle)
-    return press_to(model, object_from_sensor, sensor, contact_normal, high), high
+    deepest = DEEPEST * layer.thickness
+    if load(0.0) >= force:
+        depth = 0.0
+    elif load(deepest) <= force:
+        depth = deepest
+    else:
+        depth = float(brentq(lambda depth: load(depth) - force, 0.0, deepest, xtol=DEPTH_STEP * layer.thickness))
+    moved[:3, 3] = object_from_sensor[:3, 3] - depth * contact_normal
+    return pressures_at(model, moved, sensor), depth
 
 
-def press_to(
-    model: ObjectModel, object_from_sensor: Array, sensor: Sensor, contact_normal: Array, depth: float
-) -> Array:
-    """Pressures (k,) Pa under the layer of an array that goes on by `depth` (m) against contact_normal (3,), object
-    frame, from object_from_sensor (4, 4).
+def pressures_at(model: ObjectModel, object_from_sensor: Array, sensor: Sensor) -> Array:
+    """Pressures (k,) Pa under the layer of an array whose undeformed skin is where object_from_sensor (4, 4) puts it:
+    what of the object is in the layer has indented it.
     """
-    layer = SoftLayer.from_json(sensor.soft_layer, f"sensor {sensor.name!r}")
-    points, _, areas = skin(sensor)
     assert sensor.taxels is not None
-    pressure = _on_skin_of(model, object_from_sensor, points, contact_normal, depth, layer)
-    return _under(layer, sensor.taxels[:, :3], points, areas, pressure)
+    layer = SoftLayer.from_json(sensor.soft_layer, f"sensor {sensor.name!r}")
+    points, normals, areas = skin(sensor)
+    depth = indentation(model, object_from_sensor, points, normals, DEEPEST * layer.thickness)
+    return _under(layer, sensor.taxels[:, :3], points, areas, layer.stiffness * depth)
 
 
-def _on_skin_of(
-    model: ObjectModel, object_from_sensor: Array, points: Array, contact_normal: Array, depth: float, layer: SoftLayer
-) -> Array:
-    """Pressure (n,) on points (n, 3) of the skin, sensor frame."""
-    indentation = -model.field.distance(poses.apply(object_from_sensor, points) - depth * contact_normal)
-    return layer.stiffness * np.clip(indentation, 0.0, 0.9 * layer.thickness)
+def indentation(model: ObjectModel, object_from_sensor: Array, points: Array, normals: Array, deepest: float) -> Array:
+    """How deep (n,) m the object's mesh reaches into the skin at points (n, 3) against the outward normals (n, 3),
+    sensor frame; at most `deepest` (m).
+
+    The foundation's columns are squeezed along the skin's normal: a thin rib indents by its height, however narrow.
+    """
+    rotation = object_from_sensor[:3, :3]
+    foot, up = poses.apply(object_from_sensor, points - deepest * normals), normals @ rotation.T
+    # only columns that the object can reach are followed
+    near = np.flatnonzero(model.field.distance(foot) < deepest + model.field.spacing)
+    out = np.zeros(len(points))
+    if not len(near):
+        return out
+    height = model.surface.cast(foot[near], up[near])
+    # from inside the object the first surface met is where the ray leaves it
+    inside = model.surface.closest(foot[near])[0] < 0
+    out[near] = np.where(inside, deepest, np.clip(deepest - height, 0.0, deepest))
+    return out
 
 
 def _under(layer: SoftLayer, places: Array, points: Array, areas: Array, pressure: Array) -> Array:
     """Pressure at the taxels (k, 3): that on the skin, blurred by the layer; along the skin where it is flat enough."""
     from scipy.spatial.distance import cdist
 
-    sigma = max(layer.spread * layer.thickness, 3e-4)
     square = cdist(places, points, "sqeuclidean")
-    weight = areas * np.exp(-0.5 * square / sigma**2)
+    weight = areas * np.exp(-0.5 * square / layer.blur**2)
     return (weight @ pressure) / np.maximum(weight.sum(axis=1), 1e-300)
 
 
