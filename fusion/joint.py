@@ -76,8 +76,9 @@ class JointSettings:
 class JointResult:
     """pose (4, 4) camera_from_object; covariance (6, 6) about the centroid, all else marginalised; xi (6,)
     correction of what touch reports (camera frame, about `centre`); scale: depth scale error; cost: negative log
-    posterior, and log_evidence of the level of shared errors it was solved for. information (6, 6) of the pose were
-    the shared errors known: its inverse is what averaging over frames can remove.
+    posterior, and log_evidence of the level of shared errors it was solved for. Of the frame alone, without the prior on
+    the pose: independent (6, 6), the covariance that independent noise makes, and shared (6, 6), what calibration,
+    depth scale and bias add to it; a direction that the frame does not tell is as wide as the object, in shared.
     """
 
     pose: Array
@@ -88,7 +89,8 @@ class JointResult:
     cost: float
     log_evidence: float
     level: float
-    information: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    independent: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    shared: Array = field(default_factory=lambda: np.zeros((6, 6)))
 
     @property
     def millimetres(self) -> float:
@@ -261,8 +263,23 @@ class JointProblem:
             float(cost),
             float(-cost - 0.5 * log_det),
             level,
-            normal[POSE, POSE].copy(),
+            *self._split(here, normal, width),
         )
+
+    def _split(self, pose: Array, normal: Array, width: Array) -> tuple[Array, Array]:
+        """The covariance of the frame alone, in what independent noise and what shared errors make of it.
+
+        With H the evidence's information and L the priors', the estimate's covariance (H + L)^-1 is
+        (H + L)^-1 H (H + L)^-1 from noise in the evidence plus (H + L)^-1 L (H + L)^-1 from errors as the priors have.
+        """
+        evidence = normal.copy()
+        if self.prior is not None:
+            evidence[POSE, POSE] -= alignment.terms(self.model, tables.empty(), pose, self.prior)[2]
+        believed = np.where(np.arange(len(normal)) < 6, width, 1.0)
+        evidence[np.arange(6, len(normal)), np.arange(6, len(normal))] -= 1.0
+        inverse = np.linalg.solve(evidence + np.diag(believed), np.eye(len(normal))[:, :6])
+        shared = inverse.T @ (believed[:, None] * inverse)
+        return inverse.T @ evidence @ inverse, shared
 
     def _system(self, pose: Array, unknown: Array) -> tuple[float, Array, Array]:
         """Cost, gradient and Gauss-Newton matrix about (delta, whitened xi, s, b)."""
