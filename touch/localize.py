@@ -70,15 +70,15 @@ class LocalizeSettings:
     budget_rank: int = 100_000
     budget_ranked: int = 20_000
     # Otherwise: starts everywhere; each costs about 10 microseconds with five contacts.
-    starts: int = 6000
+    starts: int = 3000
     # Blur of the first pass as a share of the object's radius: its basins are as wide as the object's features.
     widest_blur: float = 0.25
     # Blur on normals in the first pass, radians.
     widest_blur_normal: float = 0.6
     # Survivors of the passes.
-    keep: tuple[int, int, int] = (1500, 400, 120)
-    # Row evaluations that a pass may spend; with many contacts the starts are fewer.
-    budget_rows: int = 3_000_000
+    keep: tuple[int, int, int] = (800, 250, 100)
+    # Row evaluations that the first pass may spend: with many contacts the starts are fewer, and each is led better.
+    budget_rows: int = 400_000
     # Residuals this many times above the claimed sigma mean that the claim is wrong: the noise is then inferred.
     surprise: float = 1.5
     # Inferred noise has an unknown shape: residuals beyond this many sigmas count linearly.

@@ -5,9 +5,10 @@ Angles in radians, lengths in metres. A trial is a truth (4, 4), noisy contacts 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from scenes import evidence as tables
 from scenes import poses as se3
 from scenes.alignment.batch import Prior, align, costs, terms
+from scenes.alignment.modes import Mode, covariance_of
 from scenes.errors import InputError
 from scenes.frames import Contacts
 from scenes.noise import TouchNoise, observe_contacts
@@ -101,6 +103,60 @@ def is_optimal(model: ObjectModel, contacts: Contacts, pose: Array, truth: Array
 def from_truth(model: ObjectModel, contacts: Contacts, truth: Array) -> Array:
     """The minimum next to the truth (4, 4): what an oracle that starts there makes of the same contacts."""
     return align(model, tables.from_contacts(contacts), truth[None]).poses[0]
+
+
+# Samples of the surface that the exact likelihood of a contact is summed over, and how many poses stand for a mode.
+SURFACE_SAMPLES, MODE_SAMPLES = 120_000, 64
+
+
+@cache
+def _surface_tree(model: ObjectModel) -> tuple[Array, Any]:
+    from scipy.spatial import cKDTree
+
+    points, normals = model.sample_surface(SURFACE_SAMPLES, seed=1)
+    return normals, cKDTree(points)
+
+
+def log_likelihood(model: ObjectModel, contacts: Contacts, poses: Array) -> Array:
+    """(b,) log likelihoods of scattered contacts at poses (b, 4, 4), up to one constant, as the trials draw them.
+
+    Any point of the surface may have been touched: the noise's density is summed over the whole of it, where an
+    estimator looks only at the nearest point. sigma_point and sigma_normal must be above 0.
+    """
+    normals, tree = _surface_tree(model)
+    inverses = np.array([se3.inverse(pose) for pose in poses])
+    points = se3.apply(inverses, contacts.points)
+    total = np.zeros(len(poses))
+    for k in range(len(contacts)):
+        sigma, sigma_normal = contacts.sigma_point[k], contacts.sigma_normal[k]
+        normal = inverses[:, :3, :3] @ contacts.normals[k]
+        away, near = tree.query(points[:, k], k=64, distance_upper_bound=4.5 * sigma)
+        there = np.isfinite(away)
+        cosine = np.einsum("bki,bi->bk", normals[np.where(there, near, 0)], normal)
+        angle = np.arccos(np.clip(cosine, -1.0, 1.0))
+        log = -0.5 * (np.where(there, away, 0.0) / sigma) ** 2 - 0.5 * (angle / sigma_normal) ** 2
+        # a floor: no contact may rule a pose out alone by more than the samples can tell
+        total += np.maximum(np.logaddexp.reduce(np.where(there, log, -np.inf), axis=1), -60.0)
+    return total
+
+
+def likeliest(model: ObjectModel, contacts: Contacts, modes: Sequence[Mode], truth: Array) -> Array:
+    """Pose (4, 4) of the mode to which the exact likelihood of the contacts gives most, the truth's own among them.
+
+    What no estimator can beat by more than chance: it knows how the contacts were drawn and which poses to weigh up.
+    """
+    near = from_truth(model, contacts, truth)
+    information = terms(model, tables.from_contacts(contacts), near)[2]
+    rng = np.random.default_rng(0)
+    best, chosen = -np.inf, near
+    for pose, covariance in [(m.pose, m.covariance) for m in modes] + [(near, covariance_of(model, information))]:
+        values, vectors = np.linalg.eigh(covariance)
+        draws = rng.normal(size=(MODE_SAMPLES, 6)) * np.sqrt(np.maximum(values, 0.0))
+        draws[0] = 0.0
+        fit = float(log_likelihood(model, contacts, se3.perturb(pose, draws @ vectors.T, model.centroid)).max())
+        if fit > best:
+            best, chosen = fit, pose
+    return chosen
 
 
 def bound(model: ObjectModel, contacts: Contacts, truth: Array) -> tuple[float, float]:
