@@ -7,13 +7,13 @@ beyond a line is in `fusion.stages`.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion import joint, posterior
 from fusion.answer import Estimate
+from fusion.planning import find_modes, worth_solving
 from fusion.stages import (
     EstimateSettings,
     as_prior,
@@ -30,9 +30,7 @@ from fusion.stages import (
 )
 from fusion.trace import Trace
 from scenes import evidence as tables
-from scenes.alignment import AlignSettings, Prior, align
-from scenes.alignment.modes import distinct_modes
-from scenes.alignment.search import search
+from scenes.alignment import Prior
 from scenes.frames import Frame
 from scenes.objects import ObjectModel
 from scenes.threads import one_blas_thread
@@ -108,18 +106,23 @@ def _estimate(
     with trace.stage("search", True, "") as stage:
         starts = starts_of(model, believed, looked.pixels.points, felt.contacts.moved(correction), settings, rng)
         blur = float(np.clip(settings.blur_share * model.radius, *settings.blur_limits))
-        found = search(model, rows, starts, search_stages(blur, believed is not None), believed, rank=sight.costs)
-        stage.note(len(rows), f"{len(starts)} starts, blur {1e3 * blur:.1f} mm")
-    with trace.stage("refine", True, "") as stage:
-        refined = align(model, rows, found.poses, believed, AlignSettings(iterations=30))
-        past = sight.costs(refined.poses)
-        modes = distinct_modes(model, replace(refined, costs=refined.costs + past), settings.modes)
-        stage.note(len(rows), f"minima: {len(modes)}; what the camera saw past the best costs {past.min():.1f}")
+        found = find_modes(
+            model,
+            rows,
+            starts,
+            search_stages(blur, believed is not None),
+            believed,
+            sight.costs,
+            settings.plan,
+            settings.modes,
+        )
+        modes = found.modes
+        stage.note(len(rows), f"{found.looked_at} of {len(starts)} starts, blur {1e3 * blur:.1f} mm; {found.why}")
     in_time = not trace.over_budget
     with trace.stage("solve together", in_time, "the time budget is spent") as stage:
         if in_time:
             problem = joint.JointProblem.of(model, frame, looked, seen, felt.rows, believed, hand, settings)
-            solved = joint.solve_modes(problem, [m.pose for m in modes])
+            solved = joint.solve_modes(problem, worth_solving(modes, settings.plan))
             past = sight.costs(np.array([s.pose for s in solved]))
             modes = rejudged(model, solved, past, settings)
             best = solved[int(np.argmin([s.cost + c for s, c in zip(solved, past)]))]

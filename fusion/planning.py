@@ -1,0 +1,147 @@
+"""What a frame does not need is not done: searches that may end early, and what their answers must explain first.
+
+A search from many starts looks at a few of them first. When those agree on one minimum, and that minimum explains what
+was seen and felt to within its noise, more starts can only find what explains it no better, and are not looked at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes import poses as se3
+from scenes.alignment import Alignment, AlignSettings, Prior, align
+from scenes.alignment.modes import Mode, ModeSettings, distinct_modes
+from scenes.alignment.search import SearchStage, search, thin
+from scenes.evidence import GATE_ABOVE, SIGMA, TOUCH, VISION, Evidence
+from scenes.objects import ObjectModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PlanSettings:
+    """When a search may end early."""
+
+    # Off: every stage looks at everything.
+    skipping: bool = True
+    # Starts looked at first. A minimum as wide as a tenth of the prior is missed by all of them with 3 %.
+    first_starts: int = 32
+    # Share of these that must end in the best minimum: a search from a prior usually finds two or three others.
+    agreeing: float = 0.3
+    # Least share of the object's pixels, and of the contacts, within three sigmas (blur included) of the surface.
+    explained_pixels: float = 0.85
+    explained_contacts: float = 0.75
+    # Of these so many, the best first, are refined with all rows.
+    refined: int = 6
+    # Most that a pose may cost for what the camera saw past it and what must hide it (negative log likelihood, see
+    # vision.sight): 12 are an object all hidden, 16 a half hidden one of which 8 % were seen past.
+    past: float = 16.0
+    # Pixels below which vision cannot speak for an answer alone.
+    least_pixels: int = 60
+    # Modes below this share of the posterior are not solved jointly with calibration and bias: they cannot win.
+    negligible: float = 1e-3
+
+
+@dataclass(frozen=True)
+class Found:
+    """Modes of a search after refinement with all rows; starts looked at; why no more were."""
+
+    modes: tuple[Mode, ...]
+    looked_at: int
+    past: float
+    why: str
+
+
+def find_modes(
+    model: ObjectModel,
+    rows: Evidence,
+    starts: Array,
+    stages: tuple[SearchStage, ...],
+    prior: Prior | None,
+    rank: Callable[[Array, float], Array],
+    settings: PlanSettings,
+    mode_settings: ModeSettings,
+) -> Found:
+    """Search from a few starts, and from the rest only when those leave a doubt.
+
+    starts (n, 4, 4), the likeliest first or in random order; rank(poses, blur) -> (n,) costs beyond the rows', in
+    the same units. Modes are camera_from_object.
+    """
+    few = settings.first_starts if settings.skipping and prior is not None else 0
+    doubt = ""
+    if 0 < few < len(starts):
+        poses = starts[:few]
+        for stage in stages:
+            how = AlignSettings(blur=stage.blur, blur_normal=stage.blur_normal, iterations=stage.iterations)
+            rough = align(model, thin(rows, stage.rows), poses, prior, how)
+            poses = rough.poses
+        order = np.argsort(rough.costs + rank(poses, stages[-1].blur), kind="stable")
+        merged = mode_settings.merge_share * model.radius
+        agreeing = float((_displaced(model, poses, poses[order[0]]) < merged).mean())
+        first, past = _refined(model, rows, poses[order[: settings.refined]], prior, rank)
+        doubt = doubt_of(model, rows, first, past, agreeing, settings)
+        if not doubt:
+            modes = distinct_modes(model, first, mode_settings)
+            return Found(modes, few, float(past.min()), "the first agree and explain what was sensed")
+    found = search(model, rows, starts, stages, prior, rank=rank)
+    refined, past = _refined(model, rows, found.poses, prior, rank)
+    return Found(distinct_modes(model, refined, mode_settings), len(starts), float(past.min()), doubt)
+
+
+def worth_solving(modes: tuple[Mode, ...], settings: PlanSettings) -> list[Array]:
+    """Poses of the modes that the joint solution could still put first."""
+    if not settings.skipping:
+        return [m.pose for m in modes]
+    return [m.pose for m in modes if m.weight >= settings.negligible or m is modes[0]]
+
+
+def _displaced(model: ObjectModel, poses: Array, pose: Array) -> Array:
+    """(n,) metres by which a point at the object's radius moves at most between `pose` and poses, modulo symmetry."""
+    delta = se3.difference(model.symmetries.nearest(poses, pose), pose, model.centroid)
+    return np.linalg.norm(delta[:, :3], axis=1) * model.radius + np.linalg.norm(delta[:, 3:], axis=1)
+
+
+def _refined(
+    model: ObjectModel, rows: Evidence, poses: Array, prior: Prior | None, rank: Callable[[Array, float], Array]
+) -> tuple[Alignment, Array]:
+    refined = align(model, rows, poses, prior, AlignSettings(iterations=30))
+    past = rank(refined.poses, 0.0)
+    return replace(refined, costs=refined.costs + past), past
+
+
+def doubt_of(
+    model: ObjectModel,
+    rows: Evidence,
+    found: Alignment,
+    past: Array,
+    agreeing: float,
+    settings: PlanSettings,
+) -> str:
+    """Why the best of a few aligned poses may not be the answer; empty when nothing speaks against it.
+
+    past (n,): what each costs for what the camera saw past it; agreeing: share of the starts that ended near the best.
+    """
+    best = int(np.argmin(found.costs))
+    pose = found.poses[best]
+    if agreeing < settings.agreeing:
+        return f"{agreeing:.0%} of the first agree"
+    if past[best] > settings.past:
+        return f"what the camera saw past the first costs {past[best]:.1f}"
+    on = rows.rows[:, GATE_ABOVE] > 0
+    distance = np.abs(model.field.distance(se3.apply(se3.inverse(pose), rows.points)))
+    near = distance < 3.0 * rows.rows[:, SIGMA]
+    for sense, name, least in (
+        (VISION, "pixels", settings.explained_pixels),
+        (TOUCH, "contacts", settings.explained_contacts),
+    ):
+        of = on & (rows.sense == sense)
+        share = float(near[of].mean()) if of.any() else 1.0
+        if share < least:
+            return f"{share:.0%} of the {name} explained"
+    if int((on & (rows.sense == VISION)).sum()) < settings.least_pixels:
+        return "few pixels of the object"
+    return ""
