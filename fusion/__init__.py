@@ -1,6 +1,6 @@
 """One answer from both senses, and everything a user runs.
 
-    from fusion import estimate
+    from fusion import estimate, track
 
 Names are loaded when they are first used, so that `palpate --help` does not wait for compilers and ray casters.
 """
@@ -13,10 +13,20 @@ if TYPE_CHECKING:
     from fusion.answer import Estimate
     from fusion.estimation import estimate
     from fusion.stages import EstimateSettings
+    from fusion.tracking import Tracker, track
+    from fusion.tracking_answer import TrackedEstimate, TrackSettings
 
-__all__ = ["Estimate", "EstimateSettings", "estimate"]
+__all__ = ["Estimate", "EstimateSettings", "TrackSettings", "TrackedEstimate", "Tracker", "estimate", "track"]
 
-_HOMES = {"Estimate": "fusion.answer", "EstimateSettings": "fusion.stages", "estimate": "fusion.estimation"}
+_HOMES = {
+    "Estimate": "fusion.answer",
+    "EstimateSettings": "fusion.stages",
+    "TrackSettings": "fusion.tracking_answer",
+    "TrackedEstimate": "fusion.tracking_answer",
+    "Tracker": "fusion.tracking",
+    "estimate": "fusion.estimation",
+    "track": "fusion.tracking",
+}
 
 
 def __getattr__(name: str) -> Any:

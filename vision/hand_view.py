@@ -125,21 +125,21 @@ def view_hand(
     weight = sigma**2 / (sigma**2 + (patch - 1) * depth_model.bias_sigma**2)
     xi, aligned = np.zeros(6), measured
     for gate in settings.gates:
-        distance, direction, robust = _hand_terms(surface, aligned, points, gate)
+        distance, direction, robust = hand_terms(surface, aligned, points, gate)
         row_weight = weight * robust / sigma**2
         # the hand moves, the points stay: the distance falls by g . (omega x (p - c) + v)
         jac = -np.concatenate([np.cross(points - centre, direction), direction], axis=1)
         hessian = (jac * row_weight[:, None]).T @ jac + prior
         xi = xi - np.linalg.solve(hessian, jac.T @ (row_weight * distance) + prior @ xi)
         aligned = se3.perturb(np.eye(4), xi, centre) @ measured
-    distance, direction, robust = _hand_terms(surface, aligned, points, settings.gates[-1])
+    distance, direction, robust = hand_terms(surface, aligned, points, settings.gates[-1])
     agree = robust > 0
     return HandView(
         measured, aligned, centre, xi, points[agree], distance[agree], direction[agree], robust[agree], surface
     )
 
 
-def _hand_terms(surface: Surface, camera_from_hand: Array, points: Array, gate: float) -> tuple[Array, Array, Array]:
+def hand_terms(surface: Surface, camera_from_hand: Array, points: Array, gate: float) -> tuple[Array, Array, Array]:
     """Distances (n,) of points to the hand, their gradients (n, 3) camera frame, and robust weights (n,) (Tukey)."""
     distance, direction, _ = surface.closest(se3.apply(se3.inverse(camera_from_hand), points))
     robust = np.square(np.maximum(0.0, 1.0 - (distance / gate) ** 2))

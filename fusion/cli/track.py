@@ -1,0 +1,109 @@
+"""Follow the object through the frames of a capture, finding it again when lost; writes what estimate writes."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fusion.cli.options import (
+    add_object,
+    add_prior,
+    announce_compiling,
+    load_object,
+    names,
+    number,
+    prior_setter,
+    progress,
+    say,
+    show_table,
+    write_json,
+)
+
+if TYPE_CHECKING:
+    from fusion.judging import Errors
+    from fusion.tracking_answer import TrackedEstimate
+
+# A table of more frames than this shows only those in which something happened.
+LONG = 40
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's own arguments."""
+    parser.add_argument("capture", metavar="CAPTURE", type=Path, help="folder of the capture")
+    add_object(parser, what="instead of the capture's object")
+    parser.add_argument(
+        "--use", metavar="SENSES", type=names, default=("vision", "touch"), help="vision,touch (default)"
+    )
+    add_prior(parser)
+    parser.add_argument("--out", metavar="DIR", type=Path, help="where to write (default out/NAME of the capture)")
+    parser.add_argument("--no-report", action="store_true", help="skip report.html")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 1 when the object is lost in the last frame."""
+    from fusion.judging import Judge
+    from fusion.results import frame_errors, result_json, write_results
+    from fusion.stages import check_senses
+    from fusion.tracking import Tracker
+    from scenes.captures import read_capture
+    from scenes.validation import check_scale
+
+    senses = tuple(sorted(check_senses(args.use), reverse=True))
+    capture = read_capture(args.capture)
+    model = load_object(args.object, args.unit) if args.object else capture.model
+    prepare = prior_setter(args.prior, args.seed)
+    judge, tracker = Judge(model), Tracker(model, use=senses, seed=args.seed)
+    announce_compiling()
+    frames, answers, errors = [], [], []
+    for recorded in progress(capture, len(capture), "tracking"):
+        # the coarse start is for the beginning; a track goes on by itself
+        frame = recorded if answers and args.prior is not None else prepare(recorded, model)
+        if not answers:
+            # compiles, loads the kernels and the lattice: a frame's time should tell of the frame
+            check_scale(frame, model)
+            Tracker(model, use=senses, seed=args.seed).step(frame)
+        frames.append(frame)
+        answers.append(tracker.step(frame))
+        errors.append(frame_errors(judge, frame, answers[-1]))
+    out = args.out or Path("out") / capture.name
+    content = result_json(capture.name, model, answers, errors)
+    write_results(out, capture, answers, content)
+    if not args.no_report:
+        from fusion.report.page import write_report
+
+        write_report(out / "report.html", capture.name, frames, model, answers, None, content["errors"])
+    write_json(args.json, content)
+    _show(answers, errors)
+    say(f"wrote {out / 'poses.csv'}, result.json" + ("" if args.no_report else ", report.html"))
+    return 1 if answers[-1].verdict == "lost" else 0
+
+
+def _show(answers: list[TrackedEstimate], errors: list[Errors | None]) -> None:
+    """The table of frames, and the track in two lines."""
+    import numpy as np
+
+    heads = ("frame", "how", "verdict", "slip", "ADD-S mm", "rot °", "trans mm", "time ms", "not known")
+    rows = []
+    for answer, error in zip(answers, errors):
+        told = answer.slip or answer.how != "tracked" or answer.verdict != "ok"
+        if len(answers) > LONG and not told:
+            continue
+        values = (
+            (None,) * 3 if error is None else (1e3 * error.add_s, np.rad2deg(error.rotation), 1e3 * error.translation)
+        )
+        measured = [number(value) for value in values]
+        slip = "slips" if answer.slip else "–"
+        unknown = ", ".join(answer.unobservable) or "–"
+        row = (str(answer.frame), answer.how, answer.verdict, slip, *measured, number(answer.time_ms, 0), unknown)
+        rows.append(row)
+    title = None if len(answers) <= LONG else f"{len(rows)} of {len(answers)} frames in which something happened"
+    show_table(heads, rows, title)
+    known = [error for error in errors if error is not None]
+    if known:
+        median, worst = (1e3 * float(f([e.add_s for e in known])) for f in (np.median, np.max))
+        say(f"ADD-S: median {median:.2f} mm, largest {worst:.2f} mm")
+    count = {how: sum(a.how == how for a in answers) for how in ("tracked", "carried", "re-initialised", "lost")}
+    times = [a.time_ms for a in answers if a.how == "tracked"]
+    said = ", ".join(f"{n} {how}" for how, n in count.items() if n) or "started"
+    say(f"{len(answers)} frames: {said}; median {np.median(times) if times else 0.0:.0f} ms a tracked frame")

@@ -1,0 +1,86 @@
+"""What a track says of a frame, and its settings. Camera frame, metres, radians."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from fusion import joint
+from fusion.answer import Estimate
+from fusion.stages import EstimateSettings
+from fusion.tracking_filter import SlipSettings
+from fusion.tracking_motion import HandMotionSettings
+from vision.tracking import VelocitySettings
+from vision.tracking_look import LookSettings
+
+
+@dataclass(frozen=True)
+class TrackSettings:
+    """Tracking with both senses; `first` is how the first frame, and a lost object, is found."""
+
+    first: EstimateSettings = field(default_factory=EstimateSettings)
+    look: LookSettings = field(default_factory=LookSettings)
+    velocity: VelocitySettings = field(default_factory=VelocitySettings)
+    hand: HandMotionSettings = field(default_factory=HandMotionSettings)
+    slip: SlipSettings = field(default_factory=SlipSettings)
+    # Object pixels of a frame, and blur (m) of the first of two passes: as wide as a slip in one frame.
+    pixels: int = 250
+    blur: float = 0.003
+    # The prior of a frame's own answer is the prediction widened by this much, so that a slip is not held back and
+    # directions that nothing tells of stay where they are (rad, m).
+    loose_angle: float = float(np.deg2rad(6.0))
+    loose_distance: float = 0.006
+    # The joint solution starts within a millimetre and knows the size of the shared errors from the first frames.
+    joint: joint.JointSettings = field(
+        default_factory=lambda: joint.JointSettings(steps=4, most_inducing=24, spacing=1.6, modes=1)
+    )
+    level_frames: int = 3
+    # Factor on the variance that independent noise makes of a frame's answer: the noise of neighbouring pixels is not
+    # quite independent, and which pixels are taken for the object flickers from frame to frame.
+    noise: float = 1.6
+    # Variance that the next frame has, too, whatever is solved along, as a share of the independent: joint errors are
+    # 0.8 mm at the fingertips where contact noise is 0.9 mm, the mesh's own error is 0.4 mm.
+    lasting: float = 0.8
+    # Share of the first estimate's variance that later frames do not average out.
+    first_lasting: float = 0.6
+    # Modes carried from frame to frame, and how much of a mode's odds the next frame inherits: frames repeat
+    # one another's errors, so odds are not multiplied.
+    modes: int = 3
+    inherited: float = 0.6
+    # Lost: the share of explained pixels falls below this part of the usual one.
+    least_of_usual: float = 0.6
+    fewest_pixels: int = 40
+    # Frames without evidence for which a held object is still where the hand has carried it (30 = a second).
+    coast: int = 30
+    # Where a lost object is looked for first (rad, m), and every how many frames it is looked for everywhere.
+    near_angle: float = float(np.deg2rad(10.0))
+    near_distance: float = 0.02
+    global_every: int = 10
+    # Error that is left in the robot's frame after the hand was last seen (rad, m), and motion of what is seen
+    # relative to a fixed camera, per frame without a hand.
+    left_angle: float = float(np.deg2rad(0.15))
+    left_distance: float = 0.001
+
+
+@dataclass(frozen=True)
+class TrackedEstimate(Estimate):
+    """An estimate that remembers. how: "started", "tracked", "carried" (nothing sensed: moved with the hand),
+    "re-initialised" or "lost"; slip: the object moves in the hand; slip_statistic: its test, above 1 is a slip.
+    """
+
+    how: str = "tracked"
+    slip: bool = False
+    slip_statistic: float = 0.0
+
+    def to_json(self) -> dict[str, Any]:
+        """The frame's entry of result.json, with the track's own words under "tracking"."""
+        said = {"how": self.how, "slip": self.slip, "slip_statistic": float(self.slip_statistic)}
+        return {**super().to_json(), "tracking": said}
+
+
+def as_tracked(answer: Estimate, how: str) -> TrackedEstimate:
+    """An estimate as a member of a track."""
+    own = {name: getattr(answer, name) for name in Estimate.__dataclass_fields__}
+    return TrackedEstimate(**own, how=how)
