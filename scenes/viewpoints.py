@@ -33,6 +33,11 @@ class ViewSettings:
     bisections: int = 12
     # Halvings between a view that hides too little and one that hides too much.
     halvings: int = 14
+    # When all views drawn hide too little, or all too much: steps of a random walk from each of the nearest ones to
+    # the asked share, and its first stride (rad, and as a share of the range of distances), which shrinks on failure.
+    climbs: int = 2
+    climb_steps: int = 40
+    climb_stride: float = 0.25
     # Scale of the image in which views are compared; the share is then held in full resolution.
     coarse: float = 0.2
     # The object is placed off the image centre by at most this share of the room that is left (no unit).
@@ -135,7 +140,13 @@ def find_view(
                     return view.camera_from_scene(target), [s for _, s in below + above]
                 if np.isfinite(exact) and (best is None or abs(exact - wanted) < best[0]):
                     best = abs(exact - wanted), view
-        if number % settings.batch or not below or not above:
+        if number == settings.draws and bool(below) != bool(above):
+            found = _climb(below + above, wanted, lambda v: hidden(v, coarse), rng, settings)
+            for pair in found:
+                (below if pair[1] <= wanted else above).append(pair)
+        elif number % settings.batch:
+            continue
+        if not below or not above:
             continue
         while tries > 0:
             tries -= 1
@@ -153,6 +164,34 @@ def find_view(
     if best is not None and best[0] <= settings.accepted:
         return best[1].camera_from_scene(target), reached
     return None, reached
+
+
+def _climb(
+    found: list[tuple[View, float]],
+    wanted: float,
+    hidden: Callable[[View], float],
+    rng: np.random.Generator,
+    settings: ViewSettings,
+) -> list[tuple[View, float]]:
+    """From the nearest of `found` towards the asked share; every step forward, up to the first beyond it."""
+    steps: list[tuple[View, float]] = []
+    for view, share in sorted(found, key=lambda pair: abs(pair[1] - wanted))[: settings.climbs]:
+        stride, here, start = settings.climb_stride, share, share
+        for _ in range(settings.climb_steps):
+            direction = view.direction + stride * rng.normal(size=3)
+            distance = view.distance + stride * rng.normal() * (settings.farthest - settings.nearest)
+            distance = float(np.clip(distance, settings.nearest, settings.farthest))
+            tangent = view.tangent * min(1.0, distance / view.distance)  # nearer, the object needs more of the image
+            trial = View(direction / np.linalg.norm(direction), distance, view.roll, tangent)
+            share = hidden(trial)
+            if not np.isfinite(share) or (share - here) * (wanted - start) <= 0:
+                stride *= 0.93
+                continue
+            view, here = trial, share
+            steps.append((view, here))
+            if (here - wanted) * (start - wanted) < 0:
+                return steps
+    return steps
 
 
 def _bisect(

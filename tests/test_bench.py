@@ -67,6 +67,21 @@ def test_the_report_is_text_json_and_a_picture(tmp_path):
     ElementTree.parse(paths[2])
 
 
+def test_tables_are_shown_as_they_are_done_and_once(capsys, monkeypatch):
+    first = Table("First table", [Column("x")], [[1.0]])
+
+    def run(settings):
+        settings.show(first)
+        assert "First table" in capsys.readouterr().out
+        return Report("local", "title", "1 trial", 0, [first, Table("Second table", [Column("x")], [[2.0]])])
+
+    monkeypatch.setattr("fusion.benchmarks.local.run", run)
+    assert main(["bench", "local"]) == 0
+    rest = capsys.readouterr().out
+    assert "First table" not in rest
+    assert "Second table" in rest
+
+
 def test_charts_survive_anything():
     for points in ([], [(0.0, 0.0)], [(1.0, 5.0), (1.0, 5.0)], [(-1.0, -2.0), (3.0, 4.0)]):
         for log in (False, True):

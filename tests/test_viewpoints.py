@@ -61,3 +61,19 @@ def test_an_impossible_share_is_not_found():
     )
     assert pose is None
     assert set(reached) == {0.0}
+
+
+@pytest.mark.parametrize("wanted", [0.0, 0.97])
+def test_shares_that_few_directions_give_are_climbed_to(wanted):
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.04)
+    plate = trimesh.creation.box(extents=(0.075, 0.075, 0.01))
+    renderer = Renderer({"object": (ball.vertices, ball.faces), "plate": (plate.vertices, plate.faces)})
+    scene = {"object": np.eye(4), "plate": poses.make_pose(None, [0, 0, 0.06])}
+    few = ViewSettings(draws=20, batch=20)
+    args = (renderer, scene, "object", np.zeros(3), 0.04, wanted, CAMERA)
+    pose, _ = find_view(*args, np.random.default_rng(1), few)
+    assert pose is not None
+    share = 1 - renderer.visible_fraction(CAMERA, {k: pose @ v for k, v in scene.items()}, "object")
+    assert share == pytest.approx(wanted, abs=0.025)
+    without = ViewSettings(draws=20, batch=20, climbs=0)
+    assert wanted == 0.0 or find_view(*args, np.random.default_rng(1), without)[0] is None

@@ -31,16 +31,24 @@ def _no_bar(items: Iterable[T], total: int, what: str) -> Iterator[T]:
     yield from items
 
 
+def _no_show(table: Table) -> None:
+    """Nobody waits for single tables."""
+
+
 @dataclass(frozen=True)
 class BenchSettings:
     """trials: of every cell, None = the benchmark's own number; quick: a tenth of the work, to see that it runs;
-    progress(items, total, what) yields the items and may draw a bar.
+    progress(items, total, what) yields the items and may draw a bar; show(table) is told of a table that is complete
+    while others are still to come.
     """
 
     trials: int | None = None
     seed: int = 0
     quick: bool = False
     progress: Callable[..., Iterator[Any]] = _no_bar
+    objects: tuple[str, ...] | None = None
+    folder: Path | None = None
+    show: Callable[[Table], None] = _no_show
 
     def count(self, usual: int, quick: int | None = None) -> int:
         """Trials of a cell that usually has `usual` of them (`quick` of them, default a tenth, when in a hurry)."""
@@ -286,21 +294,29 @@ def as_text(report: Report) -> str:
     return console.file.getvalue()  # type: ignore[attr-defined]
 
 
-def show_report(report: Report, console: Any) -> None:
-    """Print title, machine, tables and claims on a rich console."""
-    from rich import box
+def show_report(report: Report, console: Any, shown: Sequence[Table] = ()) -> None:
+    """Print title, machine, tables and claims on a rich console; tables already `shown` are left out."""
     from rich.markup import escape
-    from rich.table import Table as RichTable
 
     console.print(escape(f"{report.name}: {report.title}"))
     console.print(escape(f"{report.trials}; seed {report.seed}; {machine_line()}"))
     tables = [*report.tables, report.claims_table()] if report.claims else report.tables
     for table in tables:
-        shown = RichTable(title=escape(table.title), box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
-        for index, column in enumerate(table.columns):
-            shown.add_column(escape(column.name), justify="left" if index == 0 else "right", no_wrap=True)
-        for row in table.texts():
-            shown.add_row(*map(escape, row))
-        console.print(shown)
-        if table.note:
-            console.print(escape(table.note))
+        if not any(table is other for other in shown):
+            show_table(table, console)
+
+
+def show_table(table: Table, console: Any) -> None:
+    """Print one table and its note on a rich console."""
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table as RichTable
+
+    shown = RichTable(title=escape(table.title), box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
+    for index, column in enumerate(table.columns):
+        shown.add_column(escape(column.name), justify="left" if index == 0 else "right", no_wrap=True)
+    for row in table.texts():
+        shown.add_row(*map(escape, row))
+    console.print(shown)
+    if table.note:
+        console.print(escape(table.note))
