@@ -131,7 +131,7 @@ class Tracker:
         """Look for the object around the prediction, now and then everywhere."""
         s = self.settings
         tries: list[Prior | None] = [Prior.isotropic(lost.pose, s.near_angle, s.near_distance)]
-        if self._lost_for % s.global_every == 0:
+        if self._lost_for == 2 or self._lost_for % s.global_every == 0:
             tries.append(None)
         for prior in tries:
             bare = replace(frame, prior=None)
@@ -307,8 +307,11 @@ class Tracker:
             share, rms = posterior.pixel_agreement(model, seen, pose)
             seeing = visibility(viewed, model, pose, s.first.depth)
             word, why = posterior.verdict(model, modes, residuals, share, seeing, s.first.verdict)
+            leap = se3.difference(measured.pose, predicted.pose, model.centroid)
             if word != "lost" and self._strays(share, len(looked.pixels)):
                 word, why = "lost", f"{share:.0%} of the pixels explained, {self._usual:.0%} before"
+            if word != "lost" and not switched and self._leaps(leap):
+                word, why = "lost", f"{1e3 * np.linalg.norm(leap[3:]):.0f} mm from the prediction"
             if slip:
                 why = f"slips in the hand; {why}"
             stage.note(len(seen) + len(felt.rows), why)
@@ -339,6 +342,13 @@ class Tracker:
         if self._usual is None or pixels < self.settings.fewest_pixels or not np.isfinite(share):
             return False
         return bool(share < self.settings.least_of_usual * self._usual)
+
+    def _leaps(self, step: Array) -> bool:
+        """Farther from the prediction (6,) than few steps are to be trusted: another place was found by chance."""
+        s = self.settings
+        return bool(
+            np.linalg.norm(step[:3]) > s.leap * s.loose_angle or np.linalg.norm(step[3:]) > s.leap * s.loose_distance
+        )
 
     def _accept(self, frame: Frame, felt: Felt, belief: Belief, modes: tuple[Mode, ...], share: float) -> None:
         """Keep what this frame taught; a late frame's lesson is moved on to the present."""

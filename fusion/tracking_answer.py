@@ -32,6 +32,8 @@ class TrackSettings:
     # directions that nothing tells of stay where they are (rad, m).
     loose_angle: float = float(np.deg2rad(6.0))
     loose_distance: float = 0.006
+    # A frame's own answer that is this many of those widths from the prediction is not trusted: the object is searched.
+    leap: float = 2.5
     # The joint solution starts within a millimetre and knows the size of the shared errors from the first frames.
     joint: joint.JointSettings = field(
         default_factory=lambda: joint.JointSettings(steps=4, most_inducing=24, spacing=1.6, modes=1)
@@ -54,7 +56,8 @@ class TrackSettings:
     fewest_pixels: int = 40
     # Frames without evidence for which a held object is still where the hand has carried it (30 = a second).
     coast: int = 30
-    # Where a lost object is looked for first (rad, m), and every how many frames it is looked for everywhere.
+    # Where a lost object is looked for first (rad, m); it is looked for everywhere in the second frame in which it is
+    # lost and then every so many.
     near_angle: float = float(np.deg2rad(10.0))
     near_distance: float = 0.02
     global_every: int = 10
