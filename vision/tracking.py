@@ -60,8 +60,9 @@ class ConstantVelocity:
         """The pose (4, 4) expected in frame `index`, and the covariance (6, 6) of what the prediction leaves out."""
         steps = 1 if self.index is None else index - self.index
         # a velocity fades: after a long gap the object may be anywhere near, not far along a line
-        share = np.sign(steps) * (1.0 - self.settings.damping ** abs(steps)) / (1.0 - self.settings.damping)
-        delta = self.settings.damping * share * self.velocity if self.settings.damping < 1.0 else steps * self.velocity
+        fade = self.settings.damping
+        share = abs(steps) if fade == 1.0 else fade * (1.0 - fade ** abs(steps)) / (1.0 - fade)
+        delta = np.sign(steps) * share * self.velocity
         sigma = np.repeat([self.settings.angle, self.settings.distance], 3) * max(1, abs(steps))
         return se3.perturb(self.pose, delta, self.centre), np.diag(sigma**2)
 
