@@ -7,9 +7,11 @@ particle filter begins from what vision found in the first frame. A frame is los
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -68,48 +70,66 @@ class Said:
 def run(settings: BenchSettings) -> Report:
     """Tables by motion and method: error, lost frames, new starts, slips, time."""
     trials = settings.count(2, 1)
-    frames = 24 if settings.quick else 60
-    objects = OBJECTS[:1] if settings.quick else OBJECTS
+    frames = 24 if settings.quick else 45
+    objects = settings.objects or (OBJECTS[:1] if settings.quick else OBJECTS)
     report = Report(
         "tracking",
         f"An object in a hand, {OCCLUSION:.0%} hidden in the first frame, lab noise, 30 frames a second",
         f"{len(objects)} objects x {trials} sequences of {frames} frames a motion",
         settings.seed,
     )
-    tallies: dict[tuple[str, str], Tally] = {}
-    cells = [(motion, name, trial) for motion in MOTIONS for name in objects for trial in range(trials)]
-    refused = 0
-    for motion, name, trial in settings.progress(cells, len(cells), "tracking"):
-        recorded = _recorded(name, motion, frames, settings.seed + 101 * trial)
-        if recorded is None:
-            refused += 1
-            continue
-        model, sequence, notes = recorded
-        for method in METHODS:
-            _follow(tallies.setdefault((motion, method), Tally()), method, model, sequence, notes, settings.seed)
-    _tables(report, tallies, refused)
+    tracked = {}
+    for motion in MOTIONS:
+        tallies = {method: Tally() for method in METHODS}
+        cells = [(name, trial) for name in objects for trial in range(trials)]
+        refused = 0
+        for name, trial in settings.progress(cells, len(cells), motion):
+            recorded = _recorded(name, motion, frames, settings.seed + 101 * trial, settings.folder)
+            if recorded is None:
+                refused += 1
+                continue
+            for method, tally in tallies.items():
+                _follow(tally, method, *recorded, settings.seed)
+        report.tables.append(_errors(motion, tallies, refused))
+        settings.show(report.tables[-1])
+        tracked[motion] = tallies["track"]
+    report.tables.append(_slips(tracked))
+    cpu = [x for tally in tracked.values() for x in tally.cpu]
+    wall = [x for tally in tracked.values() for x in tally.wall]
+    if wall:
+        report.claims.append(Claim("a fused tracked frame, median processor ms", float(np.median(cpu)), 30.0, False, 1))
+        report.claims.append(Claim("a fused tracked frame, median wall ms", float(np.median(wall)), 30.0, False, 1))
     return report
 
 
-def _recorded(name: str, motion: str, frames: int, seed: int) -> tuple[ObjectModel, list[Frame], dict[str, Any]] | None:
-    """A sequence and its notes; None when no grasp of three seeds hides the object by as much as asked."""
-    import tempfile
+def _recorded(
+    name: str, motion: str, frames: int, seed: int, folder: Path | None
+) -> tuple[ObjectModel, list[Frame], dict[str, Any]] | None:
+    """A sequence and its notes; None when no grasp of three seeds hides the object by as much as asked.
 
+    folder: where captures are kept for the next run, None keeps none.
+    """
     from scenes import library
+    from scenes.captures import read_capture
     from scenes.errors import InputError
     from scenes.hand_generation import five_finger_hand
     from scenes.synthesis import SynthesisSettings, synthesize
 
     model = library.make(name)
     for attempt in range(3):
-        with tempfile.TemporaryDirectory() as folder:
+        with tempfile.TemporaryDirectory() as scratch:
+            kept = (
+                Path(scratch if folder is None else folder) / "tracking" / f"{name}-{motion}-{frames}-{seed}-{attempt}"
+            )
             try:
-                capture = synthesize(
-                    folder + "/capture", model, five_finger_hand(), frames, OCCLUSION, noise="lab",
-                    seed=seed + 1000 * attempt, motion=motion, settings=SynthesisSettings(rgb=False),
-                )  # fmt: skip
+                if not (kept / "capture.json").is_file():
+                    synthesize(
+                        kept, model, five_finger_hand(), frames, OCCLUSION, noise="lab", seed=seed + 1000 * attempt,
+                        motion=motion, settings=SynthesisSettings(rgb=False),
+                    )  # fmt: skip
             except InputError:
                 continue
+            capture = read_capture(kept)
             return model, list(capture), capture.settings.notes["motion"]
     return None
 
@@ -245,11 +265,10 @@ def _track(model: ObjectModel, seed: int) -> Iterator[Any]:
         frame = yield Said(answer.pose, answer.covariance, answer.verdict == "ok", answer.slip, again)
 
 
-def _tables(report: Report, tallies: dict[tuple[str, str], Tally], refused: int) -> None:
+def _errors(motion: str, tallies: dict[str, Tally], refused: int) -> Table:
     table = Table(
-        "Error, lost frames and time",
+        f"{motion}: error, lost frames and time",
         [
-            Column("motion"),
             Column("method"),
             Column("frames", 0),
             Column("median ADD-S mm"),
@@ -266,29 +285,29 @@ def _tables(report: Report, tallies: dict[tuple[str, str], Tally], refused: int)
         note="NEES / 6: median over frames, 0.9 is right. Times of all but the first frame, segmentation included."
         + (f" {refused} sequences could not be made: no grasp hides the object by as much." if refused else ""),
     )
-    for motion in MOTIONS:
-        for method in METHODS:
-            tally = tallies.get((motion, method))
-            if tally is None:
-                continue
-            add_s = 1e3 * np.array(tally.add_s)
-            known = [x for x in tally.nees if np.isfinite(x)]
-            table.add(
-                motion,
-                method,
-                len(add_s),
-                float(np.median(add_s)),
-                float(np.quantile(add_s, 0.95)),
-                float(np.rad2deg(np.median(tally.rotation))),
-                Rate(int((add_s > 1e3 * LOST).sum()), len(add_s)),
-                tally.wrong_ok,
-                tally.again,
-                float(np.median(known)) if known else None,
-                float(np.median(tally.cpu)),
-                float(np.median(tally.wall)),
-                float(np.quantile(tally.wall, 0.95)),
-            )
-    report.tables.append(table)
+    for method, tally in tallies.items():
+        if not tally.add_s:
+            continue
+        add_s = 1e3 * np.array(tally.add_s)
+        known = [x for x in tally.nees if np.isfinite(x)]
+        table.add(
+            method,
+            len(add_s),
+            float(np.median(add_s)),
+            float(np.quantile(add_s, 0.95)),
+            float(np.rad2deg(np.median(tally.rotation))),
+            Rate(int((add_s > 1e3 * LOST).sum()), len(add_s)),
+            tally.wrong_ok,
+            tally.again,
+            float(np.median(known)) if known else None,
+            float(np.median(tally.cpu)),
+            float(np.median(tally.wall)),
+            float(np.quantile(tally.wall, 0.95)),
+        )
+    return table
+
+
+def _slips(tracked: dict[str, Tally]) -> Table:
     slips = Table(
         "Slips in the hand, said by the track",
         [
@@ -300,12 +319,6 @@ def _tables(report: Report, tallies: dict[tuple[str, str], Tally], refused: int)
         ],
         note=f"In time: up to {SLIP_DELAY} frames after its end. Slips about an axis of symmetry are not counted.",
     )
-    tracked = {motion: tallies[(motion, "track")] for motion in MOTIONS if (motion, "track") in tallies}
     for motion, tally in tracked.items():
         slips.add(motion, tally.slips, Rate(tally.hits, tally.slips), tally.alarms, tally.steady)
-    report.tables.append(slips)
-    cpu = [x for tally in tracked.values() for x in tally.cpu]
-    wall = [x for tally in tracked.values() for x in tally.wall]
-    if wall:
-        report.claims.append(Claim("a fused tracked frame, median processor ms", float(np.median(cpu)), 30.0, False, 1))
-        report.claims.append(Claim("a fused tracked frame, median wall ms", float(np.median(wall)), 30.0, False, 1))
+    return slips
