@@ -7,12 +7,14 @@ beyond a line is in `fusion.stages`.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion import joint, posterior
 from fusion.answer import Estimate
+from fusion.moments import moments
 from fusion.planning import find_modes, worth_solving
 from fusion.stages import (
     EstimateSettings,
@@ -130,6 +132,11 @@ def _estimate(
             stage.note(
                 len(rows), f"calibration off by {best.millimetres:.1f} mm, depth scale by {100 * best.scale:+.2f} %"
             )
+    with trace.stage("sample", in_time, "the time budget is spent") as stage:
+        if in_time:
+            spread = moments(model, rows, modes[0].pose, modes[0].covariance, seed, believed, settings=settings.moments)
+            modes = (replace(modes[0], pose=spread.pose, covariance=spread.covariance), *modes[1:])
+            stage.note(len(rows), f"{spread.effective:.0f} effective samples, directions widened: {spread.widened}")
     with trace.stage("judge", True, "") as stage:
         pose = modes[0].pose
         residuals = posterior.contact_residuals(model, felt.contacts.moved(correction), pose, settings.verdict)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fusion import joint, posterior
 from fusion.answer import Estimate
+from fusion.moments import MomentSettings
 from fusion.planning import PlanSettings
 from fusion.trace import Trace
 from scenes import poses as se3
@@ -50,6 +51,7 @@ class EstimateSettings:
     calibration: CalibrationModel = field(default_factory=CalibrationModel)
     joint: joint.JointSettings = field(default_factory=joint.JointSettings)
     modes: ModeSettings = field(default_factory=ModeSettings)
+    moments: MomentSettings = field(default_factory=MomentSettings)
     plan: PlanSettings = field(default_factory=PlanSettings)
     verdict: posterior.VerdictSettings = field(default_factory=posterior.VerdictSettings)
 
