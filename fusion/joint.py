@@ -7,10 +7,13 @@ Each sense lives in its own slightly wrong frame. Unknowns x = (delta, xi, s, b)
     s      depth scale error: seen = (1 + s) true
     b      smooth depth bias: a Gaussian process over the image, exp(-|u - v|^2 / (2 length^2)), on inducing pixels
 
-    object pixels    d(T^-1 (p - s p - b(u) p / z))        independent noise only: what they share is in s and b
+    object pixels    d(T^-1 (p - s p - b(u) p / z)) / cos  independent noise only: what they share is in s and b
     hand's pixels    h(p) - J (xi - xi_seen) - ...         the same s and b; they tie touch's frame to vision's
     touch rows       d(T^-1 E(xi) c), normals, empty points
     priors           on xi, s, b, and the pose's own
+
+A pixel's residual is its distance from the surface along its ray, d over the cosine of the incidence: measured across
+the surface, noise along the rays would shrink whenever the surface is turned away from them, and the bias would help.
 
 One robust Gauss-Newton in whitened unknowns. How large the shared errors are is itself inferred: the system is solved
 for a few levels (a well-calibrated rig, a usual one, a poor one) and the level of highest evidence is kept
@@ -70,14 +73,16 @@ class JointSettings:
     weight_unknown: float = 0.5
     # What a mesh and its lattice leave out of a real object, metres.
     model_sigma: float = 0.0004
+    # Least cosine of the incidence of a pixel: cameras read nothing of surfaces steeper than 80 degrees.
+    least_cosine: float = 0.17
 
 
 @dataclass(frozen=True)
 class JointResult:
     """pose (4, 4) camera_from_object; covariance (6, 6) about the centroid, all else marginalised; xi (6,)
     correction of what touch reports (camera frame, about `centre`); scale: depth scale error; cost: negative log
-    posterior, and log_evidence of the level of shared errors it was solved for. Of the frame alone, without the prior on
-    the pose: independent (6, 6), the covariance that independent noise makes, and shared (6, 6), what calibration,
+    posterior, and log_evidence of the level of shared errors it was solved for. Of the frame alone, without the prior
+    on the pose: independent (6, 6), the covariance that independent noise makes, and shared (6, 6), what calibration,
     depth scale and bias add to it; a direction that the frame does not tell is as wide as the object, in shared.
     """
 
@@ -158,6 +163,7 @@ class JointProblem:
         self._seen_basis = self._basis(self.seen.points)
         rows = self.seen.rows
         self._on = rows[:, GATE_ABOVE] > 0
+        self._is_pixel = (rows[:, FACING] > 0) & (self.camera is not None)
         if self.camera is not None:
             independent = self.depth.independent_sigma(rows[:, 2])
             self._sigma = np.where(self._on, np.hypot(independent, self.settings.model_sigma), rows[:, SIGMA])
@@ -235,6 +241,7 @@ class JointProblem:
         here = pose
         width = np.zeros(size)
         width[POSE] = np.array([1.0] * 3 + [self.model.radius] * 3) ** -2.0
+        self._face(here)
         cost, gradient, normal = self._system(here, unknown)
         damping = 1e-6
         for _ in range(self.settings.steps):
@@ -308,36 +315,66 @@ class JointProblem:
             normal[POSE, POSE] += h
         return cost, gradient, normal
 
+    def _face(self, pose: Array) -> None:
+        """Which way the surface looks where each pixel meets it at `pose`, and how much more noise a slope has there.
+
+        Held while a system is solved, turning with the object. What lies beside a pixel, and what the mesh leaves out,
+        counts along the ray.
+        """
+        self._normals, self._slope = np.zeros((len(self.seen), 3)), np.ones(len(self.seen))
+        if self.camera is None or not len(self.seen):
+            return
+        _, g = self._distances(pose, self.seen.points)
+        normals = g / np.maximum(np.linalg.norm(g, axis=1, keepdims=True), 1e-9)
+        self._normals = np.where(self._is_pixel[:, None], normals @ pose[:3, :3], 0.0)
+        cosine, _ = self._cosines(pose)
+        noise = self.depth.sloping_sigma(self.seen.rows[:, 2], cosine, self.camera.fx)
+        slope = np.hypot(noise, self.settings.model_sigma / cosine) / self._sigma
+        self._slope = np.where(self._is_pixel, slope, 1.0)
+
+    def _cosines(self, pose: Array) -> tuple[Array, Array]:
+        """Cosines (n,) of the pixels' incidence, 1 for rows that are no pixels of a surface, and their derivatives
+        (n, 3) by a turn of the object.
+        """
+        normals, rays = self._normals @ pose[:3, :3].T, self.seen.rows[:, NORMAL]
+        cosine = np.where(self._is_pixel, -np.sum(normals * rays, axis=1), 1.0)
+        steep = cosine < self.settings.least_cosine
+        turning = np.where((self._is_pixel & ~steep)[:, None], -cross(normals, rays), 0.0)
+        return np.where(steep, self.settings.least_cosine, cosine), turning
+
+    def _distances(self, pose: Array, points: Array) -> tuple[Array, Array]:
+        """Signed distances (n,) of the points of the vision rows at a pose and gradients (n, 3), camera frame."""
+        rotation = pose[:3, :3]
+        local = (points - (rotation @ self.model.centroid + pose[:3, 3])) @ rotation + self.model.centroid
+        distance, g = self.model.field.seen_distance_and_gradient(
+            local, self.seen.rows[:, NORMAL] @ rotation, self.seen.rows[:, FACING] > 0
+        )
+        return distance, g @ rotation.T
+
     def _vision(self, pose: Array, unknown: Array) -> tuple[float, Array, Array]:
         rows = self.seen.rows
         p = rows[:, POINT]
         ray = p / p[:, 2:] if self.camera is not None else p
         bias = self._seen_basis @ (self._white[FIXED:] * unknown[FIXED:])
         moved = p - (self._white[SCALE] * unknown[SCALE]) * p - bias[:, None] * ray
-        rotation = pose[:3, :3]
-        y = moved - (rotation @ self.model.centroid + pose[:3, 3])
-        distance, g = self.model.field.seen_distance_and_gradient(
-            y @ rotation + self.model.centroid, rows[:, NORMAL] @ rotation, rows[:, FACING] > 0
-        )
-        g = g @ rotation.T
+        y = moved - (pose[:3, :3] @ self.model.centroid + pose[:3, 3])
+        distance, g = self._distances(pose, moved)
         distance = distance - rows[:, OFFSET]
         gate = np.where(distance > 0, rows[:, GATE_ABOVE], rows[:, GATE_BELOW])
-        r = distance / self._sigma
-        loss, belongs = robust(r * r, gate)
+        cosine, turning = self._cosines(pose)
+        distance, g = distance / cosine, g / cosine[:, None]
+        sigma = self._sigma * self._slope
+        loss, belongs = robust((distance / sigma) ** 2 + 2.0 * np.log(self._slope), gate)
+        # most free space is far from the object and says nothing
+        part = np.flatnonzero(self._weight * belongs > 1e-9)
+        distance, g, sigma = distance[part], g[part], sigma[part]
         # the points move by -s p - b ray: chain through the distance's gradient
-        along = -np.sum(g * ray, axis=1)
-        jac = np.concatenate(
-            [
-                np.cross(g, y),
-                -g,
-                np.zeros((len(p), 6)),
-                (-np.sum(g * p, axis=1) * self._white[SCALE])[:, None],
-                along[:, None] * self._seen_basis * self._white[FIXED:],
-            ],
-            axis=1,
-        )
-        w = self._weight * belongs
-        weighted = jac * (w / self._sigma**2)[:, None]
+        jac = np.zeros((len(part), len(unknown)))
+        jac[:, :3] = cross(g, y[part]) - (distance / cosine[part])[:, None] * turning[part]
+        jac[:, 3:6] = -g
+        jac[:, SCALE] = -np.sum(g * p[part], axis=1) * self._white[SCALE]
+        jac[:, FIXED:] = -np.sum(g * ray[part], axis=1)[:, None] * self._seen_basis[part] * self._white[FIXED:]
+        weighted = jac * ((self._weight * belongs)[part] / sigma**2)[:, None]
         return 0.5 * float(self._weight @ loss), weighted.T @ distance, weighted.T @ jac
 
     def _touch(self, pose: Array, unknown: Array) -> tuple[float, Array, Array]:
@@ -372,6 +409,14 @@ class JointProblem:
         gradient[:6] = self._white_xi.T @ gradient[:6]
         normal *= scale * scale[:, None]
         self._hand_white = (constant, gradient * scale, normal)
+
+
+def cross(a: Array, b: Array) -> Array:
+    """(n, 3) cross products of rows; NumPy's own takes many times as long on few of them."""
+    out = np.zeros(a.shape)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[:, i] = a[:, j] * b[:, k] - a[:, k] * b[:, j]
+    return out
 
 
 def robust(square: Array, gate: Array) -> tuple[Array, Array]:

@@ -23,6 +23,11 @@ class DepthModel:
     # Axial noise at 0.4 m and its growth, metres and 1/metres.
     axial_floor: float = 0.0012
     axial_growth: float = 0.0019
+    # Where the surface slopes there is more: a pixel reads the depth of a place beside its own (pixels; Nguyen et al.,
+    # eq. 2), and beyond 60 degrees of incidence the axial noise grows (metres^1.5; eq. 4).
+    lateral_sigma: float = 0.8
+    lateral_growth: float = 0.035
+    axial_steep: float = 0.0001
     # Smooth bias of the surface, metres, and the correlation length of that bias in pixels: exp(-d^2 / (2 length^2)).
     bias_sigma: float = 0.002
     bias_length: float = 40.0
@@ -41,6 +46,18 @@ class DepthModel:
     def independent_sigma(self, depth: Array) -> Array:
         """Standard deviation (m) of one pixel's independent noise at depth (m)."""
         return self.axial_floor + self.axial_growth * np.square(depth - 0.4)
+
+    def sloping_sigma(self, depth: Array, cosine: Array, focal: float) -> Array:
+        """Standard deviation (m) along its ray of a pixel whose ray meets the surface at an incidence of this cosine.
+
+        depth (m), cosine (above 0), focal length in pixels.
+        """
+        theta = np.arccos(np.clip(cosine, 0.0, 1.0))
+        past = np.maximum(0.5 * np.pi - theta, 1e-2)
+        steep = self.axial_steep / np.sqrt(np.maximum(depth, 0.05)) * np.square(theta / past)
+        axial = self.independent_sigma(depth) + np.where(theta > np.deg2rad(60.0), steep, 0.0)
+        lateral = (self.lateral_sigma + self.lateral_growth * theta / past) * depth / focal
+        return np.asarray(np.hypot(axial, lateral * np.tan(theta)), dtype=np.float64)
 
 
 @dataclass(frozen=True)
