@@ -35,6 +35,7 @@ from scenes import evidence as tables
 from scenes.alignment import Prior
 from scenes.frames import Frame
 from scenes.objects import ObjectModel
+from scenes.point_pairs import pair_table
 from scenes.threads import one_blas_thread
 from touch.contacts import feel
 from vision.segmentation import free_space_rows, segment, surface_rows
@@ -65,6 +66,8 @@ def estimate(
     check_limits(tolerance, budget_ms)
     believed = as_prior(prior if prior is not None else frame.prior, settings)
     model.field  # noqa: B018  (built or read once per object, not part of a frame's time)
+    if believed is None:
+        pair_table(model)
     trace = Trace(budget_ms)
     with one_blas_thread():
         if tolerance is not None and senses == {"vision", "touch"} and frame.depth is not None:
@@ -101,18 +104,20 @@ def _estimate(
     correction = hand.correct() if hand is not None else np.eye(4)
     uncorrected = hand is None and frame.camera is not None
     rows = tables.stack(seen, felt.slackened(settings.calibration, uncorrected).moved(correction))
-    if len(rows) == 0:
+    # emptiness alone tells where the object is not
+    if len(rows) == 0 or (believed is None and not len(looked.pixels) and not len(felt.contacts)):
         return no_answer(frame, model, believed, trace, settings)
 
     sight = Sight(viewed, model, settings.depth)
     with trace.stage("search", True, "") as stage:
-        starts = starts_of(model, believed, looked.pixels.points, felt.contacts.moved(correction), settings, rng)
+        touched = felt.contacts.moved(correction)
+        starts = starts_of(model, believed, looked.pixels.points, touched, rows, sight.costs, settings, rng)
         blur = float(np.clip(settings.blur_share * model.radius, *settings.blur_limits))
         found = find_modes(
             model,
             rows,
             starts,
-            search_stages(blur, believed is not None),
+            search_stages(blur, believed is not None, sifted=not len(touched)),
             believed,
             sight.costs,
             settings.plan,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,13 +18,14 @@ from scenes.alignment import Alignment, Prior
 from scenes.alignment.modes import Mode, ModeSettings, distinct_modes
 from scenes.alignment.search import SearchStage, starts_around
 from scenes.errors import InputError
+from scenes.evidence import Evidence
 from scenes.frames import Contacts, Frame
 from scenes.objects import ObjectModel
 from touch.contacts import contact_starts
 from vision.clouds import DepthModel
 from vision.hand_view import CalibrationModel
 from vision.segmentation import SegmentationSettings
-from vision.starts import pixel_starts
+from vision.starts import StartSettings, seen_starts
 
 Array = NDArray[np.float64]
 
@@ -36,7 +37,7 @@ class EstimateSettings:
     # Width of a coarse start given without one, per axis: T1's 16 degrees and 33 mm in a random direction.
     prior_angle: float = float(np.deg2rad(10.0))
     prior_distance: float = 0.02
-    # Starts drawn around a prior, and without one.
+    # Starts drawn around a prior, and from contacts without one.
     starts_near: int = 320
     starts_global: int = 4000
     # Object pixels of the last stage.
@@ -51,6 +52,7 @@ class EstimateSettings:
     calibration: CalibrationModel = field(default_factory=CalibrationModel)
     joint: joint.JointSettings = field(default_factory=joint.JointSettings)
     modes: ModeSettings = field(default_factory=ModeSettings)
+    starts: StartSettings = field(default_factory=StartSettings)
     moments: MomentSettings = field(default_factory=MomentSettings)
     plan: PlanSettings = field(default_factory=PlanSettings)
     verdict: posterior.VerdictSettings = field(default_factory=posterior.VerdictSettings)
@@ -87,12 +89,20 @@ def as_prior(prior: Array | Prior | None, settings: EstimateSettings) -> Prior |
     return Prior.isotropic(se3.check_pose(prior, "prior"), settings.prior_angle, settings.prior_distance)
 
 
-def search_stages(blur: float, near: bool) -> tuple[SearchStage, ...]:
-    """Coarse to fine: wide starts need more survivors than those around a prior."""
+def search_stages(blur: float, near: bool, sifted: bool = False) -> tuple[SearchStage, ...]:
+    """Coarse to fine: wide starts need more survivors than those around a prior, or than those of vision.starts, which
+    were sifted (a few hundred that differ).
+    """
     if near:
         return (
             SearchStage(blur, 0.5, 80, 8, 80),
             SearchStage(blur / 3, 0.25, 160, 10, 40),
+        )
+    if sifted:
+        return (
+            SearchStage(1.2 * blur, 0.5, 40, 5, 100),
+            SearchStage(0.7 * blur, 0.4, 60, 8, 40),
+            SearchStage(blur / 3, 0.2, 160, 10, 16),
         )
     return (
         SearchStage(3 * blur, 0.8, 40, 0, 1200),
@@ -114,10 +124,14 @@ def starts_of(
     prior: Prior | None,
     pixels: Array,
     contacts: Contacts,
+    rows: Evidence,
+    rank: Callable[[Array, float], Array],
     settings: EstimateSettings,
     rng: np.random.Generator,
 ) -> Array:
-    """Starts (n, 4, 4): draws from the prior, or from contacts and pixels when there is none."""
+    """Starts (n, 4, 4): draws from the prior, or from contacts and pixels when there is none. rows, with what
+    rank(poses, blur) adds, tell which of the pixels' are promising.
+    """
     if prior is not None:
         sigma = np.sqrt(1.0 / np.maximum(np.diag(prior.information), 1e-12))
         return starts_around(
@@ -132,7 +146,7 @@ def starts_of(
     if len(contacts):
         parts.append(contact_starts(model, contacts, settings.starts_global // (2 if len(pixels) else 1), rng))
     if len(pixels):
-        parts.append(pixel_starts(model, pixels, settings.starts_global // (2 if parts else 1), rng))
+        parts.append(seen_starts(model, pixels, rows, rank, rng, settings.starts))
     return np.concatenate(parts)
 
 

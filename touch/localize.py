@@ -25,7 +25,7 @@ from scenes.errors import InputError
 from scenes.evidence import Evidence
 from scenes.frames import Contacts
 from scenes.objects import ObjectModel
-from touch.pair_starts import pair_table
+from scenes.point_pairs import pair_table
 from touch.polish import polish
 
 Array = NDArray[np.float64]

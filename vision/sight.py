@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from scenes.frames import Frame
 from scenes.objects import ObjectModel
+from scenes.threads import run_chunks
 from vision.clouds import DepthModel
 
 Array = NDArray[np.float64]
@@ -23,6 +24,9 @@ class SightSettings:
     # Surface samples that are looked up, and how many independent cells they amount to.
     samples: int = 400
     cells: float = 40.0
+    # Samples looked up when many poses are only sifted, and how many poses are many.
+    samples_sifting: int = 130
+    many: int = 500
     # What one cell costs (negative log likelihood) when the camera sees past it: clutter in front is common, a hole in
     # the object is a flying pixel at most.
     cost_past: float = 4.0
@@ -105,21 +109,16 @@ class Sight:
         if self._depth is None or self._camera is None:
             return out[:, 0]
         c, m, s = self._camera, self._model, self.settings
-        _sight_shares(
-            self._depth,
-            c.fx,
-            c.fy,
-            c.cx,
-            c.cy,
-            self._points,
-            self._normals,
-            np.ascontiguousarray(candidates[:, :3, :3]),
-            np.ascontiguousarray(candidates[:, :3, 3]),
-            m.axial_floor,
-            m.axial_growth,
-            m.bias_sigma,
-            m.scale_sigma,
-            slack,
-            out,
-        )
+        points, normals = self._points, self._normals
+        if len(candidates) > s.many:  # they were drawn at random: the first are as even as all
+            points, normals = points[: s.samples_sifting], normals[: s.samples_sifting]
+        rotations = np.ascontiguousarray(candidates[:, :3, :3])
+        translations = np.ascontiguousarray(candidates[:, :3, 3])
+        view = (self._depth, c.fx, c.fy, c.cx, c.cy, points, normals)
+        noise = (m.axial_floor, m.axial_growth, m.bias_sigma, m.scale_sigma, slack)
+
+        def work(part: slice) -> None:
+            _sight_shares(*view, rotations[part], translations[part], *noise, out[part])
+
+        run_chunks(work, len(candidates), smallest=20_000 // len(points))
         return s.cells * (s.cost_past * np.maximum(out[:, 0] - s.free_share, 0.0) + s.cost_hidden * out[:, 1])

@@ -1,14 +1,57 @@
-"""Where to begin when nothing is known: poses that put the object behind the pixels that show it."""
+"""Where to begin when nothing is known: poses that put the object behind the pixels that show it.
+
+Two kinds. Pairs of pixels with normals are matched to pairs of the object's surface that look alike (Drost et al.,
+CVPR 2010; see scenes.point_pairs): few are needed where the shape tells. Even rotations behind random pixels do where
+normals tell nothing. All are looked at once, on few rows of evidence, and only the best that differ are moved.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.alignment.search import rotation_grid
+from scenes import poses as se3
+from scenes.alignment import AlignSettings, costs
+from scenes.alignment.search import rotation_grid, thin
+from scenes.evidence import Evidence
 from scenes.objects import ObjectModel
+from scenes.point_pairs import pair_table
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class StartSettings:
+    """How many poses are thought of, and how many are kept."""
+
+    # Pixels that get a normal; the neighbours it is fitted to, and their reach: share of the object's radius, and
+    # limits (m).
+    oriented: int = 150
+    neighbours: int = 40
+    reach_share: float = 0.12
+    reach: tuple[float, float] = (0.005, 0.012)
+    # Fewest neighbours, and the largest thickness (m) of a patch that is taken for a surface: noise at two sigmas.
+    fewest: int = 8
+    thickest: float = 0.003
+    # Pairs of pixels looked up, how many alike each brings, and the shortest as a share of the object's radius.
+    pairs: int = 100
+    each: int = 12
+    shortest: float = 0.3
+    # Starts of even rotations.
+    even: int = 600
+    # Rows of evidence that the starts are ranked on, and the blur of pairs and of even ones, in radii and metres.
+    rows: int = 40
+    blur_pairs: tuple[float, float, float] = (0.10, 0.004, 0.010)
+    blur_even: tuple[float, float, float] = (0.35, 0.010, 0.040)
+    # Starts kept of each kind.
+    keep_pairs: int = 200
+    keep_even: int = 80
+    # Starts nearer than this to a better one are left out: radians, shares of the radius.
+    same_angle: float = 0.25
+    same_share: float = 0.12
 
 
 def pixel_starts(model: ObjectModel, points: Array, count: int, rng: np.random.Generator) -> Array:
@@ -33,3 +76,100 @@ def pixel_starts(model: ObjectModel, points: Array, count: int, rng: np.random.G
     offset = rng.normal(size=(len(poses[half]), 3)) * 0.3 * model.radius
     poses[half, :3, 3] = middle + offset - rotations[half] @ model.centroid
     return poses
+
+
+def oriented_pixels(
+    points: Array, radius: float, rng: np.random.Generator, settings: StartSettings | None = None
+) -> tuple[Array, Array]:
+    """Some of the points (n, 3), camera frame, and their outward normals (m, 3), which face the camera.
+
+    A normal is that of the plane through the neighbours (principal axes); points among too few of them, or where they
+    are no surface but a rim, are left out. radius (m) of the object scales the neighbourhood.
+    """
+    from scipy.spatial import cKDTree
+
+    settings = settings or StartSettings()
+    if len(points) < settings.fewest:
+        return np.zeros((0, 3)), np.zeros((0, 3))
+    chosen = points[rng.permutation(len(points))[: settings.oriented]]
+    reach = float(np.clip(settings.reach_share * radius, *settings.reach))
+    count = min(settings.neighbours, len(points))
+    distance, index = cKDTree(points).query(chosen, k=count, distance_upper_bound=reach)
+    near = np.isfinite(distance).reshape(len(chosen), count)
+    patch = points[np.where(near, index.reshape(near.shape), 0)] - chosen[:, None]
+    weight = near / np.maximum(near.sum(axis=1, keepdims=True), 1)
+    middle = np.einsum("mk,mki->mi", weight, patch)
+    spread = np.einsum("mk,mki,mkj->mij", weight, patch, patch) - middle[:, :, None] * middle[:, None, :]
+    values, vectors = np.linalg.eigh(spread)
+    normals = vectors[:, :, 0]
+    normals = np.where(np.sum(normals * chosen, axis=1, keepdims=True) > 0, -normals, normals)
+    thickness = np.sqrt(np.maximum(values, 0.0))
+    flat = (thickness[:, 0] < settings.thickest) & (thickness[:, 0] < 0.6 * thickness[:, 1])
+    good = flat & (near.sum(axis=1) >= settings.fewest)
+    return (chosen + middle)[good], normals[good]
+
+
+def pair_starts(
+    model: ObjectModel, points: Array, rng: np.random.Generator, settings: StartSettings | None = None
+) -> Array:
+    """(n, 4, 4) camera_from_object that lay pairs of the object onto pairs of pixels; none without a pair apart."""
+    settings = settings or StartSettings()
+    seen, normals = oriented_pixels(points, model.radius, rng, settings)
+    if len(seen) < 2:
+        return np.zeros((0, 4, 4))
+    first, second = rng.integers(len(seen), size=(2, 8 * settings.pairs))
+    length = np.linalg.norm(seen[first] - seen[second], axis=1)
+    use = np.flatnonzero((length > settings.shortest * model.radius) & (length < model.diameter))
+    # pairs of one plane look like too many others: half of the places go to those whose normals differ most
+    telling = np.sum(normals[first[use]] * normals[second[use]], axis=1)
+    order = use[np.argsort(telling, kind="stable")]
+    half = settings.pairs // 2
+    order = np.concatenate([order[:half], np.sort(order[half:])[: settings.pairs - half]])
+    if not len(order):
+        return np.zeros((0, 4, 4))
+    rotations, origins = pair_table(model).matching(seen, normals, first[order], second[order], settings.each)
+    return se3.make_poses(rotations, origins)
+
+
+def seen_starts(
+    model: ObjectModel,
+    points: Array,
+    rows: Evidence,
+    rank: Callable[[Array, float], Array],
+    rng: np.random.Generator,
+    settings: StartSettings | None = None,
+) -> Array:
+    """The most promising starts (n, 4, 4) camera_from_object of both kinds, those that differ.
+
+    points (n, 3): pixels that may be the object. rows: the evidence that ranks them, with rank(poses, blur) -> (n,) in
+    the same units added (what the camera saw past). Camera frame.
+    """
+    settings = settings or StartSettings()
+    few = thin(rows, settings.rows)
+    kept = []
+    for candidates, (share, low, high), keep in (
+        (pair_starts(model, points, rng, settings), settings.blur_pairs, settings.keep_pairs),
+        (pixel_starts(model, points, settings.even, rng), settings.blur_even, settings.keep_even),
+    ):
+        if not len(candidates):
+            continue
+        blur = float(np.clip(share * model.radius, low, high))
+        how = AlignSettings(blur=blur, blur_normal=0.5)
+        merit = costs(model, few, candidates, settings=how) + rank(candidates, blur)
+        kept.append(candidates[different(model, candidates, merit, settings)[:keep]])
+    return np.concatenate(kept)
+
+
+def different(
+    model: ObjectModel, candidates: Array, merit: Array, settings: StartSettings | None = None
+) -> NDArray[np.intp]:
+    """Indices of candidates (n, 4, 4), best (lowest merit) first, one of each cell of poses modulo symmetry."""
+    settings = settings or StartSettings()
+    order = np.argsort(merit, kind="stable")
+    poses = candidates[order]
+    middles = poses[:, :3, :3] @ model.centroid + poses[:, :3, 3]
+    # of all poses that look the same, the one that is turned least
+    turned = model.symmetries.nearest(poses, np.eye(4))[:, :3, :2].reshape(len(poses), 6)
+    cells = np.concatenate([middles / (settings.same_share * model.radius), turned / settings.same_angle], axis=1)
+    _, first = np.unique(np.floor(cells).astype(np.int64), axis=0, return_index=True)
+    return order[np.sort(first)]

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from scenes import library, poses
 from scenes.frames import Contacts
-from touch.pair_starts import PairSettings, PairTable, match_pairs, pair_table
+from scenes.point_pairs import PairSettings, PairTable, match_pairs, pair_table
 
 
 @pytest.fixture(scope="module")

@@ -1,9 +1,9 @@
-"""Starts from pairs of contacts: two points with normals fix a pose, and an object has few pairs that look like them.
+"""Poses from pairs of points with normals: a pair fixes a pose, and an object has few pairs that look like it.
 
 The invariants of a pair of oriented points are those of Drost et al., "Model globally, match locally" (CVPR 2010):
 their distance, the normals' slopes along it and towards each other, here with the sign of the twist so that mirror
-images are told apart. The pairs of an object are tabled once; the nearest to each pair of contacts become hypotheses,
-which the table of evidence then ranks. Metres; normals point out of the object.
+images are told apart. The pairs of an object are tabled once; the nearest to each pair of contacts, or of pixels,
+become hypotheses, which the table of evidence then ranks. Metres; normals point out of the object.
 """
 
 from __future__ import annotations
@@ -89,13 +89,21 @@ class PairTable:
         if not pairs:
             return np.zeros((0, 3, 3)), np.zeros((0, 3))
         i, j = np.array(pairs).T
-        each = max(1, count // len(pairs))
-        _, found = self.tree.query(self.invariants(p[i], n[i], p[j], n[j]), k=min(each, len(self.first)))
-        found = found.reshape(len(pairs), -1)
+        return self.matching(p, n, i, j, max(1, count // len(pairs)))
+
+    def matching(
+        self, points: Array, normals: Array, first: NDArray[np.int64], second: NDArray[np.int64], each: int
+    ) -> tuple[Array, Array]:
+        """Rotations (h, 3, 3) and the object's origins (h, 3) that put the `each` nearest pairs of the object onto each
+        pair first[k], second[k] of points (n, 3) with normals (n, 3) that are apart; those of one pair together.
+        """
+        invariants = self.invariants(points[first], normals[first], points[second], normals[second])
+        _, found = self.tree.query(invariants, k=min(each, len(self.first)))
+        found = found.reshape(len(first), -1)
         a, b = self.first[found].ravel(), self.second[found].ravel()
         rotations, origins = np.zeros((len(a), 3, 3)), np.zeros((len(a), 3))
-        repeat = np.repeat(np.arange(len(pairs)), found.shape[1])
-        match_pairs(self.points, self.normals, a, b, p, n, i[repeat], j[repeat], rotations, origins)
+        repeat = np.repeat(np.arange(len(first)), found.shape[1])
+        match_pairs(self.points, self.normals, a, b, points, normals, first[repeat], second[repeat], rotations, origins)
         return rotations, origins
 
 
