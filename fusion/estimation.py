@@ -38,6 +38,7 @@ from scenes.objects import ObjectModel
 from scenes.point_pairs import pair_table
 from scenes.threads import one_blas_thread
 from touch.contacts import feel
+from vision.plausibility import doubts
 from vision.segmentation import free_space_rows, segment, surface_rows
 from vision.sight import Sight
 from vision.visibility import visibility
@@ -162,7 +163,8 @@ def _estimate(
         trace=trace.stages,
         contacts=residuals,
         pixel_rms_mm=1e3 * rms,
-        notes=(why,),
+        notes=(why, *doubts(viewed, looked.hand_view, settings.calibration)),
         dropped=looked.dropped,
         start=start,
+        contributions=posterior.contributions(model, rows, pose, believed),
     )

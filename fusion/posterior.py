@@ -7,9 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.answer import ContactResidual, Mode
+from fusion.answer import ContactResidual, Contribution, Mode
+from scenes import alignment
 from scenes import poses as se3
-from scenes.evidence import POINT, SIGMA, Evidence
+from scenes.alignment import Prior
+from scenes.alignment.modes import covariance_of
+from scenes.evidence import POINT, SIGMA, TOUCH, VISION, Evidence, empty
 from scenes.frames import Contacts
 from scenes.objects import ObjectModel
 from vision.visibility import Visibility
@@ -46,8 +49,10 @@ def contact_residuals(
     if not len(contacts):
         return ()
     local = se3.apply(se3.inverse(pose), contacts.points)
-    distance = model.field.distance(local)
-    normals = model.field.normals(local) @ pose[:3, :3].T
+    inward = np.where(contacts.has_normal[:, None], -np.nan_to_num(contacts.normals), 0.0) @ pose[:3, :3]
+    # a thin wall has two sides: the one that was touched is the one that the contact's normal leaves
+    distance, gradient = model.field.seen_distance_and_gradient(local, inward, contacts.has_normal)
+    normals = model.field.normals(local - distance[:, None] * gradient) @ pose[:3, :3].T
     out = []
     for i in range(len(contacts)):
         angle = np.nan
@@ -68,6 +73,31 @@ def pixel_agreement(model: ObjectModel, seen: Evidence, pose: Array) -> tuple[fl
     near = np.abs(distance) < 3 * on[:, SIGMA]
     rms = float(np.sqrt(np.mean(distance[near] ** 2))) if near.any() else float("nan")
     return float(near.mean()), rms
+
+
+def contributions(
+    model: ObjectModel, rows: Evidence, pose: Array, prior: Prior | None = None
+) -> tuple[Contribution, ...]:
+    """What vision, touch and a prior each add to the answer at pose (4, 4): how sure it is with them and without."""
+    parts = {
+        name: (int((rows.sense == sense).sum()), alignment.terms(model, rows.of(sense), pose)[2])
+        for name, sense in (("vision", VISION), ("touch", TOUCH))
+    }
+    if prior is not None:
+        parts["prior"] = (0, alignment.terms(model, empty(), pose, prior)[2])
+    whole = np.sum([information for _, information in parts.values()], axis=0)
+
+    def worst(information: Array) -> tuple[float, float]:
+        covariance = covariance_of(model, information)
+        turn, move = (float(np.sqrt(np.linalg.eigvalsh(covariance[k : k + 3, k : k + 3])[-1])) for k in (0, 3))
+        return move, turn
+
+    out = []
+    for name, (count, information) in parts.items():
+        if count or name == "prior":
+            (position, rotation), (position_less, rotation_less) = worst(whole), worst(whole - information)
+            out.append(Contribution(name, count, position, position_less, rotation, rotation_less))
+    return tuple(out)
 
 
 def unobservable(

@@ -10,6 +10,7 @@ import numpy as np
 
 from fusion.answer import Estimate
 from fusion.judging import Errors, Judge, json_number
+from fusion.next_touch import next_touches
 from scenes.captures import Capture
 from scenes.formats.bop import PoseRow, write_json, write_poses
 from scenes.frames import Frame
@@ -25,15 +26,20 @@ def frame_errors(judge: Judge, frame: Frame, answer: Estimate) -> Errors | None:
 
 
 def result_json(
-    capture: str, model: ObjectModel, answers: Sequence[Estimate], errors: Sequence[Errors | None]
+    capture: str,
+    model: ObjectModel,
+    frames: Sequence[Frame],
+    answers: Sequence[Estimate],
+    errors: Sequence[Errors | None],
 ) -> dict[str, Any]:
     """The content of result.json; each frame with its own errors, and their medians under "errors" (empty without)."""
-    frames = []
-    for answer, error in zip(answers, errors, strict=True):
+    entries = []
+    for frame, answer, error in zip(frames, answers, errors, strict=True):
         entry = answer.to_json()
+        entry["next_touch"] = [touch.to_json() for touch in next_touches(model, answer, frame)]
         if error is not None:
             entry["errors"] = error.to_json()
-        frames.append(entry)
+        entries.append(entry)
     known = [error.to_json() for error in errors if error is not None]
     overall: dict[str, Any] = {}
     if known:
@@ -43,7 +49,7 @@ def result_json(
         overall["frames_with_truth"] = len(known)
         overall["success_add_s_below_5mm"] = float(np.mean([e.add_s < 0.005 for e in errors if e is not None]))
     return json_number(
-        {"version": RESULT_VERSION, "capture": capture, "object": model.name, "frames": frames, "errors": overall}
+        {"version": RESULT_VERSION, "capture": capture, "object": model.name, "frames": entries, "errors": overall}
     )
 
 

@@ -12,7 +12,8 @@ met where |r| = gate): rho(s) = s - 2 log(1 + exp((s - gate^2) / 2)) + const, s 
 derivative of rho is the probability that the row belongs to the object, so fitting *is* deciding.
 A pixel was seen, so the surface there faces the camera: rows with `facing` carry the viewing ray (unit) in the
 normal's place, and d is the distance to the side of the object that faces it (scenes.lattice.seen_distance_at).
-Without it a thin wall's far side would explain a point as well as its near side.
+Without it a thin wall's far side would explain a point as well as its near side. So it is with a contact whose normal
+is known: the finger came from where that points to, and `facing` rows with a normal are led out along it.
 `gate_above` holds for points found outside (d > offset), `gate_below` for points found inside: what is seen or
 felt in front of an object may be something else, but nothing opaque is ever inside it.
 """
@@ -44,7 +45,8 @@ NO_GATE = 1e6
 class Evidence:
     """rows (n, 13) float64: point, outward normal (0 when unknown), sigma (m), sigma of the normal (rad, 0 = none),
     weight (share of a row's information that is its own, 1 = independent), gate above and below (sigmas; 0 = the
-    row says nothing on that side), offset (m), facing (1 = yes). sense (n,): VISION or TOUCH.
+    row says nothing on that side), offset (m), facing (1 = reached from where the normal points, or along the ray).
+    sense (n,): VISION or TOUCH.
     """
 
     rows: Array
@@ -109,9 +111,11 @@ def make(
     gate_below: ArrayLike = NO_GATE,
     offset: ArrayLike = 0.0,
     rays: Array | None = None,
+    from_outside: bool = False,
 ) -> Evidence:
     """Rows from columns: points (n, 3) metres; every other argument a scalar or (n,). NaN normals mean unknown.
-    rays (n, 3): unit viewing directions of pixels, instead of normals.
+    rays (n, 3): unit viewing directions of pixels, instead of normals. from_outside: what is there was touched from the
+    side that its normal points to.
 
     Raises InputError when a point is not finite or a sigma is not positive.
     """
@@ -131,6 +135,7 @@ def make(
         known = np.isfinite(normals).all(axis=1)
         rows[known, NORMAL] = normals[known]
         rows[:, SIGMA_NORMAL] = np.where(known, sigma_normal, 0.0)
+        rows[:, FACING] = known & from_outside & (rows[:, SIGMA_NORMAL] > 0)
     if rays is not None:
         rows[:, NORMAL], rows[:, FACING] = rays, 1.0
     return Evidence(rows, np.full(n, sense, dtype=np.uint8))
@@ -146,6 +151,7 @@ def from_contacts(contacts: Contacts, gate: float = NO_GATE, use_normals: bool =
         sigma_normal=contacts.sigma_normal,
         gate_above=gate,
         gate_below=gate,
+        from_outside=True,
     )
 
 

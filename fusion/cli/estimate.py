@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
         errors.append(frame_errors(judge, frame, answer))
         rows.append(_row(answer, errors[-1], judge.agreement(frame, answer.pose)))
     out = args.out or Path("out") / capture.name
-    content = result_json(capture.name, model, answers, errors)
+    content = result_json(capture.name, model, frames, answers, errors)
     write_results(out, capture, answers, content)
     if not args.no_report:
         from fusion.report.page import write_report

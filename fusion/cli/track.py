@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         answers.append(tracker.step(frame))
         errors.append(frame_errors(judge, frame, answers[-1]))
     out = args.out or Path("out") / capture.name
-    content = result_json(capture.name, model, answers, errors)
+    content = result_json(capture.name, model, frames, answers, errors)
     write_results(out, capture, answers, content)
     if not args.no_report:
         from fusion.report.page import write_report

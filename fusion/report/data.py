@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from fusion import metrics
 from fusion.answer import Estimate
 from fusion.judging import Judge
+from fusion.next_touch import next_touches
 from fusion.report import pictures, words
 from fusion.report.outline import silhouette
 from scenes import poses
@@ -174,6 +175,8 @@ class _FrameBuilder:
                 for s in estimate.trace
             ],
             "modes": [self._mode(mode, estimate) for mode in estimate.modes],
+            "contributions": words.contribution_rows(estimate),
+            "next": self._next(frame, estimate, centre) if usable else [],
             "unobservable": list(estimate.unobservable),
             "notes": [*estimate.notes, *(f"{n} {name} dropped" for name, n in estimate.dropped.items() if n)],
             "ms": _rounded(estimate.time_ms, 2),
@@ -303,6 +306,17 @@ class _FrameBuilder:
                 for residual in estimate.contacts
             ]
         return out
+
+    def _next(self, frame: Frame, estimate: Estimate, centre: Array) -> list[Json]:
+        """Where one more contact would tell most: place and normal in the picture's frame, and the same in words."""
+        return [
+            {
+                "p": [round(float(x), 2) for x in 1e3 * (touch.camera_point - centre)],
+                "n": [round(float(x), 3) for x in estimate.pose[:3, :3] @ touch.normal],
+                "text": words.next_touch(touch),
+            }
+            for touch in next_touches(self.model, estimate, frame)
+        ]
 
     def _mode(self, mode: Any, estimate: Estimate) -> Json:
         """Weight, cost and how far the mode is from the pose that was given."""

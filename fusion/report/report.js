@@ -4,7 +4,7 @@
 const data = JSON.parse(document.getElementById("data").textContent);
 const $ = (id) => document.getElementById(id);
 const SVG = "http://www.w3.org/2000/svg";
-const shown = { after: true, before: true, truth: false, contacts: true, cloud: true, hand: true };
+const shown = { after: true, before: true, truth: false, contacts: true, next: false, cloud: true, hand: true };
 const state = { frame: 0, picture: "depth", table: "frame" };
 
 function el(tag, attributes, ...children) {
@@ -182,17 +182,28 @@ function doubtCards(frame) {
   return cards;
 }
 
+function contributionsCard(frame) {
+  if (!frame.contributions.length) return null;
+  const body = frame.contributions.map(([source, rows, position, rotation]) => row("td", [[source], [rows, "n"], [position, "n"], [rotation, "n"]]));
+  return card("What each source added", "", table([["Source"], ["Rows", "n"], ["σ position, without → with", "n"], ["σ rotation", "n"]], body));
+}
+
+function nextCard(frame) {
+  if (!frame.next.length) return null;
+  return card("Where to touch next", "", el("ol", { class: "plain" }, frame.next.map((t) => el("li", {}, t.text))), el("span", { class: "quiet" }, "dashed rings in the view"));
+}
+
 function drawCards() {
   const frame = data.frames[state.frame];
-  $("cards").replaceChildren(...[comparisonCard(), traceCard(frame), contactsCard(frame), ...doubtCards(frame)].filter(Boolean));
+  $("cards").replaceChildren(...[comparisonCard(), traceCard(frame), contactsCard(frame), contributionsCard(frame), nextCard(frame), ...doubtCards(frame)].filter(Boolean));
 }
 
 // --- the page ------------------------------------------------------------------------------------------------------
 
 function drawControls() {
   const frame = data.frames[state.frame];
-  const options = [["after", "Estimate", "--accent", ""], ["before", "Start", "--before", "dash"], ["truth", "Truth", "--truth", "dash"], ["contacts", "Contacts", "--touch", "dot"], ["cloud", "Cloud", "--quiet", "dot"], ["hand", "Hand", "--quiet", "dot"]];
-  const here = (key) => key === "contacts" ? frame.contacts.some((c) => c.p) : key === "cloud" ? frame.cloud : key === "hand" ? frame.hand : frame.poses[key];
+  const options = [["after", "Estimate", "--accent", ""], ["before", "Start", "--before", "dash"], ["truth", "Truth", "--truth", "dash"], ["contacts", "Contacts", "--touch", "dot"], ["next", "Next touch", "--touch", "dash"], ["cloud", "Cloud", "--quiet", "dot"], ["hand", "Hand", "--quiet", "dot"]];
+  const here = (key) => key === "contacts" ? frame.contacts.some((c) => c.p) : key === "next" ? frame.next.length : key === "cloud" ? frame.cloud : key === "hand" ? frame.hand : frame.poses[key];
   $("controls").replaceChildren(...options.filter(([key]) => here(key)).map(([key, text, colour, shape]) => el("button", {
     type: "button", class: shape, style: `--mark:var(${colour})`, "aria-pressed": String(shown[key]),
     onclick: () => { shown[key] = !shown[key]; drawControls(); drawPicture(frame); scene.draw(); },

@@ -178,6 +178,7 @@ class Scene {
       if (this.shown[name] && poses[name]) this.wires(pen, poses[name], tint[name], name === "before" ? [6, 5] : [1.5, 4], ratio);
     }
     if (this.shown.contacts) this.touches(pen, tint, ratio);
+    if (this.shown.next) this.nextTouches(pen, tint, ratio);
     this.ruler(pen, tint, ratio);
   }
 
@@ -324,6 +325,21 @@ class Scene {
         pen.fillStyle = tint.ink;
         pen.fillText(contact.sensor, p[0] + 11 * ratio, p[1] + 4 * ratio);
       }
+    });
+  }
+
+  nextTouches(pen, tint, ratio) {
+    pen.font = `${11 * ratio}px system-ui, sans-serif`;
+    pen.lineWidth = 2 * ratio;
+    this.frame.next.forEach((touch, i) => {
+      const reach = 0.12 * this.diameter, [x, y, z] = touch.p, n = touch.n;
+      const p = this.project([x, y, z, x + reach * n[0], y + reach * n[1], z + reach * n[2]]);
+      pen.strokeStyle = pen.fillStyle = tint.touch;
+      pen.setLineDash([3 * ratio, 3 * ratio]);
+      pen.beginPath(); pen.moveTo(p[0], p[1]); pen.lineTo(p[3], p[4]); pen.stroke();
+      pen.beginPath(); pen.arc(p[0], p[1], 7 * ratio, 0, 7); pen.stroke();
+      pen.setLineDash([]);
+      pen.fillText(String(i + 1), p[0] + 10 * ratio, p[1] - 6 * ratio);
     });
   }
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.answer import Estimate
+from fusion.next_touch import NextTouch
 
 Array = NDArray[np.float64]
 
@@ -55,6 +56,37 @@ def _known(rotation: float, translation: float) -> str:
     if rotation > FREE_ROTATION:
         return f"{where}, its orientation not in every direction."
     return f"{where}, its orientation to {np.rad2deg(rotation):.2g}° (one sigma, worst direction)."
+
+
+def contribution_rows(estimate: Estimate) -> list[list[str]]:
+    """[source, rows, sigma of the position without it -> with it, the same of the rotation] for a table."""
+
+    def change(without: float, all_: float, unit: str) -> str:
+        return f"{without:.2g} → {all_:.2g} {unit}"
+
+    return [
+        [
+            c.source,
+            str(c.rows) if c.rows else "",
+            change(1e3 * c.position_without, 1e3 * c.position_with, "mm"),
+            change(float(np.rad2deg(c.rotation_without)), float(np.rad2deg(c.rotation_with)), "°"),
+        ]
+        for c in estimate.contributions
+    ]
+
+
+def next_touch(touch: NextTouch) -> str:
+    """Where, what it would leave unknown, and which finger is nearest."""
+    x, y, z = (f"{1e3 * float(v):.0f}" for v in touch.point)
+    text = (
+        f"at ({x}, {y}, {z}) mm of the object: would leave {1e3 * touch.sigma_position:.2g} mm"
+        f" and {np.rad2deg(touch.sigma_rotation):.2g}°"
+    )
+    if touch.between_modes > 0.1:
+        text += f", {touch.between_modes / max(touch.gain, 1e-9):.0%} of its worth is telling poses apart"
+    if touch.finger is not None and touch.finger_distance is not None:
+        text += f"; nearest is {touch.finger.replace('_', ' ')}, {1e2 * touch.finger_distance:.0f} cm away"
+    return text
 
 
 def symmetry(model_axes: int, discrete: int, spherical: bool) -> str:

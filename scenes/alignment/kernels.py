@@ -164,13 +164,20 @@ def cost_terms(
         qx = r00 * yx + r10 * yy + r20 * yz + centroid[0]
         qy = r01 * yx + r11 * yy + r21 * yz + centroid[1]
         qz = r02 * yx + r12 * yy + r22 * yz + centroid[2]
+        sigma_normal = rows[n, 7]
+        with_normal = sigma_normal > 0.0
+        d, gx, gy, gz = distance_at(values, origin, spacing, qx, qy, qz)
+        # where the normal is looked up: at the point, or where that was led back to
+        fx, fy, fz = qx, qy, qz
         if rows[n, 12] > 0.0:
-            vx = r00 * rows[n, 3] + r10 * rows[n, 4] + r20 * rows[n, 5]
-            vy = r01 * rows[n, 3] + r11 * rows[n, 4] + r21 * rows[n, 5]
-            vz = r02 * rows[n, 3] + r12 * rows[n, 4] + r22 * rows[n, 5]
-            d, gx, gy, gz = seen_distance_at(values, origin, spacing, qx, qy, qz, vx, vy, vz)
-        else:
-            d, gx, gy, gz = distance_at(values, origin, spacing, qx, qy, qz)
+            # a pixel brings its ray, a contact its outward normal: a finger comes from where that points to
+            sign = -1.0 if with_normal else 1.0
+            vx = sign * (r00 * rows[n, 3] + r10 * rows[n, 4] + r20 * rows[n, 5])
+            vy = sign * (r01 * rows[n, 3] + r11 * rows[n, 4] + r21 * rows[n, 5])
+            vz = sign * (r02 * rows[n, 3] + r12 * rows[n, 4] + r22 * rows[n, 5])
+            if gx * vx + gy * vy + gz * vz > 0.0:
+                d, gx, gy, gz = seen_distance_at(values, origin, spacing, qx, qy, qz, vx, vy, vz)
+                fx, fy, fz = qx - d * gx, qy - d * gy, qz - d * gz
         d -= rows[n, 11]
         gate = rows[n, 9] if d > 0.0 else rows[n, 10]
         if gate == 0.0:
@@ -178,11 +185,9 @@ def cost_terms(
         inverse = 1.0 / math.sqrt(rows[n, 6] * rows[n, 6] + blur * blur)
         r = d * inverse
         s = r * r
-        sigma_normal = rows[n, 7]
-        with_normal = sigma_normal > 0.0
         ax = ay = az = ex = ey = ez = length = inverse_normal = 0.0
         if with_normal:
-            normal_at(values, origin, spacing, qx, qy, qz, g, h)
+            normal_at(values, origin, spacing, fx, fy, fz, g, h)
             length = math.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
             length = max(length, SHORTEST_GRADIENT)
             ux, uy, uz = g[0] / length, g[1] / length, g[2] / length
