@@ -253,14 +253,14 @@ def indentation(model: ObjectModel, object_from_sensor: Array, points: Array, no
     rotation = object_from_sensor[:3, :3]
     foot, up = poses.apply(object_from_sensor, points - deepest * normals), normals @ rotation.T
     # only columns that the object can reach are followed
-    near = np.flatnonzero(model.field.distance(foot) < deepest + model.field.spacing)
+    room = model.field.distance(foot)
+    near = np.flatnonzero(room < deepest + model.field.spacing)
     out = np.zeros(len(points))
     if not len(near):
         return out
     height = model.surface.cast(foot[near], up[near])
-    # from inside the object the first surface met is where the ray leaves it
-    inside = model.surface.closest(foot[near])[0] < 0
-    out[near] = np.where(inside, deepest, np.clip(deepest - height, 0.0, deepest))
+    # from inside the object the first surface met is where the ray leaves it; the lattice knows the side beyond edges
+    out[near] = np.where(room[near] < 0, deepest, np.clip(deepest - height, 0.0, deepest))
     return out
 
 

@@ -1,8 +1,8 @@
-"""From what the fingers report to rows of evidence: contacts, wrenches, regions felt to be empty, the hand itself."""
+"""What the fingers report as rows of evidence: contacts, wrenches, taxel arrays, empty regions, the hand itself."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from scenes import evidence as tables
 from scenes.evidence import SIGMA, TOUCH, Evidence
 from scenes.frames import Contacts, Frame
+from touch.arrays.readings import Reading, readings_of
+from touch.arrays.rows import ArrayRowSettings, array_contacts, taxel_rows
 from touch.intrinsic import wrench_contacts
 from touch.localize import contact_starts
 
@@ -50,6 +52,7 @@ class TouchSettings:
     unknown_sigma: float = 0.004
     # Error of the finger joints between palm and fingertip, metres (0.3 degrees at three joints).
     fingertip_sigma: float = 0.0008
+    arrays: ArrayRowSettings = field(default_factory=ArrayRowSettings)
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,8 @@ def feel(frame: Frame, gate: float, region: Ball | None = None, settings: TouchS
     settings = settings or TouchSettings()
     contacts = Contacts.concatenate([frame.contacts, wrench_contacts(frame)])
     contacts = contacts.moved(frame.camera_from_world)
+    readings = readings_of(frame)
+    contacts = Contacts.concatenate([contacts, array_contacts(_unspoken(frame, contacts, readings), settings.arrays)])
     with_hand = frame.hand is not None and frame.joints is not None and frame.world_from_hand is not None
     if len(contacts) and not contacts.sigma_known:
         contacts.sigma_point[:] = settings.unknown_sigma
@@ -86,7 +91,7 @@ def feel(frame: Frame, gate: float, region: Ball | None = None, settings: TouchS
     rows = tables.from_contacts(contacts, gate if contacts.sigma_known else tables.NO_GATE)
     if with_hand and len(contacts):
         rows.rows[:, SIGMA] = np.hypot(contacts.sigma_point, settings.fingertip_sigma)
-    parts = [rows]
+    parts = [rows, taxel_rows(readings, settings.arrays)]
     if frame.no_contact is not None and len(frame.no_contact):
         centres = frame.no_contact.points @ frame.camera_from_world[:3, :3].T + frame.camera_from_world[:3, 3]
         parts.append(
@@ -95,6 +100,15 @@ def feel(frame: Frame, gate: float, region: Ball | None = None, settings: TouchS
     if with_hand and len(contacts):
         parts.append(_hand_rows(frame, region, settings))
     return Felt(contacts, tables.stack(*parts))
+
+
+def _unspoken(frame: Frame, contacts: Contacts, readings: list[Reading]) -> list[Reading]:
+    """Arrays on links that no other sensor reports a contact of: one touch is one contact, however many sensors."""
+    if frame.hand is None:
+        return []
+    sensors = frame.hand.sensors
+    spoken = {sensors[name].link for name in contacts.sensors if name in sensors}
+    return [reading for reading in readings if sensors[reading.sensor].link not in spoken]
 
 
 def _hand_rows(frame: Frame, region: Ball | None, settings: TouchSettings) -> Evidence:
