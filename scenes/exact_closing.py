@@ -15,15 +15,18 @@ from scenes import poses
 from scenes.fingers import Finger, find_fingers, reach_bounds
 from scenes.hands import Hand
 from scenes.objects import ObjectModel
+from scenes.tips import FINE, nearest
 
 Array = NDArray[np.float64]
 
-# A tip touches when its ball is this near the surface (m): a fifth of what the contact must be exact to.
+# A tip touches when it is this near the surface (m): a fifth of what the contact must be exact to.
 TOUCH = 2.0e-5
 # Room around a finger in which the object's points are watched while it moves (m).
 REACH = 0.015
 # Within this of the surface the lattice's rounding matters and exact distances are asked for (m).
 EXACT_BELOW = 1.5e-3
+# Tips farther than this (m) from the object are not asked for their exact nearest point.
+NEAR_TIP = 4.0e-3
 
 
 class ExactClosing:
@@ -33,6 +36,7 @@ class ExactClosing:
         """spacing: of samples on the links (m); self_overlap: how far links may enter one another (m)."""
         self.hand, self.model, self.self_overlap = hand, model, self_overlap
         self.fingers = find_fingers(hand)
+        self._cores = {f.sensor: f.tip.samples(FINE) for f in self.fingers}
         self._points, _, self._link = hand.surface_samples(spacing)
         self._pieces = [self._points[self._link == row] for row in range(len(hand.link_names))]
         surface, _ = model.sample_surface(3000, seed=0)
@@ -201,9 +205,7 @@ class ExactClosing:
         )
         smallest = self._sample_clearance(samples)
         if finger is not None and finger.tip_link in rows:
-            centre = hand_from_link[finger.tip_link, :3, :3] @ finger.centre + hand_from_link[finger.tip_link, :3, 3]
-            distance = self._ball_distance(poses.apply(object_from_hand, centre[None]))
-            smallest = min(smallest, distance - finger.radius)
+            smallest = min(smallest, self._tip_gap(finger, object_from_hand @ hand_from_link[finger.tip_link])[1])
         for row in rows:
             smallest = min(smallest, _points_to_link(self.hand, row, hand_from_link[row], object_in_hand))
         if finger is not None and finger.is_thumb:
@@ -222,18 +224,34 @@ class ExactClosing:
             smallest = min(smallest, float(distance.min()))
         return smallest
 
-    def _ball_distance(self, centre: Array) -> float:
-        distance, _, _ = self.model.surface.closest(centre)
-        return float(np.copysign(distance[0], self.model.field.distance(centre)[0]))
+    def _core_distance(self, points: Array) -> Array:
+        """Signed distances (n,) of points of a core, which lie well outside the object when the tip does."""
+        distance, _, _ = self.model.surface.closest(points)
+        return np.copysign(distance, self.model.field.distance(points))
+
+    def _tip_gap(self, finger: Finger, object_from_link: Array) -> tuple[Array, float]:
+        """The tip's core's point (3,) nearest to the object, object frame, and the gap between tip and object (m)."""
+        object_from_tip, tip = object_from_link @ finger.link_from_tip, finger.tip
+        core = poses.apply(object_from_tip, self._cores[finger.sensor])
+        rough = self.model.field.distance(core)
+        start = int(np.argmin(rough))
+        if len(core) > 1 and rough[start] > NEAR_TIP:
+            return core[start], float(rough[start]) - tip.rounding
+
+        def distance(points: Array) -> Array:
+            return self._core_distance(poses.apply(object_from_tip, points))
+
+        point, smallest = nearest(tip, distance, self._cores[finger.sensor][start])
+        return poses.apply(object_from_tip, point[None])[0], smallest - tip.rounding
 
     def _tip_contact(self, finger: Finger, q: Array, hand_from_object: Array) -> tuple[Array, Array, float]:
-        """Closest surface point to the tip's ball, its outward normal, and the gap between them."""
-        frame = self.hand.link_poses(q)[finger.tip_link]
-        centre = poses.apply(poses.inverse(hand_from_object), (frame[:3, :3] @ finger.centre + frame[:3, 3])[None])
-        distance, _, foot = self.model.surface.closest(centre)
-        # the ball's centre is outside: the direction to it is the outward normal, on edges and corners too
-        length = abs(float(distance[0]))
-        return foot[0], (centre[0] - foot[0]) / max(length, 1e-12), length - finger.radius
+        """Closest surface point to the tip, its outward normal, and the gap between them."""
+        frame = poses.inverse(hand_from_object) @ self.hand.link_poses(q)[finger.tip_link]
+        core, gap = self._tip_gap(finger, frame)
+        _, _, foot = self.model.surface.closest(core[None])
+        # the core is outside: the direction to it is the outward normal, on edges and corners too
+        away = core - foot[0]
+        return foot[0], away / max(float(np.linalg.norm(away)), 1e-12), gap
 
     def _thumb_to_fingers(self, thumb: Finger, hand_from_link: Array, rows: tuple[int, ...]) -> float:
         """Distance from the thumb's samples to the other fingers' links, the allowed overlap added."""

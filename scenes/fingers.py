@@ -1,7 +1,8 @@
 """The fingers of a hand as a grasp planner sees them, and how they close on an object.
 
-A finger ends in a touch sensor with a spherical surface. Its closing joints bend; its posture joints (abduction,
-opposition) stay where the grasp puts them. Poses are hand_from_object; metres and radians.
+A finger ends in a touch sensor with a surface: sphere, ellipsoid, cylinder or mesh (see `tips`). Its closing joints
+bend; its posture joints (abduction, opposition) stay where the grasp puts them. Poses are hand_from_object; metres and
+radians.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from scenes import poses
 from scenes.errors import InputError
 from scenes.hands import Hand
 from scenes.objects import ObjectModel
+from scenes.tips import COARSE, Tip, tip_of
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -26,13 +28,16 @@ POSTURE_WORDS = ("abduction", "opposition", "spread", "rotation", "yaw", "wrist"
 @dataclass(frozen=True)
 class Finger:
     """sensor: name of its touch sensor; tip_link and links: rows of hand.link_names; closing: columns of
-    hand.joint_names, from the root outwards; centre (3,) of the tip's ball in the tip link and its radius.
+    hand.joint_names, from the root outwards; tip: its shape, in the sensor's frame; link_from_tip (4, 4); centre (3,)
+    of the tip in the tip link and its mean radius.
     """
 
     sensor: str
     tip_link: int
     links: tuple[int, ...]
     closing: tuple[int, ...]
+    tip: Tip
+    link_from_tip: Array
     centre: Array
     radius: float
 
@@ -44,12 +49,12 @@ class Finger:
 
 @lru_cache(maxsize=16)
 def find_fingers(hand: Hand) -> tuple[Finger, ...]:
-    """The hand's fingers, one for each sensor with a spherical surface at the end of a chain of its own.
+    """The hand's fingers, one for each sensor with a surface at the end of a chain of its own.
 
     Joints whose names speak of posture, joints of several fingers and sliding joints do not close. Raises InputError
     when there is no thumb (a sensor with "thumb" in its name) and another finger to hold something between.
     """
-    tips = [s for s in hand.sensors.values() if s.radius is not None]
+    tips = [s for s in hand.sensors.values() if s.surface is not None]
     rows = {s.name: hand.link_names.index(s.link) for s in tips}
     shared = np.sum([hand.moved_by[row] for row in set(rows.values())], axis=0) > 1 if tips else np.zeros(0)
     fingers: list[Finger] = []
@@ -62,18 +67,22 @@ def find_fingers(hand: Hand) -> tuple[Finger, ...]:
         if not closing or any(f.tip_link == row for f in fingers):
             continue
         links = tuple(int(i) for i in np.nonzero((hand.moved_by & own).any(axis=1))[0])
-        radius = sensor.radius or 0.0
-        fingers.append(Finger(sensor.name, row, links, closing, sensor.link_from_sensor[:3, 3], radius))
+        tip = tip_of(sensor)
+        assert tip is not None
+        pose = sensor.link_from_sensor
+        fingers.append(
+            Finger(sensor.name, row, links, closing, tip, pose, poses.apply(pose, tip.centre[None])[0], tip.radius)
+        )
     if not any(f.is_thumb for f in fingers) or all(f.is_thumb for f in fingers):
         got = ", ".join(f.sensor for f in fingers) or "none"
-        raise InputError(f"hand {hand.name!r}: expected spherical tip sensors on a thumb and a finger, got {got}")
+        raise InputError(f"hand {hand.name!r}: expected tip sensors with a surface on a thumb and a finger, got {got}")
     return tuple(fingers)
 
 
 class Clearance:
     """Distances between a hand's links and an object, over many configurations at once.
 
-    Hand links are sampled; tips are exact balls.
+    Hand links are sampled; so are the cores of tips, which for a sphere is its centre.
     """
 
     def __init__(self, hand: Hand, model: ObjectModel, spacing: float, only_fingers: bool = False) -> None:
@@ -89,15 +98,17 @@ class Clearance:
         self._starts = np.concatenate([[0], np.cumsum([len(b) for b in self._blocks])[:-1]])
         self._tip_rows = [f.tip_link for f in self.fingers]
         self._centres = np.array([f.centre for f in self.fingers])
-        self._radii = np.array([f.radius for f in self.fingers])
+        self._cores = [poses.apply(f.link_from_tip, f.tip.samples(COARSE)) for f in self.fingers]
+        self._core_starts = np.concatenate([[0], np.cumsum([len(core) for core in self._cores])[:-1]])
+        self._rounding = np.array([f.tip.rounding for f in self.fingers])
 
     def tip_centres(self, hand_from_link: Array) -> Array:
-        """(n, f, 3) centres of the tips' balls, hand frame."""
+        """(n, f, 3) centres of the tips, hand frame."""
         tips = hand_from_link[:, self._tip_rows]
         return np.einsum("nfij,fj->nfi", tips[..., :3, :3], self._centres) + tips[..., :3, 3]
 
     def links_and_tips(self, configurations: Array, hand_from_object: Array) -> tuple[Array, Array]:
-        """Clearance of each link (n, l), tips' balls included, and of each ball (n, f); metres, by the lattice.
+        """Clearance of each link (n, l), tips included, and of each tip (n, f); metres, by the lattice.
 
         configurations (n, j), hand_from_object (n, 4, 4).
         """
@@ -105,15 +116,15 @@ class Clearance:
         object_from_hand = poses.inverse(hand_from_object)
         frames = object_from_hand[:, None] @ hand_from_link
         blocks = [poses.apply(frames[:, i], points) for i, points in zip(self._links, self._blocks)]
-        centres = poses.apply(object_from_hand, self.tip_centres(hand_from_link))
+        cores = [poses.apply(frames[:, row], core) for row, core in zip(self._tip_rows, self._cores)]
         n = len(configurations)
         samples = np.concatenate(blocks, axis=1)
         count = samples.shape[1]
-        everything = np.concatenate([samples, centres], axis=1)
+        everything = np.concatenate([samples, *cores], axis=1)
         distance = self.model.field.distance(everything.reshape(-1, 3)).reshape(n, -1)
         links = np.full((n, len(self.hand.link_names)), np.inf)
         links[:, self._links] = np.minimum.reduceat(distance[:, :count], self._starts, axis=1)
-        tips = distance[:, count:] - self._radii
+        tips = np.minimum.reduceat(distance[:, count:], self._core_starts, axis=1) - self._rounding
         for f, finger in enumerate(self.fingers):
             links[:, finger.tip_link] = np.minimum(links[:, finger.tip_link], tips[:, f])
         return links, tips
@@ -129,7 +140,9 @@ def reach_bounds(hand: Hand) -> Array:
     np.maximum.at(size, link, np.linalg.norm(points, axis=1))
     for sensor in hand.sensors.values():
         row = hand.link_names.index(sensor.link)
-        size[row] = max(size[row], float(np.linalg.norm(sensor.link_from_sensor[:3, 3])) + (sensor.radius or 0.0))
+        tip = tip_of(sensor)
+        reach = 0.0 if tip is None else tip.extent
+        size[row] = max(size[row], float(np.linalg.norm(sensor.link_from_sensor[:3, 3])) + reach)
     parent = {i + 1: hand.link_names.index(joint.parent) for i, joint in enumerate(joints)}
     for row in range(1, len(hand.link_names)):
         farthest, current = size[row], row

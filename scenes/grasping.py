@@ -1,7 +1,7 @@
 """Closing a hand on an object: a grasp without interpenetration whose fingertips touch the surface exactly.
 
 Many placements are closed at once with sparse samples and the object's lattice; the best are closed again with dense
-samples, the tips' exact balls, the object's own points against the links, and exact closest points.
+samples, the tips' exact shapes, the object's own points against the links, and exact closest points.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ def plan_grasp(
 
     kind: "power" (object across the palm, wanted 4 fingertips or more, at least 3), "tripod" (thumb, index, middle) or
     "pinch" (thumb, index). The hand's frame must follow `hand_generation`: z out of the palm, x along the fingers; its
-    tips need spherical sensors. Raises InputError for another kind, a hand without such tips, or an object that the
-    hand cannot hold.
+    tips need sensors with a surface. Raises InputError for another kind, a hand without such tips, or an object that
+    the hand cannot hold.
     """
     settings = settings or GraspSettings()
     if kind not in KINDS:

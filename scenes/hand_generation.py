@@ -10,19 +10,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scenes import poses
+from scenes.errors import InputError
 from scenes.formats.urdf import Joint, Mimic, Robot, Shape, mesh_shape
 from scenes.hands import Hand
 from scenes.sensors import Sensor
+from scenes.tips import tip_skin
 
 Array = NDArray[np.float64]
 
 FINGERS = ("index", "middle", "ring", "little")
 PALM_HALF_THICKNESS = 0.013
+TIPS = ("sphere", "ellipsoid", "cylinder", "mesh")
 # Where the middle of a 6 cm object lies in a power grasp, hand frame, metres.
 GRASP_CENTRE = (0.075, 0.0, 0.043)
 
@@ -60,6 +64,8 @@ class HandShape:
     dip_coupling: float = 2.0 / 3.0
     # a sensor of kind "point" reports contact points; "wrench" force and torque
     sensor_kind: str = "point"
+    # surface of the fingertips: one of TIPS
+    tip: str = "sphere"
 
 
 @cache
@@ -85,10 +91,34 @@ def five_finger_hand(shape: HandShape | None = None) -> Hand:
     for name in (*FINGERS, "thumb"):
         length = shape.thumb[2] if name == "thumb" else shape.fingers[FINGERS.index(name)].lengths[2]
         radius = shape.thumb_radii[3] if name == "thumb" else shape.finger_radii[3]
-        surface = {"sphere": {"radius": radius}}
-        pose = poses.make_pose(None, (length, 0.0, 0.0))
-        sensors[f"{name}_tip"] = Sensor(f"{name}_tip", f"{name}_distal", shape.sensor_kind, pose, surface)
+        surface, turn = _tip_surface(shape.tip, radius)
+        pose = poses.make_pose(turn, (length, 0.0, 0.0))
+        sensor = Sensor(f"{name}_tip", f"{name}_distal", shape.sensor_kind, pose, surface)
+        sensors[sensor.name] = sensor
+        if shape.tip != "sphere":  # the link ends in the tip instead of a ball
+            inner = shape.thumb_radii[2] if name == "thumb" else shape.finger_radii[2]
+            skin = poses.apply(pose, tip_skin(sensor))
+            ordered[sensor.link] = (_hull(np.concatenate([_ball_points((0.0, 0.0, 0.0), 0.9 * inner, 16), skin])),)
     return Hand(Robot("five_finger_hand", "palm", ordered, tuple(joints)), sensors)
+
+
+def _tip_surface(kind: str, radius: float) -> tuple[dict[str, dict[str, Any]], Array | None]:
+    """A fingertip of about this radius (m) as sensors.json has it, and how its frame is turned in the link's, x along
+    the finger. Raises InputError for a kind that is none of TIPS.
+    """
+    if kind == "sphere":
+        return {kind: {"radius": radius}}, None
+    if kind == "ellipsoid":
+        return {kind: {"radii": [1.4 * radius, radius, 0.9 * radius]}}, None
+    if kind == "cylinder":  # along the finger
+        return {kind: {"radius": radius, "length": 2.0 * radius}}, poses.exp_rotation((0.0, np.pi / 2, 0.0))
+    if kind != "mesh":
+        raise InputError(f"hand: expected tips of {', '.join(TIPS)}, got {kind!r}")
+    # a pad: a slab with broken edges
+    corners = np.stack(np.meshgrid(*([[-1.0, 1.0]] * 3), indexing="ij"), axis=-1).reshape(-1, 3)
+    cuts = [np.where(np.arange(3) == i, 0.7, 1.0) for i in range(3)]
+    hull = _hull(np.concatenate([corners * cut for cut in cuts]) * [1.2 * radius, radius, 0.9 * radius])
+    return {kind: {"vertices": hull.vertices, "faces": hull.faces}}, None
 
 
 def _add_finger(

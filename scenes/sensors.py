@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,12 @@ from numpy.typing import NDArray
 
 from scenes import poses
 from scenes.errors import InputError
+from scenes.formats.ply import write_ply
 
 Array = NDArray[np.float64]
 
 KINDS = ("wrench", "array", "point")
-# What each surface must say, metres; "mesh" names a file beside sensors.json.
+# What each surface must say, metres; a mesh's file is named relative to sensors.json, and its convex hull counts.
 SURFACES = {"sphere": ("radius",), "ellipsoid": ("radii",), "cylinder": ("radius", "length"), "mesh": ("file",)}
 
 
@@ -26,9 +28,9 @@ class Sensor:
 
     kind: "wrench" (force and torque), "array" (pressures of taxels) or "point" (contact points as such).
     link_from_sensor (4, 4). surface: {"sphere": {"radius": r}}, {"ellipsoid": {"radii": [a, b, c]}},
-    {"cylinder": {"radius": r, "length": l}} (along z) or {"mesh": {"file": name}}, centred on the sensor frame,
-    metres; None when unknown. taxels (k, 6): position and outward normal in the sensor frame, or None.
-    soft_layer: its material as the file gives it, or None.
+    {"cylinder": {"radius": r, "length": l}} (along z) or {"mesh": {"file": path}}, in the sensor frame, metres; None
+    when unknown. A mesh may hold "vertices" and "faces" instead of a file. taxels (k, 6): position and outward normal
+    in the sensor frame, or None. soft_layer: its material as the file gives it, or None.
     """
 
     name: str
@@ -68,18 +70,53 @@ def read_sensors(path: str | Path) -> dict[str, Sensor]:
         raise InputError(f"{path}: expected JSON, got malformed text: {error}") from error
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected an object of sensors by name, got {type(data).__name__}")
-    return {name: _parse(name, entry, f"{path}: sensor {name!r}") for name, entry in data.items()}
+    return {name: _parse(name, entry, f"{path}: sensor {name!r}", path.parent) for name, entry in data.items()}
 
 
 def write_sensors(path: str | Path, sensors: dict[str, Sensor]) -> None:
-    """Write sensors.json."""
+    """Write sensors.json, and the convex hulls of fingertip meshes beside it, in the folder "tips"."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    text = json.dumps({name: sensor.to_json() for name, sensor in sensors.items()}, indent=1)
-    path.write_text(text + "\n", encoding="utf-8")
+    entries = {name: sensor.to_json() for name, sensor in sensors.items()}
+    for number, (name, sensor) in enumerate(sensors.items()):
+        if sensor.surface is not None and "mesh" in sensor.surface:
+            vertices, faces = surface_hull(sensor.surface, f"sensor {name!r}")
+            file = f"tips/{number:02d}.ply"
+            (path.parent / "tips").mkdir(exist_ok=True)
+            write_ply(path.parent / file, vertices, faces)
+            entries[name]["surface"] = {"mesh": {"file": file}}
+    path.write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")
 
 
-def _parse(name: str, entry: Any, where: str) -> Sensor:
+def surface_hull(surface: dict[str, dict[str, Any]], where: str) -> tuple[Array, NDArray[np.int64]]:
+    """Vertices (n, 3) m and faces (m, 3), wound outwards, of the convex hull of a mesh as a fingertip, sensor frame.
+
+    Raises InputError, beginning with `where`, for a file that is missing or holds no solid.
+    """
+    values = surface["mesh"]
+    if "vertices" in values:
+        return np.asarray(values["vertices"], dtype=np.float64), np.asarray(values["faces"], dtype=np.int64)
+    path = Path(values["file"])
+    if not path.is_file():
+        raise InputError(f"{where}: expected the mesh of its surface, found no file {path}")
+    return _hull_of(path, path.stat().st_mtime_ns, where)
+
+
+@lru_cache(maxsize=32)
+def _hull_of(path: Path, changed: int, where: str) -> tuple[Array, NDArray[np.int64]]:
+    """Read once for every state of the file."""
+    import trimesh
+    from scipy.spatial import QhullError
+
+    try:
+        mesh: Any = trimesh.load(path, force="mesh", process=False)
+        hull = mesh.convex_hull
+    except (ValueError, KeyError, IndexError, TypeError, AttributeError, OSError, EOFError, QhullError) as error:
+        raise InputError(f"{where}: expected a solid mesh in {path}, got {str(error).splitlines()[0]}") from error
+    return np.asarray(hull.vertices, dtype=np.float64), np.asarray(hull.faces, dtype=np.int64)
+
+
+def _parse(name: str, entry: Any, where: str, folder: Path) -> Sensor:
     if not isinstance(entry, dict):
         raise InputError(f"{where}: expected an object with link, kind and link_from_sensor, got {entry!r}")
     link, kind = entry.get("link"), entry.get("kind")
@@ -101,10 +138,10 @@ def _parse(name: str, entry: Any, where: str) -> Sensor:
     if soft_layer is not None and not isinstance(soft_layer, dict):
         raise InputError(f"{where}: soft_layer: expected an object, got {soft_layer!r}")
     link_from_sensor = poses.check_pose(pose.reshape(4, 4), f"{where}: link_from_sensor")
-    return Sensor(name, link, kind, link_from_sensor, _surface(entry.get("surface"), where), taxels, soft_layer)
+    return Sensor(name, link, kind, link_from_sensor, _surface(entry.get("surface"), where, folder), taxels, soft_layer)
 
 
-def _surface(surface: Any, where: str) -> dict[str, dict[str, Any]] | None:
+def _surface(surface: Any, where: str, folder: Path) -> dict[str, dict[str, Any]] | None:
     if surface is None:
         return None
     where = f"{where}: surface"
@@ -120,7 +157,7 @@ def _surface(surface: Any, where: str) -> dict[str, dict[str, Any]] | None:
         if kind == "mesh":
             if not isinstance(value, str):
                 raise InputError(f"{where}: mesh: expected a file name, got {value!r}")
-            continue
+            return {kind: {"file": str((folder / value).resolve())}}
         numbers = _floats(value, f"{where}: {kind} {key}").ravel()
         if len(numbers) != (3 if key == "radii" else 1) or (numbers <= 0).any():
             raise InputError(f"{where}: {kind} {key}: expected lengths above 0 in metres, got {value!r}")

@@ -20,6 +20,7 @@ from scenes import noise as noise_models
 from scenes import poses
 from scenes.errors import InputError
 from scenes.frames import Contacts, EmptyRegions, Frame, Wrench
+from scenes.hiding_grasps import place
 from scenes.loose_fingers import lay_fingers, random_contacts
 from scenes.noise import LastingErrors, NoisePreset
 from scenes.objects import ObjectModel
@@ -27,7 +28,7 @@ from scenes.photography import add_background, photograph
 from scenes.rendering import Renderer
 from scenes.synthesis_settings import SynthesisSettings
 from scenes.threads import thread_count
-from scenes.viewpoints import draw_views, find_view
+from scenes.viewpoints import draw_views
 
 if TYPE_CHECKING:
     from scenes.captures import Capture
@@ -42,8 +43,6 @@ Array = NDArray[np.float64]
 TOUCH_KINDS = ("point", "wrench", "array", "empty")
 OCCLUDERS = ("hand", "fingers", "object", "border", "none")
 CLUTTER = "clutter"
-# Below this hidden share the later grasps tried are those of three fingers (no unit).
-FEW_FINGERS_BELOW = 0.35
 
 
 def synthesize(
@@ -157,7 +156,7 @@ class _Recording:
             rng = np.random.default_rng(child)
             if self.kind == "hand":
                 assert self.hand is not None
-                grasp, camera_from_hand = _place(
+                grasp, camera_from_hand = place(
                     self.model, self.hand, self.occlusion, rng, self.renderer, self.settings
                 )
                 yield self._held(index, grasp, camera_from_hand, rng, errors)
@@ -171,7 +170,7 @@ class _Recording:
             raise InputError(f"motion: expected a hand that carries the object, got occluders {self.occluders!r}")
         plan, *children = np.random.SeedSequence(self.seed).spawn(count + 1)
         rng = np.random.default_rng(plan)
-        grasp, camera_from_hand = _place(self.model, self.hand, self.occlusion, rng, self.renderer, self.settings)
+        grasp, camera_from_hand = place(self.model, self.hand, self.occlusion, rng, self.renderer, self.settings)
         camera = self.settings.camera
         steps, self.motion_notes = plan_motion(
             motion, count, grasp, camera_from_hand, self.hand, self.model, camera, rng, settings
@@ -371,51 +370,3 @@ def _check(hand: Hand | None, occlusion: float, touch: tuple[str, ...], kind: st
     needs = [name for name in touch if name != "point"]
     if needs and (hand is None or kind != "hand"):
         raise InputError(f"touch: expected a hand whose fingertips measure for {needs[0]!r}, got none")
-
-
-def _place(
-    model: ObjectModel,
-    hand: Hand,
-    occlusion: float,
-    rng: np.random.Generator,
-    renderer: Renderer,
-    settings: SynthesisSettings,
-) -> tuple[Grasp, Array]:
-    """A grasp and camera_from_hand at which the hand hides the asked share of the object."""
-    from scenes.grasping import plan_grasp
-
-    reached: list[float] = []
-    held: list[Grasp] = []
-    refusal: InputError | None = None
-    for attempt in range(settings.grasps):
-        # Whole-hand grasps touch with most fingers; those of few fingers hide less
-        kind = "tripod" if occlusion < FEW_FINGERS_BELOW and attempt >= settings.grasps // 2 else "power"
-        try:
-            held.append(plan_grasp(hand, model, seed=int(rng.integers(2**31)), kind=kind))
-        except InputError as error:
-            refusal = error
-            continue
-        # Planning costs more than looking: after a few grasps, the same ones from closer along the arm
-        last = len(held) % settings.relax_after == 0 or attempt == settings.grasps - 1
-        trials = [(held[-1], settings.foregrounds[0])]
-        if last:
-            trials += [(g, f) for f in settings.foregrounds[1:] for g in held[-settings.relax_after :]]
-        for grasp, foreground in trials:
-            vertices, faces, _ = hand.mesh(grasp.joints)
-            renderer.add("hand", vertices, faces)
-            scene = {"object": grasp.hand_from_object, "hand": np.eye(4)}
-            target = poses.apply(grasp.hand_from_object, model.centroid[None])[0]
-            views = replace(settings.views, foreground=foreground)
-            view, shares = find_view(
-                renderer, scene, "object", target, model.radius, occlusion, settings.camera, rng, views
-            )
-            if view is not None:
-                return grasp, view
-            reached += shares
-    if not reached and refusal is not None:
-        raise refusal
-    span = f"{min(reached):.2f} to {max(reached):.2f}" if reached else "none"
-    raise InputError(
-        f"occlusion: expected a share of {model.name!r} that hand {hand.name!r} can hide, got {occlusion:.2f};"
-        f" {len(held)} grasps reached {span}"
-    )

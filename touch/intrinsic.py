@@ -9,8 +9,6 @@ and with K = 2k:   M = p x F + (K / R^2) ... p, solved by one quadratic for K.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +16,7 @@ from numpy.typing import NDArray
 
 from scenes.errors import CaptureError
 from scenes.frames import DEFAULT_SIGMA_NORMAL, DEFAULT_SIGMA_POINT, Contacts, Frame
+from scenes.sensors import surface_hull
 
 Array = NDArray[np.float64]
 
@@ -122,16 +121,4 @@ def _with_mesh(surface: dict[str, dict[str, Any]], where: str) -> dict[str, dict
     """The surface; a mesh with its convex hull's vertices and faces beside the name of its file."""
     if "mesh" not in surface or "vertices" in surface["mesh"]:
         return surface
-    path = Path(surface["mesh"]["file"])
-    if not path.is_file():
-        raise CaptureError(f"{where}: expected the mesh of its surface, found no file {path}")
-    return {"mesh": dict(zip(("vertices", "faces"), _hull(path, path.stat().st_mtime_ns)))}
-
-
-@lru_cache(maxsize=32)
-def _hull(path: Path, changed: int) -> tuple[Array, NDArray[np.int64]]:
-    """Read once for every state of the file."""
-    import trimesh
-
-    hull = trimesh.convex.convex_hull(trimesh.load_mesh(path).vertices)
-    return np.asarray(hull.vertices, dtype=np.float64), np.asarray(hull.faces, dtype=np.int64)
+    return {"mesh": dict(zip(("vertices", "faces"), surface_hull(surface, where)))}
