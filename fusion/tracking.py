@@ -193,15 +193,15 @@ class Tracker:
             return Belief(pose, moved.own + noise, moved.shared), self._moved_modes(motion), "at its last velocity"
         motion = now.camera_from_hand @ se3.inverse(self._hand.camera_from_hand)
         hold = se3.inverse(self._hand.camera_from_hand) @ belief.pose
-        delta, noise = self._hand_motion.in_hand(self._hand, frame, hold, max(1, abs(steps)))
-        turn = block(now.camera_from_hand[:3, :3])
-        delta, noise = turn @ delta, turn @ noise @ turn.T
+        expected = self._hand_motion.in_hand(self._hand, frame, hold, max(1, abs(steps)))
+        expected = expected.turned(now.camera_from_hand[:3, :3])
         moved = belief.moved(motion)
         centre = moved.pose[:3, :3] @ self.model.centroid + moved.pose[:3, 3]
-        noise = noise + calibration_drift(
+        drift = calibration_drift(
             self._hand.camera_from_hand, now.camera_from_hand, centre, self.settings.first.calibration
         )
-        self._slip.predict(motion, delta, 0.1 * noise)
+        delta, noise = expected.motion, expected.noise + drift
+        self._slip.predict(motion, delta, expected.sticking + drift, expected.sliding)
         whole = se3.perturb(motion @ belief.pose, delta, self.model.centroid) @ se3.inverse(belief.pose)
         why = (
             "with the palm"

@@ -131,7 +131,8 @@ class SlipTest:
     """Compares each frame's own answer with a belief that never lets the object move in the hand.
 
     That belief averages over all frames since the last slip: a slow slip, each step of it within the noise, adds up
-    against it. Page's cumulative sum of the squared innovations decides.
+    against it. Page's cumulative sum of the squared innovations decides, and so does that of the fingertips' own motion
+    where no rigid motion of the object explains it.
     """
 
     def __init__(self, model: ObjectModel, length: float, settings: SlipSettings | None = None) -> None:
@@ -141,18 +142,22 @@ class SlipTest:
         self._length = length
         self._held: Belief | None = None
         self._pixel: Array | None = None
-        self._sum = 0.0
+        self._sum = self._slid = 0.0
         self._quiet = 1_000_000
         self.statistic = 0.0
 
     def restart(self, belief: Belief | None, pixel: Array | None) -> None:
         """Forget; the object is held as `belief` has it, seen at `pixel` (2,) (None without a camera)."""
-        self._held, self._pixel, self._sum, self.statistic = belief, pixel, 0.0, 0.0
+        self._held, self._pixel = belief, pixel
+        self._sum = self._slid = self.statistic = 0.0
 
-    def predict(self, camera_from_camera: Array, delta: Array, noise: Array) -> None:
-        """Move with the hand (4, 4), and by what the fingers do to the object (6,), camera axes."""
+    def predict(self, camera_from_camera: Array, delta: Array, noise: Array, sliding: float = 0.0) -> None:
+        """Move with the hand (4, 4), and by what the fingers do to the object (6,), camera axes, known to noise (6, 6);
+        sliding: chi-square by which the fingertips' own motion contradicts contacts that stick.
+        """
         if self._held is not None:
             self._held = self._held.moved(camera_from_camera).shifted(delta, noise, self.model.centroid)
+        self._slid = max(0.0, self._slid + sliding - 0.5 * self.settings.allowance)
 
     def step(self, measured: Measurement, belief: Belief, pixel: Array | None) -> bool:
         """Whether the object slips in this frame. belief: the tracker's own, to start from after a slip."""
@@ -167,9 +172,9 @@ class SlipTest:
         innovation = se3.difference(measured.pose, self._held.pose, centre)
         square = float(innovation @ np.linalg.solve(self._held.own + noise, innovation))
         self._sum = max(0.0, self._sum + square - s.allowance)
-        self.statistic = max(square / s.alarm, self._sum / s.limit)
         moved = max(np.linalg.norm(innovation[:3]) / s.least_angle, np.linalg.norm(innovation[3:]) / s.least_distance)
-        if self.statistic > 1.0 and moved > 1.0:
+        self.statistic = max(min(max(square / s.alarm, self._sum / s.limit), float(moved)), self._slid / s.limit)
+        if self.statistic > 1.0:
             statistic = self.statistic
             self.restart(belief, pixel)
             self.statistic = statistic

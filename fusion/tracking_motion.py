@@ -53,8 +53,9 @@ def grasp_transpose(points: Array, centre: Array) -> Array:
 
 def carried_by_contacts(
     points: Array, displacements: Array, centre: Array, settings: HandMotionSettings | None = None
-) -> tuple[Array, Array]:
-    """Motion (6,) of a body whose contact points (n, 3) moved by displacements (n, 3), and its covariance (6, 6).
+) -> tuple[Array, Array, float]:
+    """Motion (6,) of a body whose contact points (n, 3) moved by displacements (n, 3), its covariance (6, 6) if they
+    stick, and their misfit: the squared residual in units of the creep less its degrees of freedom, at least 0.
 
     Regularised least squares: what the contacts leave open stays zero, as wide as the settings say.
     """
@@ -63,10 +64,27 @@ def carried_by_contacts(
     information = jacobian.T @ jacobian / s.creep**2
     information += np.diag(np.repeat([s.turn, s.move], 3) ** -2.0)
     motion = np.linalg.solve(information, jacobian.T @ displacements.ravel() / s.creep**2)
-    # contacts that do not fit one rigid motion slide: their residual widens the prediction
     residual = displacements.ravel() - jacobian @ motion
-    worse = max(1.0, float(residual @ residual) / (s.creep**2 * max(1, residual.size - 6)))
-    return np.asarray(motion, dtype=np.float64), np.asarray(np.linalg.inv(information) * worse, dtype=np.float64)
+    misfit = max(0.0, float(residual @ residual) / s.creep**2 - max(0, residual.size - 6))
+    return np.asarray(motion, dtype=np.float64), np.asarray(np.linalg.inv(information), dtype=np.float64), misfit
+
+
+@dataclass(frozen=True)
+class InHand:
+    """A predicted motion in the hand: motion (6,); noise (6, 6) of what may happen instead, sliding contacts included;
+    sticking (6, 6): the same if all contacts stick; sliding: by how much (chi-square) the contacts' own motion says
+    that some do not.
+    """
+
+    motion: Array
+    noise: Array
+    sticking: Array
+    sliding: float = 0.0
+
+    def turned(self, rotation: Array) -> InHand:
+        """The same in axes turned by rotation (3, 3)."""
+        turn = np.kron(np.eye(2), rotation)
+        return InHand(turn @ self.motion, turn @ self.noise @ turn.T, turn @ self.sticking @ turn.T, self.sliding)
 
 
 @dataclass(frozen=True)
@@ -98,21 +116,23 @@ class HandMotion:
         self.model = model
         self.settings = settings or HandMotionSettings()
 
-    def in_hand(self, before: HandState, frame: Frame, hold: Array, steps: int) -> tuple[Array, Array]:
-        """Expected motion (6,) of the object at `hold` (4, 4) hand_from_object over `steps` frames, and its
-        covariance (6, 6), hand axes.
-        """
+    def in_hand(self, before: HandState, frame: Frame, hold: Array, steps: int) -> InHand:
+        """Expected motion of the object at `hold` (4, 4) hand_from_object over `steps` frames, hand axes."""
         s = self.settings
         noise = np.diag(np.repeat([s.angle, s.distance], 3) ** 2) * steps
+        still = InHand(np.zeros(6), noise, 0.1 * noise)
         moved = self._fingertips(before, frame)
         if moved is None:
-            return np.zeros(6), noise
+            return still
         points, displacements = moved
         if np.linalg.norm(displacements, axis=1).max() < s.still:
-            return np.zeros(6), noise
+            return still
         centre = hold[:3, :3] @ self.model.centroid + hold[:3, 3]
-        motion, covariance = carried_by_contacts(points, displacements, centre, s)
-        return motion, noise + covariance + s.doubt**2 * np.outer(motion, motion)
+        motion, covariance, misfit = carried_by_contacts(points, displacements, centre, s)
+        # contacts that do not fit one rigid motion slide: their misfit widens the prediction
+        worse = 1.0 + misfit / max(1, displacements.size - 6)
+        wide = noise + worse * covariance + s.doubt**2 * np.outer(motion, motion)
+        return InHand(motion, wide, 0.1 * noise + covariance, misfit)
 
     @staticmethod
     def _fingertips(before: HandState, frame: Frame) -> tuple[Array, Array] | None:

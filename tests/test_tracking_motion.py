@@ -57,13 +57,15 @@ def test_contacts_carry_the_object_as_least_squares_says(seed, count):
     s = HandMotionSettings()
     points, centre = 0.05 * rng.normal(size=(count, 3)), 0.02 * rng.normal(size=3)
     u = 0.001 * rng.normal(size=(count, 3))
-    motion, covariance = carried_by_contacts(points, u, centre, s)
+    motion, covariance, misfit = carried_by_contacts(points, u, centre, s)
     jacobian = np.concatenate([np.concatenate([-poses.skew(p - centre), np.eye(3)], axis=1) for p in points])
     np.testing.assert_allclose(grasp_transpose(points, centre), jacobian, atol=1e-15)
     width = np.repeat([s.turn, s.move], 3)
     stacked = np.concatenate([jacobian / s.creep, np.diag(1 / width)])
     expected = np.linalg.lstsq(stacked, np.concatenate([u.ravel() / s.creep, np.zeros(6)]), rcond=None)[0]
     np.testing.assert_allclose(motion, expected, atol=1e-9)
+    residual = (u.ravel() - jacobian @ expected) / s.creep
+    assert misfit == pytest.approx(max(0.0, residual @ residual - max(0, 3 * count - 6)), abs=1e-6)
     assert np.linalg.eigvalsh(covariance).min() > 0
 
 
@@ -73,7 +75,8 @@ def test_three_sticking_contacts_tell_a_rigid_motion(seed):
     points = 0.04 * np.array([[1.0, 0, 0], [-0.5, 0.9, 0], [-0.5, -0.9, 0.2], [0, 0, 1.0]])
     centre, delta = np.zeros(3), np.concatenate([0.003 * rng.normal(size=3), 3e-4 * rng.normal(size=3)])
     moved = poses.perturb(np.eye(4), delta, centre)
-    motion, _ = carried_by_contacts(points, poses.apply(moved, points) - points, centre)
+    motion, _, misfit = carried_by_contacts(points, poses.apply(moved, points) - points, centre)
+    assert misfit == 0.0
     # the prior holds a hundredth back; a turn is linear to its square
     np.testing.assert_allclose(motion, delta, atol=2e-3 * np.abs(delta).max() + 0.03 * np.abs(delta).max())
 
@@ -88,12 +91,14 @@ def test_fingers_that_move_move_the_object(mug, hand):
     state = HandState.of(frame, contacts)
     motion = HandMotion(mug)
     hold = poses.make_pose(None, points.mean(axis=0))
-    still, noise = motion.in_hand(state, frame, hold, 1)
-    np.testing.assert_array_equal(still, 0.0)
+    still = motion.in_hand(state, frame, hold, 1)
+    np.testing.assert_array_equal(still.motion, 0.0)
+    assert still.sliding == 0.0
     closed = Frame(1, hand=hand, joints=dict.fromkeys(hand.joint_names, 0.35), world_from_hand=np.eye(4))
-    delta, wider = motion.in_hand(state, closed, hold, 1)
-    assert np.linalg.norm(delta[3:]) > 5e-4
-    assert np.trace(wider) > np.trace(noise)
+    moved = motion.in_hand(state, closed, hold, 1)
+    assert np.linalg.norm(moved.motion[3:]) > 5e-4
+    assert np.trace(moved.noise) > np.trace(moved.sticking) > np.trace(still.sticking)
+    assert np.trace(moved.turned(poses.exp_rotation([0.3, 0.2, 0.1])).noise) == pytest.approx(np.trace(moved.noise))
     assert HandState.of(Frame(2), contacts) is None
 
 
@@ -170,3 +175,15 @@ def test_slips_sudden_and_slow_are_told_from_noise(mug, slow):
             alarms.append(index)
     assert alarms
     assert 60 <= alarms[0] <= (66 if slow else 60)
+
+
+def test_fingertips_that_no_rigid_motion_explains_slide(mug):
+    test = SlipTest(mug, 40.0)
+    own = 1e-6 * np.eye(6)
+    belief = Belief(np.eye(4), own, 0 * own)
+    said = []
+    for index in range(12):
+        test.predict(np.eye(4), np.zeros(6), 1e-10 * np.eye(6), sliding=25.0 if index >= 8 else 2.0)
+        said.append(test.step(Measurement(np.eye(4), own, 0 * own), belief, None))
+    assert not any(said[:8])
+    assert any(said[8:])
