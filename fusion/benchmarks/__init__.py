@@ -19,6 +19,7 @@ BENCHMARKS = {
     "stability": "fusion.benchmarks.stability",
     "peers": "fusion.benchmarks.peers",
     "scenes": "fusion.benchmarks.scenes",
+    "segmentation": "fusion.benchmarks.segmentation",
     "tracking": "fusion.benchmarks.tracking",
 }
 
