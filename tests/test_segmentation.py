@@ -155,6 +155,9 @@ def test_the_region_comes_from_what_there_is(lab_frame, drill):
     ):
         region = find_region(frame, drill, None, SETTINGS)
         assert np.linalg.norm(region.centre - middle) < region.radius
+    region = find_region(replace(lab_frame, mask=None, contacts=NOTHING), drill, None, SETTINGS)  # the fingertips
+    assert np.linalg.norm(region.centre - middle) < region.radius
+    lab_frame = replace(lab_frame, hand=None, joints=None, world_from_hand=None)
     assert find_region(replace(lab_frame, mask=None, contacts=NOTHING), drill, None, SETTINGS) is None
     empty = replace(lab_frame, mask=np.zeros((480, 640), bool), contacts=NOTHING)
     assert find_region(empty, drill, None, SETTINGS) is None

@@ -69,7 +69,7 @@ def _no_pixels() -> Pixels:
 
 
 def find_region(frame: Frame, model: ObjectModel, start: Array | None, settings: SegmentationSettings) -> Region | None:
-    """Where to look: around the start, else the mask, the contacts, or everything."""
+    """Where to look: around the start, else the mask, the contacts, the hand's fingertips, or everything."""
     if start is not None:
         centre = start[:3, :3] @ model.centroid + start[:3, 3]
         return Region(centre, model.radius + settings.slack)
@@ -80,6 +80,13 @@ def find_region(frame: Frame, model: ObjectModel, start: Array | None, settings:
     if len(frame.contacts):
         middle = frame.contacts.moved(frame.camera_from_world).points.mean(axis=0)
         return Region(middle, model.diameter + settings.slack)
+    if frame.hand is not None and frame.joints is not None and frame.world_from_hand is not None:
+        sensors = frame.hand.hand_from_sensor(frame.joints)
+        if sensors:  # what a hand holds is among its fingertips
+            middle = np.mean([pose[:3, 3] for pose in sensors.values()], axis=0)
+            camera_from_hand = frame.camera_from_world @ frame.world_from_hand
+            centre = camera_from_hand[:3, :3] @ middle + camera_from_hand[:3, 3]
+            return Region(centre, model.diameter + settings.slack)
     return None
 
 

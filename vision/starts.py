@@ -171,5 +171,5 @@ def different(
     # of all poses that look the same, the one that is turned least
     turned = model.symmetries.nearest(poses, np.eye(4))[:, :3, :2].reshape(len(poses), 6)
     cells = np.concatenate([middles / (settings.same_share * model.radius), turned / settings.same_angle], axis=1)
-    _, first = np.unique(np.floor(cells).astype(np.int64), axis=0, return_index=True)
+    _, first = np.unique(np.round(cells).astype(np.int64), axis=0, return_index=True)
     return order[np.sort(first)]

@@ -1,0 +1,72 @@
+"""What in a depth image cannot be as it is said to be: the robot knows the shape and the place of its own hand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from scenes.frames import Frame
+from vision.hand_view import CalibrationModel, HandView, camera_from_hand, prior_information
+
+
+@dataclass(frozen=True)
+class PlausibilitySettings:
+    """When the hand is not where, or not as large as, it should be."""
+
+    # Standard deviations by which a usual calibration may be off (a norm of six numbers of which each has one).
+    most_sigmas: float = 4.5
+    # The hand's points looked up, the distance (m) within which a reading is the hand's, and the share of readings that
+    # may be far behind it: the camera then sees past a hand that must be there.
+    points: int = 600
+    near: float = 0.012
+    most_past: float = 0.35
+    # Fewer points than this in the image tell nothing.
+    fewest: int = 60
+
+
+def doubts(
+    frame: Frame,
+    hand: HandView | None,
+    calibration: CalibrationModel | None = None,
+    settings: PlausibilitySettings | None = None,
+) -> tuple[str, ...]:
+    """In words, why intrinsics, depth unit or camera-robot calibration of a frame may be wrong; none when all agrees.
+
+    hand: the hand as seen (vision.hand_view). Without a hand that the robot tells of, nothing can be told.
+    """
+    settings, calibration = settings or PlausibilitySettings(), calibration or CalibrationModel()
+    if hand is None or frame.depth is None or frame.camera is None:
+        return ()
+    found = []
+    if len(hand.points):
+        off = float(np.sqrt(max(float(hand.xi @ prior_information(calibration, hand.centre) @ hand.xi), 0.0)))
+        if off > settings.most_sigmas:
+            millimetres = 1e3 * float(np.linalg.norm(hand.xi[3:]))
+            found.append(f"the hand is seen {millimetres:.0f} mm from where the robot says: check the calibration")
+    past, count = _seen_past(frame, hand, settings)
+    if count >= settings.fewest and past > settings.most_past:
+        found.append(f"the camera sees past {past:.0%} of the hand: check intrinsics, depth unit and calibration")
+    return tuple(found)
+
+
+def _seen_past(frame: Frame, hand: HandView, settings: PlausibilitySettings) -> tuple[float, int]:
+    """Share of the hand's points in the image behind which the camera reads something, and how many they are."""
+    measured = camera_from_hand(frame)
+    if measured is None or frame.hand is None or frame.joints is None or frame.depth is None or frame.camera is None:
+        return 0.0, 0
+    points = frame.hand.points_on_surface(frame.joints)
+    points = points[:: max(1, len(points) // settings.points)] @ hand.aligned[:3, :3].T + hand.aligned[:3, 3]
+    points = points[points[:, 2] > 1e-3]
+    if not len(points):
+        return 0.0, 0
+    uv, z = frame.camera.project(points)
+    pixels = np.round(uv).astype(np.int64)
+    inside = ((pixels >= 0) & (pixels < [frame.camera.width, frame.camera.height])).all(axis=1)
+    pixels, z = pixels[inside], z[inside]
+    seen = frame.depth[pixels[:, 1], pixels[:, 0]].astype(np.float64)
+    read = np.isfinite(seen) & (seen > 0)
+    if not read.any():
+        return 0.0, 0
+    # points on the hand's far side are hidden by its near side: never seen past
+    return float((seen[read] > z[read] + settings.near).mean()), int(read.sum())
