@@ -38,6 +38,19 @@ def place(
     reached: list[float] = []
     held: list[Grasp] = []
     refusal: InputError | None = None
+
+    def look(grasp: Grasp, foreground: float, climbs: int) -> Array | None:
+        vertices, faces, _ = hand.mesh(grasp.joints)
+        renderer.add("hand", vertices, faces)
+        scene = {"object": grasp.hand_from_object, "hand": np.eye(4)}
+        target = poses.apply(grasp.hand_from_object, model.centroid[None])[0]
+        views = replace(settings.views, foreground=foreground, climbs=climbs)
+        view, shares = find_view(
+            renderer, scene, "object", target, model.radius, occlusion, settings.camera, rng, views
+        )
+        reached.extend(shares)
+        return view
+
     for attempt in range(settings.grasps):
         # Whole-hand grasps touch with most fingers; those of few fingers hide less
         kind = "tripod" if occlusion < FEW_FINGERS_BELOW and attempt >= settings.grasps // 2 else "power"
@@ -52,17 +65,15 @@ def place(
         if last:
             trials += [(g, f) for f in settings.foregrounds[1:] for g in held[-settings.relax_after :]]
         for grasp, foreground in trials:
-            vertices, faces, _ = hand.mesh(grasp.joints)
-            renderer.add("hand", vertices, faces)
-            scene = {"object": grasp.hand_from_object, "hand": np.eye(4)}
-            target = poses.apply(grasp.hand_from_object, model.centroid[None])[0]
-            views = replace(settings.views, foreground=foreground)
-            view, shares = find_view(
-                renderer, scene, "object", target, model.radius, occlusion, settings.camera, rng, views
-            )
+            view = look(grasp, foreground, 0)
             if view is not None:
                 return grasp, view
-            reached += shares
+    # Chance met no view: walk to one, with the camera as far from the hand as will do
+    for foreground in settings.climb_foregrounds:
+        for grasp in held:
+            view = look(grasp, foreground, settings.views.climbs)
+            if view is not None:
+                return grasp, view
     if not reached and refusal is not None:
         raise refusal
     span = f"{min(reached):.2f} to {max(reached):.2f}" if reached else "none"

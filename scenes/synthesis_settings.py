@@ -23,8 +23,10 @@ class SynthesisSettings:
     grasps: int = 9
     # What hides the object may come this near to the camera (shares of the object's distance, see ViewSettings): the
     # later ones only after `relax_after` grasps did not reach the asked occlusion with the first.
-    foregrounds: tuple[float, ...] = (0.7, 0.5, 0.3, 0.1)
+    foregrounds: tuple[float, ...] = (0.7, 0.5, 0.1)
     relax_after: int = 3
+    # Where views drawn at random did not do, cameras walk towards the asked share, with these in turn.
+    climb_foregrounds: tuple[float, ...] = (0.7, 0.5, 0.3, 0.1)
     # A wall or table: distance behind the object's centre (m), and largest angle from facing the camera.
     background: bool = True
     background_distance: tuple[float, float] = (0.3, 1.0)

@@ -205,6 +205,6 @@ def test_bad_arguments_are_refused(change, message):
 
 
 def test_an_occlusion_out_of_reach_says_what_could_be_reached():
-    short = replace(SETTINGS, grasps=1, foregrounds=(0.7,))
+    short = replace(SETTINGS, grasps=1, foregrounds=(0.7,), climb_foregrounds=(0.7,))
     with pytest.raises(InputError, match=r"got 0\.97; 1 grasps reached 0\.\d\d to 0\.\d\d"):
         synthesize_frames(library.make("hammer"), five_finger_hand(), occlusion=0.97, seed=1, settings=short)
