@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -65,6 +65,9 @@ class Said:
     ok: bool = True
     slip: bool = False
     again: bool = False
+
+
+Step = Callable[["Frame"], Said]
 
 
 def run(settings: BenchSettings) -> Report:
@@ -192,77 +195,86 @@ def _hold(frame: Frame) -> Array:
     return np.asarray(poses.inverse(frame.world_from_hand) @ frame.camera_from_object_truth)
 
 
-def _stepper(method: str, model: ObjectModel, seed: int) -> Callable[[Frame], Said]:
+def _stepper(method: str, model: ObjectModel, seed: int) -> Step:
     """What a method does with one frame after another."""
-    makers = {
-        "icp": _icp,
-        "particle filter": _particles,
-        "vision": _vision,
-        "estimate": _estimate,
-        "track": _track,
-    }
-    answers = makers[method](model, seed)
-    next(answers)
-    return answers.send  # type: ignore[return-value]
+    makers = {"icp": _icp, "particle filter": _particles, "vision": _vision, "estimate": _estimate, "track": _track}
+    return makers[method](model, seed)
 
 
-def _icp(model: ObjectModel, seed: int) -> Iterator[Any]:
+def _icp(model: ObjectModel, seed: int) -> Step:
     """Point-to-plane ICP from the last pose, on our segmentation; no velocity, no loss detection."""
     from vision.registration import icp
     from vision.segmentation import object_points
 
-    frame = yield
-    pose = frame.prior
-    while True:
-        pose = icp(object_points(frame, model, pose), model, pose).pose
-        frame = yield Said(pose)
+    pose: Array | None = None
+
+    def step(frame: Frame) -> Said:
+        nonlocal pose
+        start = pose if pose is not None else frame.prior
+        assert start is not None
+        pose = icp(object_points(frame, model, start), model, start).pose
+        return Said(pose)
+
+    return step
 
 
-def _particles(model: ObjectModel, seed: int) -> Iterator[Any]:
+def _particles(model: ObjectModel, seed: int) -> Step:
     from vision.tracking import VisionTracker
     from vision.tracking_particles import ParticleTracker
 
-    frame = yield
-    tracker = ParticleTracker(model, VisionTracker(model, seed=seed).step(frame).pose, seed=seed)
-    while True:
-        frame = yield Said(tracker.step(frame))
+    tracker: ParticleTracker | None = None
+
+    def step(frame: Frame) -> Said:
+        nonlocal tracker
+        if tracker is None:
+            tracker = ParticleTracker(model, VisionTracker(model, seed=seed).step(frame).pose, seed=seed)
+        return Said(tracker.step(frame))
+
+    return step
 
 
-def _vision(model: ObjectModel, seed: int) -> Iterator[Any]:
+def _vision(model: ObjectModel, seed: int) -> Step:
     from vision.tracking import VisionTracker
 
     tracker = VisionTracker(model, seed=seed)
-    frame = yield
-    while True:
+
+    def step(frame: Frame) -> Said:
         found = tracker.step(frame)
-        frame = yield Said(found.pose, found.covariance, not found.lost, again=found.how == "re-initialised")
+        return Said(found.pose, found.covariance, not found.lost, again=found.how == "re-initialised")
+
+    return step
 
 
-def _estimate(model: ObjectModel, seed: int) -> Iterator[Any]:
+def _estimate(model: ObjectModel, seed: int) -> Step:
     """Each frame by itself, from a start as far off as the first frame's."""
     from fusion.estimation import estimate
     from scenes import poses
     from scenes.synthesis import SynthesisSettings
 
     start = SynthesisSettings()
-    frame = yield
-    while True:
-        rng = np.random.default_rng([seed, frame.index])
+
+    def step(frame: Frame) -> Said:
         truth = frame.camera_from_object_truth
+        assert truth is not None
+        rng = np.random.default_rng([seed, frame.index])
         prior = poses.displaced(truth, start.prior_angle, start.prior_distance, model.centroid, rng)
         answer = estimate(frame, model, prior, seed=seed)
-        frame = yield Said(answer.pose, answer.covariance, answer.verdict == "ok")
+        return Said(answer.pose, answer.covariance, answer.verdict == "ok")
+
+    return step
 
 
-def _track(model: ObjectModel, seed: int) -> Iterator[Any]:
+def _track(model: ObjectModel, seed: int) -> Step:
     from fusion.tracking import Tracker
 
     tracker = Tracker(model, seed=seed)
-    frame = yield
-    while True:
+
+    def step(frame: Frame) -> Said:
         answer = tracker.step(frame)
         again = answer.how == "re-initialised"
-        frame = yield Said(answer.pose, answer.covariance, answer.verdict == "ok", answer.slip, again)
+        return Said(answer.pose, answer.covariance, answer.verdict == "ok", answer.slip, again)
+
+    return step
 
 
 def _errors(motion: str, tallies: dict[str, Tally], refused: int) -> Table:

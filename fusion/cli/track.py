@@ -23,6 +23,7 @@ from fusion.cli.options import (
 if TYPE_CHECKING:
     from fusion.judging import Errors
     from fusion.tracking_answer import TrackedEstimate
+    from scenes.frames import Frame
 
 # A table of more frames than this shows only those in which something happened.
 LONG = 40
@@ -55,7 +56,9 @@ def run(args: argparse.Namespace) -> int:
     prepare = prior_setter(args.prior, args.seed)
     judge, tracker = Judge(model), Tracker(model, use=senses, seed=args.seed)
     announce_compiling()
-    frames, answers, errors = [], [], []
+    frames: list[Frame] = []
+    answers: list[TrackedEstimate] = []
+    errors: list[Errors | None] = []
     for recorded in progress(capture, len(capture), "tracking"):
         # the coarse start is for the beginning; a track goes on by itself
         frame = recorded if answers and args.prior is not None else prepare(recorded, model)
