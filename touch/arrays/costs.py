@@ -22,7 +22,7 @@ from scenes.errors import InputError
 from scenes.objects import ObjectModel
 from scenes.tactile import DEEPEST
 from scenes.threads import run_chunks
-from touch.arrays import kernels
+from touch.arrays import kernels, pressure_kernels
 from touch.arrays.cloud import CloudSettings, surface_cloud
 from touch.arrays.descriptor import Descriptor, describe, tangent_frame
 from touch.arrays.readings import Reading
@@ -112,7 +112,7 @@ class ArrayProblem:
         field = self.model.field
 
         def work(part: slice) -> None:
-            kernels.forward_costs(  # type: ignore[call-arg]
+            pressure_kernels.forward_costs(  # type: ignore[call-arg]
                 field.values,
                 field.origin,
                 field.spacing,
@@ -144,7 +144,7 @@ class ArrayProblem:
         lattice = (field.values, field.origin, field.spacing)
         if cost == "forward":
             none = (False, out, np.zeros((1, 6)), np.zeros((1, 6, 6)))
-            arguments, kernel = self._forward_arguments, kernels.forward_costs
+            arguments, kernel = self._forward_arguments, pressure_kernels.forward_costs
 
             def likelihood(rotations: Array, translations: Array) -> float:
                 kernel(*lattice, self.model.centroid, *arguments, rotations, translations, *none)  # type: ignore[call-arg]
@@ -167,7 +167,7 @@ class ArrayProblem:
         out = np.zeros(len(places))
         owner = np.repeat(np.arange(len(self.readings)), np.diff(first))
         field = self.model.field
-        kernels.predictions(
+        pressure_kernels.predictions(
             field.values, field.origin, field.spacing, places, normals, feet, shares, depths, blurs,
             np.ascontiguousarray(pose[:3, :3]), np.ascontiguousarray(pose[:3, 3]), levers, owner, out,
         )  # fmt: skip
@@ -275,7 +275,7 @@ def _onto_fingertip(reading: Reading, points: Array) -> tuple[Array, Array]:
 
 
 def _indentations(reading: Reading, believed: ForwardSettings) -> tuple[Array, NDArray[np.int64], Array]:
-    """Felt indentations (k,) m, what kind of reading each is (see kernels.forward_costs), and sigmas (k,) m."""
+    """Felt indentations (k,) m, the kind of each reading (see pressure_kernels.forward_costs), and sigmas (k,) m."""
     layer, active = reading.layer, reading.active
     least = layer.threshold / layer.stiffness
     felt = np.where(active, np.minimum(reading.indentation, layer.saturation / layer.stiffness), least)

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scenes import poses as se3
 from scenes.alignment.batch import Alignment, Prior, align
 from scenes.alignment.modes import Mode, distinct_modes
-from scenes.alignment.search import rotation_grid
 from scenes.errors import InputError
 from touch.arrays import kernels
 from touch.arrays.costs import COSTS, ArrayProblem
@@ -56,15 +55,14 @@ class Found:
 class SearchSettings:
     """Work of the published searches."""
 
-    # Evaluations in a box around an estimate, and anywhere.
-    local: int = 4000
-    everywhere: int = 40_000
+    # Evaluations in a box around an estimate.
+    evaluations: int = 4000
     # Monte-Carlo (T1 chapter 4, in generations so that they can be spread over threads): particles of a generation,
-    # share drawn at random at first, preference of the best as T1's p_p on costs divided by their median, first noise
-    # (share of the box) and its decay.
+    # share drawn at random at first, preference of the best as T1's p_p (on costs above the best, in units of their
+    # median), first noise (share of the box) and its decay.
     generation: int = 250
     initial: float = 0.3
-    preference: float = 8.0
+    preference: float = 80.0
     noise: float = 0.4
     decay: float = 2.0
     # Multi-start: share of the evaluations that are starts, starts refined, and tries of each at one step size.
@@ -117,7 +115,7 @@ def monte_carlo(
         count = min(settings.generation, evaluations - made)
         scale = max(float(np.median(costs[:made])), 1e-12)
         relative = (costs[:made] - costs[:made].min()) / scale
-        weights = (1.0 + 1.0 / (1.0 + relative)) ** (settings.preference * 10)
+        weights = (1.0 + 1.0 / (1.0 + relative)) ** settings.preference
         parents = rng.choice(made, size=count, p=weights / weights.sum())
         sigma = settings.noise * (1.0 - made / evaluations) ** settings.decay
         moved = x[parents] + sigma * box.half * rng.normal(size=(count, 6))
@@ -175,7 +173,7 @@ def minimise(
     if cost not in COSTS or search not in SEARCHES:
         raise InputError(f"arrays: expected a cost of {', '.join(COSTS)} and a search of {', '.join(SEARCHES)},"
                          f" got {cost!r} and {search!r}")  # fmt: skip
-    evaluations = evaluations or SearchSettings().local
+    evaluations = evaluations or SearchSettings().evaluations
     return SEARCHES[search](problem, cost, box, evaluations, seed)
 
 
@@ -259,15 +257,6 @@ def finish(problem: ArrayProblem, starts: Array, prior: Prior | None = None, ste
         damping = np.where(better, np.maximum(damping * 0.2, 1e-9), np.minimum(damping * 8.0, 1e8))
     poses[:, :3, :3] = se3.project_to_rotation(poses[:, :3, :3])
     return Alignment(poses, cost, hessian, np.full(len(poses), steps))
-
-
-def starts_everywhere(problem: ArrayProblem, count: int, rng: np.random.Generator) -> Array:
-    """(count, 4, 4): even rotations, the centroid about the readings' middle."""
-    model = problem.model
-    middle = np.mean([r.taxels[:, :3].mean(axis=0) for r in problem.readings], axis=0)
-    rotations = rotation_grid(count, rng)
-    middles = middle + 0.5 * model.radius * rng.uniform(-1.0, 1.0, size=(count, 3))
-    return se3.make_poses(rotations, middles - rotations @ model.centroid)
 
 
 def _with_prior(problem: ArrayProblem, poses: Array, prior: Prior | None) -> tuple[Array, Array, Array]:
