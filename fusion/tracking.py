@@ -83,7 +83,9 @@ class Tracker:
         self._looker = Looker(model, self.settings.look, first.segmentation, first.depth, first.calibration)
         self._hand_motion = HandMotion(model, self.settings.hand)
         self._velocity = ConstantVelocity(model.centroid, self.settings.velocity)
+        # the same test twice: against an object that goes along with the fingers, and against one that is still
         self._slip = SlipTest(model, first.depth.bias_length, self.settings.slip)
+        self._still = SlipTest(model, first.depth.bias_length, self.settings.slip)
         self._forget()
 
     def _forget(self) -> None:
@@ -126,6 +128,7 @@ class Tracker:
         self._hand = HandState.of(frame, contacts)
         self._velocity.restart(frame.index, answer.pose)
         self._slip.restart(None, None)
+        self._still.restart(None, None)
 
     def _recover(self, frame: Frame, lost: TrackedEstimate) -> TrackedEstimate:
         """Look for the object around the prediction, now and then everywhere."""
@@ -172,6 +175,8 @@ class Tracker:
             found, switched = self._align(viewed, rows, modes, prior)
             stage.note(len(rows), "another mode explains more" if switched else "a few steps from the prediction")
         with trace.stage("solve together", True, "") as stage:
+            if switched:
+                prior = replace(prior, pose=found[0].pose)
             solved = self._solve(frame, looked, seen, felt, prior, found[0].pose, correction)
             measured = self._measurement(solved, predicted, looked)
             if looked.hand_view is not None and len(felt.rows):
@@ -189,6 +194,7 @@ class Tracker:
             pose, noise = self._velocity.predict(frame.index)
             motion = pose @ se3.inverse(belief.pose)
             self._slip.restart(None, None)  # nothing holds it that could lose it
+            self._still.restart(None, None)
             moved = replace(belief.moved(motion), pose=pose)
             return Belief(pose, moved.own + noise, moved.shared), self._moved_modes(motion), "at its last velocity"
         motion = now.camera_from_hand @ se3.inverse(self._hand.camera_from_hand)
@@ -202,6 +208,7 @@ class Tracker:
         )
         delta, noise = expected.motion, expected.noise + drift
         self._slip.predict(motion, delta, expected.sticking + drift, expected.sliding)
+        self._still.predict(motion, np.zeros(6), expected.still + drift)
         whole = se3.perturb(motion @ belief.pose, delta, self.model.centroid) @ se3.inverse(belief.pose)
         why = (
             "with the palm"
@@ -294,7 +301,13 @@ class Tracker:
             belief = (
                 Belief(measured.pose, measured.own, measured.shared) if switched else update(model, predicted, measured)
             )
-            slip = not switched and self._hand is not None and self._slip.step(measured, belief, pixel)
+            slip = moves = False
+            if switched:
+                self._slip.restart(None, None)
+                self._still.restart(None, None)
+            elif self._hand is not None:
+                slip = self._slip.step(measured, belief, pixel)
+                moves = self._still.step(measured, belief, pixel) or slip
             if slip:  # follow it: what was believed of the hold is worth no more than how far it was off
                 step = se3.difference(measured.pose, predicted.pose, model.centroid)
                 wide = replace(predicted, own=predicted.own + np.outer(step, step))
@@ -334,8 +347,9 @@ class Tracker:
             dropped=looked.dropped,
             start=predicted.pose,
             how=how,
-            slip=bool(slip),
+            slip=slip,
             slip_statistic=self._slip.statistic,
+            moved_in_hand=moves,
         )
 
     def _strays(self, share: float, pixels: int) -> bool:
@@ -364,7 +378,8 @@ class Tracker:
             self._modes = tuple(
                 replace(m, pose=motion @ m.pose, covariance=turn @ m.covariance @ turn.T) for m in modes
             )
-            self._slip.predict(motion, np.zeros(6), np.zeros((6, 6)))
+            for test in (self._slip, self._still):
+                test.predict(motion, np.zeros(6), np.zeros((6, 6)))
             return
         self._belief, self._modes, self._index, self._hand = belief, modes[: self.settings.modes], frame.index, hand
         self._velocity.update(frame.index, belief.pose)

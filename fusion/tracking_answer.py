@@ -70,16 +70,23 @@ class TrackSettings:
 @dataclass(frozen=True)
 class TrackedEstimate(Estimate):
     """An estimate that remembers. how: "started", "tracked", "carried" (nothing sensed: moved with the hand),
-    "re-initialised" or "lost"; slip: the object moves in the hand; slip_statistic: its test, above 1 is a slip.
+    "re-initialised" or "lost"; slip: the object moves in the hand otherwise than its fingers; slip_statistic: the test
+    of it, above 1 is a slip; moved_in_hand: it moves against the palm, with the fingers or without.
     """
 
     how: str = "tracked"
     slip: bool = False
     slip_statistic: float = 0.0
+    moved_in_hand: bool = False
 
     def to_json(self) -> dict[str, Any]:
         """The frame's entry of result.json, with the track's own words under "tracking"."""
-        said = {"how": self.how, "slip": self.slip, "slip_statistic": float(self.slip_statistic)}
+        said = {
+            "how": self.how,
+            "slip": self.slip,
+            "slip_statistic": float(self.slip_statistic),
+            "moved_in_hand": self.moved_in_hand,
+        }
         return {**super().to_json(), "tracking": said}
 
 

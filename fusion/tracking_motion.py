@@ -31,6 +31,9 @@ class HandMotionSettings:
     # Width of what fingers may do to an object in one frame when contacts leave it open (rad, m).
     turn: float = float(np.deg2rad(3.0))
     move: float = 0.003
+    # The same for the slip test: an object that turns in directions that no finger drives is not held.
+    turn_held: float = float(np.deg2rad(0.5))
+    move_held: float = 0.0005
     # Fingertips that moved less than this stand still (m): encoders of 0.05 degrees at 10 cm.
     still: float = 5e-5
     # Share of the predicted motion that is not believed.
@@ -72,19 +75,21 @@ def carried_by_contacts(
 @dataclass(frozen=True)
 class InHand:
     """A predicted motion in the hand: motion (6,); noise (6, 6) of what may happen instead, sliding contacts included;
-    sticking (6, 6): the same if all contacts stick; sliding: by how much (chi-square) the contacts' own motion says
-    that some do not.
+    sticking (6, 6): the same if it is held and all contacts stick; still (6, 6): the same of an object that keeps its
+    place in the palm; sliding: by how much (chi-square) the contacts' own motion says that some do not stick.
     """
 
     motion: Array
     noise: Array
     sticking: Array
+    still: Array
     sliding: float = 0.0
 
     def turned(self, rotation: Array) -> InHand:
         """The same in axes turned by rotation (3, 3)."""
         turn = np.kron(np.eye(2), rotation)
-        return InHand(turn @ self.motion, turn @ self.noise @ turn.T, turn @ self.sticking @ turn.T, self.sliding)
+        noises = (turn @ noise @ turn.T for noise in (self.noise, self.sticking, self.still))
+        return InHand(turn @ self.motion, *noises, self.sliding)
 
 
 @dataclass(frozen=True)
@@ -120,7 +125,7 @@ class HandMotion:
         """Expected motion of the object at `hold` (4, 4) hand_from_object over `steps` frames, hand axes."""
         s = self.settings
         noise = np.diag(np.repeat([s.angle, s.distance], 3) ** 2) * steps
-        still = InHand(np.zeros(6), noise, 0.1 * noise)
+        still = InHand(np.zeros(6), noise, 0.1 * noise, 0.1 * noise)
         moved = self._fingertips(before, frame)
         if moved is None:
             return still
@@ -132,7 +137,8 @@ class HandMotion:
         # contacts that do not fit one rigid motion slide: their misfit widens the prediction
         worse = 1.0 + misfit / max(1, displacements.size - 6)
         wide = noise + worse * covariance + s.doubt**2 * np.outer(motion, motion)
-        return InHand(motion, wide, 0.1 * noise + covariance, misfit)
+        held = np.linalg.inv(covariance) + np.diag(np.repeat([s.turn_held, s.move_held], 3) ** -2.0)
+        return InHand(motion, wide, 0.1 * noise + np.linalg.inv(held), 0.1 * noise, misfit)
 
     @staticmethod
     def _fingertips(before: HandState, frame: Frame) -> tuple[Array, Array] | None:
