@@ -29,6 +29,8 @@ ANGLE, DISTANCE = float(np.deg2rad(20.0)), 0.010
 RECORDINGS = 5
 # Evaluations of DIRECT for each cost: 4.5 in each direction of the box would be 8,300; most of it need not be cut.
 EVALUATIONS = 2000
+# Of the published cost where nothing is known of the pose.
+EVERYWHERE = 40_000
 # Poses drawn about the truth at which all costs are compared, whatever a search makes of them.
 POSES = 400
 NAMES = {"covariance": "covariance (T1)", "distance": "distance only (T1)", "forward": "pressures (ours)"}
@@ -242,29 +244,42 @@ def _speed(settings: BenchSettings, cost: str) -> float:
 
 
 def _add_global(report: Report, settings: BenchSettings) -> None:
-    columns = [Column("grasp"), Column("object"), Column("success"), Column("optimal"), Column("listed")]
-    columns += [Column("median ms", 1), Column("CPU ms", 1)]
-    table = Table("No estimate at all, ours (T1: up to 60 s)", columns)
+    columns = [Column("grasp"), Column("object"), Column("method"), Column("success"), Column("optimal")]
+    columns += [Column("listed"), Column("median ms", 1), Column("CPU ms", 1)]
+    table = Table("No estimate at all (T1: up to 60 s)", columns)
     table.note = (
         "Optimal: the answer's cost is at most that of the truth, so the search did its part. Listed: some listed mode"
-        " is within 15° and 1 cm of the truth."
+        f" is within 15° and 1 cm of the truth. Covariance: multi-start of {EVERYWHERE} evaluations over all rotations."
     )
     slowest, count = 0.0, settings.count(20, 5)
     for name, (thing, _, _) in GRASPS.items():
-        rows = []
+        ours, published = [], []
         for i, (truth, problem) in enumerate(_problems(name, settings.seed + 1, count)):
+            model, best = problem.model, [float(problem.cost(c)(truth[None])[0]) for c in ("forward", "covariance")]
             if not i:
                 localize_arrays(problem, 0)  # compiled and tabled before anything is timed
             found = localize_arrays(problem, i)
-            off = [errors(problem.model, mode.pose, truth) for mode in found.modes]
-            optimal = found.cost <= problem.forward(truth[None])[0] + 1e-6
-            rows.append((is_close(off[0]), optimal, any(map(is_close, off)), found.seconds, found.cpu))
-        flags = np.array(rows)
-        times = 1e3 * np.median(flags[:, 3:], axis=0)
-        table.add(name, thing, *(Rate.of(flags[:, k] > 0) for k in range(3)), *times)
-        slowest = max(slowest, float(times[1]))
+            off = [errors(model, mode.pose, truth) for mode in found.modes]
+            optimal = found.cost <= best[0] + 1e-6
+            ours.append((is_close(off[0]), optimal, any(map(is_close, off)), found.seconds, found.cpu))
+            if i < max(3, count // 4):
+                one = minimise(problem, _everywhere(problem), "covariance", "multistart", EVERYWHERE, i)
+                close = is_close(errors(model, one.pose, truth))
+                published.append((close, one.cost <= best[1], close, one.seconds, one.cpu))
+        for label, rows in ((OURS, np.array(ours)), (NAMES["covariance"], np.array(published))):
+            times = 1e3 * np.median(rows[:, 3:], axis=0)
+            table.add(name, thing, label, *(Rate.of(rows[:, k] > 0) for k in range(3)), *times)
+            slowest = max(slowest, float(times[1]))
     report.tables.append(table)
-    report.claims.append(Claim("global, ours: median CPU ms of the slowest grasp", slowest, 1000.0, False, 0))
+    report.claims.append(Claim("global: median CPU ms of the slowest grasp and method", slowest, 1000.0, False, 0))
+
+
+def _everywhere(problem: ArrayProblem) -> Box:
+    """All rotations, the object's centroid within its radius of the arrays' middle."""
+    model = problem.model
+    middle = np.mean([r.taxels[:, :3].mean(axis=0) for r in problem.readings], axis=0)
+    half = np.array([np.pi] * 3 + [model.radius] * 3)
+    return Box(se3.make_pose(None, middle - model.centroid), half)
 
 
 def _add_bottle(report: Report, settings: BenchSettings) -> None:
