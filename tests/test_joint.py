@@ -226,9 +226,12 @@ def test_little_evidence_is_solved_too(drill, rng, kind):
 def test_the_level_of_shared_errors_follows_the_data(drill):
     """Pixels that agree with the contacts need no shared error; pixels 6 mm off need much of it."""
     problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-5)
-    agree = solve_modes(problem, [pose])[0]
+    own = replace(problem.settings, weight=1.0)  # these pixels share nothing
+    seen, felt = problem.seen, problem.felt
+    together = JointProblem(drill, seen, felt, None, None, DepthModel(), CalibrationModel(), CAMERA, settings=own)
+    agree = solve_modes(together, [pose])[0]
     off = problem.seen.moved(poses.make_pose(None, [0.0, 0.0, 0.006]))
-    apart = JointProblem(drill, off, problem.felt, None, None, DepthModel(), CalibrationModel(), CAMERA)
+    apart = JointProblem(drill, off, felt, None, None, DepthModel(), CalibrationModel(), CAMERA, settings=own)
     disagree = solve_modes(apart, [pose])[0]
     assert agree.level < disagree.level
     assert set(joint.JointSettings().levels) >= {agree.level, disagree.level}
