@@ -58,7 +58,7 @@ class Tip:
         return self.centre + self.reach(directions)[:, None] * directions
 
     def samples(self, count: int) -> Array:
-        """(n, 3) points spread over the core; the centre alone for a sphere. The core is within `rounding` of none."""
+        """(n, 3) points spread over the core's surface, sensor frame; the centre alone for a sphere."""
         if self.kind == "sphere":
             return self.centre[None].copy()
         return self.points(_directions(count))

@@ -208,3 +208,12 @@ def test_an_occlusion_out_of_reach_says_what_could_be_reached():
     short = replace(SETTINGS, grasps=1, foregrounds=(0.7,), climb_foregrounds=(0.7,))
     with pytest.raises(InputError, match=r"got 0\.97; 1 grasps reached 0\.\d\d to 0\.\d\d"):
         synthesize_frames(library.make("hammer"), five_finger_hand(), occlusion=0.97, seed=1, settings=short)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "wanted"), [("drill", 0.8), ("bust", 0.9)])
+def test_shares_that_chance_does_not_meet_are_walked_to(name, wanted):
+    model = library.make(name)
+    settings = replace(SETTINGS, mask=True, grasps=2, foregrounds=(0.7,))
+    frame = synthesize_frames(model, five_finger_hand(), 1, wanted, seed=6, noise="none", settings=settings)[0]
+    assert hidden_share(model, frame) == pytest.approx(wanted, abs=0.03)
