@@ -88,8 +88,8 @@ class InHand:
     def turned(self, rotation: Array) -> InHand:
         """The same in axes turned by rotation (3, 3)."""
         turn = np.kron(np.eye(2), rotation)
-        noises = (turn @ noise @ turn.T for noise in (self.noise, self.sticking, self.still))
-        return InHand(turn @ self.motion, *noises, self.sliding)
+        noise, sticking, still = (turn @ x @ turn.T for x in (self.noise, self.sticking, self.still))
+        return InHand(turn @ self.motion, noise, sticking, still, self.sliding)
 
 
 @dataclass(frozen=True)

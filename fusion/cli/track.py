@@ -86,17 +86,17 @@ def _show(answers: list[TrackedEstimate], errors: list[Errors | None]) -> None:
     """The table of frames, and the track in two lines."""
     import numpy as np
 
-    heads = ("frame", "how", "verdict", "slip", "ADD-S mm", "rot °", "trans mm", "time ms", "not known")
+    heads = ("frame", "how", "verdict", "in the hand", "ADD-S mm", "rot °", "trans mm", "time ms", "not known")
     rows = []
     for answer, error in zip(answers, errors):
-        told = answer.slip or answer.how != "tracked" or answer.verdict != "ok"
+        told = answer.moved_in_hand or answer.how != "tracked" or answer.verdict != "ok"
         if len(answers) > LONG and not told:
             continue
         values = (
             (None,) * 3 if error is None else (1e3 * error.add_s, np.rad2deg(error.rotation), 1e3 * error.translation)
         )
         measured = [number(value) for value in values]
-        slip = "slips" if answer.slip else "–"
+        slip = "slips" if answer.slip else "moves" if answer.moved_in_hand else "–"
         unknown = ", ".join(answer.unobservable) or "–"
         row = (str(answer.frame), answer.how, answer.verdict, slip, *measured, number(answer.time_ms, 0), unknown)
         rows.append(row)
