@@ -24,11 +24,13 @@ from fusion.stages import (
     check_senses,
     good_enough,
     hand_from_object,
+    is_within,
     no_answer,
     numb,
     rejudged,
     search_stages,
     starts_of,
+    vision_rows,
 )
 from fusion.trace import Trace
 from scenes import evidence as tables
@@ -39,7 +41,7 @@ from scenes.point_pairs import pair_table
 from scenes.threads import one_blas_thread
 from touch.contacts import feel
 from vision.plausibility import doubts
-from vision.segmentation import free_space_rows, segment, surface_rows
+from vision.segmentation import region_around, segment
 from vision.sight import Sight
 from vision.visibility import visibility
 
@@ -60,7 +62,7 @@ def estimate(
 
     prior: a coarse camera_from_object (4, 4), or a Gaussian on it; default the frame's own prior. use: the senses
     allowed. tolerance (m, rad): standard deviations that are good enough; when vision alone is sure and that good,
-    touch is skipped. budget_ms: once it is spent, the joint solution (calibration, depth scale, bias) is skipped.
+    touch is skipped, and when the rows are that good before shared errors are solved for, that is skipped. budget_ms: once it is spent, the joint solution (calibration, depth scale, bias) is skipped.
     Returns an Estimate; data that tell nothing give the verdict "lost" and a covariance that says so, not an error.
     """
     settings, senses = settings or EstimateSettings(), check_senses(use)
@@ -72,10 +74,10 @@ def estimate(
     trace = Trace(budget_ms)
     with one_blas_thread():
         if tolerance is not None and senses == {"vision", "touch"} and frame.depth is not None:
-            alone = _estimate(frame, model, believed, frozenset({"vision"}), trace, seed, settings)
-            if good_enough(alone, tolerance):
+            alone = _estimate(frame, model, believed, frozenset({"vision"}), trace, seed, settings, tolerance)
+            if good_enough(alone, tolerance, settings):
                 return trace.skipping(alone, "feel", "vision alone is within the tolerance")
-        return _estimate(frame, model, believed, senses, trace, seed, settings)
+        return _estimate(frame, model, believed, senses, trace, seed, settings, tolerance)
 
 
 def _estimate(
@@ -86,6 +88,7 @@ def _estimate(
     trace: Trace,
     seed: int,
     settings: EstimateSettings,
+    tolerance: tuple[float, float] | None,
 ) -> Estimate:
     rng = np.random.default_rng(seed)
     viewed = frame if "vision" in senses else blind(frame)
@@ -93,18 +96,17 @@ def _estimate(
 
     with trace.stage("look", "vision" in senses, "vision not asked for") as stage:
         looked = segment(viewed, model, start, settings.segmentation, settings.depth, settings.calibration)
-        seen = surface_rows(looked, settings.pixels, settings.segmentation, settings.depth)
-        free = free_space_rows(looked, settings.segmentation)
-        stage.note(len(seen) + len(free), f"{len(looked.pixels)} object pixels, {len(looked.hand)} of the hand")
+        seen = vision_rows(looked, settings)
+        stage.note(len(seen), f"{len(looked.pixels)} object pixels, {len(looked.hand)} of the hand")
     with trace.stage("feel", "touch" in senses, "touch not asked for") as stage:
         felt = feel(frame if "touch" in senses else numb(frame), settings.contact_gate, looked.region)
         stage.note(len(felt.rows), f"{len(felt.contacts)} contacts, {len(felt.rows) - len(felt.contacts)} empty points")
 
-    seen = tables.stack(seen, free) if len(seen) else seen
     hand = looked.hand_view if len(felt.rows) else None
     correction = hand.correct() if hand is not None else np.eye(4)
     uncorrected = hand is None and frame.camera is not None
-    rows = tables.stack(seen, felt.slackened(settings.calibration, uncorrected).moved(correction))
+    touch_rows = felt.slackened(settings.calibration, uncorrected).moved(correction)
+    rows = tables.stack(seen, touch_rows)
     # emptiness alone tells where the object is not
     if len(rows) == 0 or (believed is None and not len(looked.pixels) and not len(felt.contacts)):
         return no_answer(frame, model, believed, trace, settings)
@@ -126,9 +128,23 @@ def _estimate(
         )
         modes = found.modes
         stage.note(len(rows), f"{found.looked_at} of {len(starts)} starts, blur {1e3 * blur:.1f} mm; {found.why}")
-    in_time = not trace.over_budget
-    with trace.stage("solve together", in_time, "the time budget is spent") as stage:
-        if in_time:
+    wide = believed is None and "vision" in senses and looked.region is not None and not looked.is_cloud
+    with trace.stage("look again", wide, "the region was narrow") as stage:
+        if wide:
+            likely = np.array([m.pose for m in modes if m.weight > settings.plan.negligible or m is modes[0]])
+            region = region_around(model, likely, settings.segmentation)
+            beliefs = settings.segmentation, settings.depth, settings.calibration
+            looked = segment(viewed, model, None, *beliefs, again=(region, looked.hand_view))
+            seen = vision_rows(looked, settings)
+            rows = tables.stack(seen, touch_rows)
+            last = search_stages(blur, near=True)[-1:]
+            modes = find_modes(model, rows, likely, last, None, sight.costs, settings.plan, settings.modes).modes
+            stage.note(len(rows), f"{len(looked.pixels)} object pixels around {len(likely)} poses")
+    spent, settled = trace.over_budget, is_within(modes, tolerance, settings)
+    why_not = "the time budget is spent" if spent else "the rows alone are within the tolerance"
+    finish = not (spent or settled)
+    with trace.stage("solve together", finish, why_not) as stage:
+        if finish:
             problem = joint.JointProblem.of(model, frame, looked, seen, felt.rows, believed, hand, settings)
             solved = joint.solve_modes(problem, worth_solving(modes, settings.plan))
             past = sight.costs(np.array([s.pose for s in solved]))
@@ -138,8 +154,8 @@ def _estimate(
             stage.note(
                 len(rows), f"calibration off by {best.millimetres:.1f} mm, depth scale by {100 * best.scale:+.2f} %"
             )
-    with trace.stage("sample", in_time, "the time budget is spent") as stage:
-        if in_time:
+    with trace.stage("sample", finish, why_not) as stage:
+        if finish:
             spread = moments(model, rows, modes[0].pose, modes[0].covariance, seed, believed, settings=settings.moments)
             modes = (replace(modes[0], pose=spread.pose, covariance=spread.covariance), *modes[1:])
             stage.note(len(rows), f"{spread.effective:.0f} effective samples, directions widened: {spread.widened}")

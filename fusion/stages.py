@@ -13,6 +13,7 @@ from fusion.answer import Estimate
 from fusion.moments import MomentSettings
 from fusion.planning import PlanSettings
 from fusion.trace import Trace
+from scenes import evidence as tables
 from scenes import poses as se3
 from scenes.alignment import Alignment, Prior
 from scenes.alignment.modes import Mode, ModeSettings, distinct_modes
@@ -24,7 +25,7 @@ from scenes.objects import ObjectModel
 from touch.contacts import contact_starts
 from vision.clouds import DepthModel
 from vision.hand_view import CalibrationModel
-from vision.segmentation import SegmentationSettings
+from vision.segmentation import SegmentationSettings, Segments, free_space_rows, surface_rows
 from vision.starts import StartSettings, seen_starts
 
 Array = NDArray[np.float64]
@@ -74,12 +75,17 @@ def check_limits(tolerance: tuple[float, float] | None, budget_ms: float | None)
         raise InputError(f"budget: expected milliseconds from 0, got {budget_ms}")
 
 
-def good_enough(answer: Estimate, tolerance: tuple[float, float]) -> bool:
-    """Whether an answer is sure and its largest standard deviations are within tolerance (m, rad)."""
-    if answer.verdict != "ok" or answer.unobservable:
+def is_within(modes: tuple[Mode, ...], tolerance: tuple[float, float] | None, settings: EstimateSettings) -> bool:
+    """Whether one mode holds nearly everything and its largest standard deviations are within tolerance (m, rad)."""
+    if tolerance is None or not modes or modes[0].weight < settings.verdict.sure_share:
         return False
-    turn, move = (float(np.linalg.eigvalsh(answer.covariance[k : k + 3, k : k + 3]).max()) for k in (0, 3))
+    turn, move = (float(np.linalg.eigvalsh(modes[0].covariance[k : k + 3, k : k + 3]).max()) for k in (0, 3))
     return move <= tolerance[0] ** 2 and turn <= tolerance[1] ** 2
+
+
+def good_enough(answer: Estimate, tolerance: tuple[float, float], settings: EstimateSettings) -> bool:
+    """Whether an answer is sure and its largest standard deviations are within tolerance (m, rad)."""
+    return answer.verdict == "ok" and not answer.unobservable and is_within(answer.modes, tolerance, settings)
 
 
 def as_prior(prior: Array | Prior | None, settings: EstimateSettings) -> Prior | None:
@@ -100,8 +106,8 @@ def search_stages(blur: float, near: bool, sifted: bool = False) -> tuple[Search
         )
     if sifted:
         return (
-            SearchStage(1.2 * blur, 0.5, 40, 5, 100),
-            SearchStage(0.7 * blur, 0.4, 60, 8, 40),
+            SearchStage(1.2 * blur, 0.5, 60, 5, 100),
+            SearchStage(0.7 * blur, 0.4, 80, 8, 40),
             SearchStage(blur / 3, 0.2, 160, 10, 16),
         )
     return (
@@ -117,6 +123,12 @@ def hand_from_object(frame: Frame, pose: Array, correction: Array) -> Array | No
     if frame.world_from_hand is None:
         return None
     return se3.inverse(correction @ frame.camera_from_world @ frame.world_from_hand) @ pose
+
+
+def vision_rows(looked: Segments, settings: EstimateSettings) -> Evidence:
+    """Pixels of the object, with the space before what was seen; none without such a pixel."""
+    seen = surface_rows(looked, settings.pixels, settings.segmentation, settings.depth)
+    return tables.stack(seen, free_space_rows(looked, settings.segmentation)) if len(seen) else seen
 
 
 def starts_of(

@@ -90,6 +90,14 @@ def find_region(frame: Frame, model: ObjectModel, start: Array | None, settings:
     return None
 
 
+def region_around(model: ObjectModel, candidates: Array, settings: SegmentationSettings) -> Region:
+    """The ball that holds the object at each of the poses (n, 4, 4) camera_from_object, with the usual slack."""
+    middles = candidates[:, :3, :3] @ model.centroid + candidates[:, :3, 3]
+    centre = 0.5 * (middles.min(axis=0) + middles.max(axis=0))
+    reach = float(np.linalg.norm(middles - centre, axis=1).max())
+    return Region(centre, model.radius + settings.slack + reach)
+
+
 def crop_points(frame: Frame, model: ObjectModel, start: Array, settings: SegmentationSettings | None = None) -> Array:
     """(n, 3) camera-frame points of the usual crop: everything seen within the model's ball around the start."""
     settings = settings or SegmentationSettings()
@@ -121,16 +129,17 @@ def segment(
     settings: SegmentationSettings | None = None,
     depth_model: DepthModel | None = None,
     calibration: CalibrationModel | None = None,
+    again: tuple[Region, HandView | None] | None = None,
 ) -> Segments:
     """Sort the frame's pixels into object, hand and others.
 
     start (4, 4) camera_from_object, a coarse one, narrows the region. A frame without depth, or whose region is outside
-    the image, gives no pixels.
+    the image, gives no pixels. again: a region to look at closely, and the hand as it was seen in this frame before.
     """
     settings = settings or SegmentationSettings()
     depth_model = depth_model or DepthModel()
     calibration = calibration or CalibrationModel()
-    region = find_region(frame, model, start, settings)
+    region = find_region(frame, model, start, settings) if again is None else again[0]
     if frame.depth is None or frame.camera is None:
         return _segment_cloud(frame, region, settings)
     full = (0, 0, frame.camera.width, frame.camera.height)
@@ -150,8 +159,11 @@ def segment(
     near_hand = np.zeros(len(mine), dtype=bool)
     if frame.hand is not None and frame.joints is not None and frame.world_from_hand is not None:
         hand_settings = HandViewSettings()
-        wide = read_pixels(frame.depth, frame.camera, full, settings.most_hand)
-        hand_view = view_hand(frame, wide, depth_model, calibration, hand_settings)
+        if again is not None:
+            hand_view = again[1]
+        else:
+            wide = read_pixels(frame.depth, frame.camera, full, settings.most_hand)
+            hand_view = view_hand(frame, wide, depth_model, calibration, hand_settings)
         if hand_view is not None and len(mine):
             near_hand = hand_view.distance(mine.points) < hand_settings.margin
             dropped["hand pixels"] = int(near_hand.sum())
