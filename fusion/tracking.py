@@ -298,6 +298,7 @@ class Tracker:
         looked, seen, felt, correction = sensed
         with trace.stage("judge", True, "") as stage:
             pixel = None if frame.camera is None else frame.camera.project(measured.pose[None, :3, 3])[0][0]
+            pixel = pixel if pixel is not None and np.isfinite(pixel).all() else None  # behind the camera
             belief = (
                 Belief(measured.pose, measured.own, measured.shared) if switched else update(model, predicted, measured)
             )

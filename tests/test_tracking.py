@@ -177,6 +177,15 @@ def test_a_cylinder_does_not_spin():
     assert not any(a.slip for a in answers)
 
 
+def test_clouds_are_followed_like_images(mug, carried):
+    frames = [replace(f, depth=None, cloud=CAMERA.back_project(f.depth)) for f in carried[:5]]
+    for answer, frame in zip(track(frames, mug), frames):
+        turn, move = error(answer, frame, mug)
+        assert turn < 4.0
+        assert move < 3.0
+        assert answer.how in ("started", "tracked")
+
+
 def test_without_a_hand_the_last_velocity_leads(mug, carried):
     frames = [replace(f, world_from_hand=None, contacts=Contacts(np.zeros((0, 3)))) for f in carried]
     for answer, frame in zip(track(frames, mug, use="vision"), frames):
