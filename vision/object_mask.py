@@ -60,6 +60,10 @@ class MaskSettings:
     held: float = 0.015
     # A piece far from the hand counts when its middle is this near (m) to the object at the coarse start.
     explained: float = 0.015
+    # The largest piece that the hand may be behind, or whose middle is no farther (m) from the object at the start than
+    # starts are off, counts when it is this many times larger than all others together.
+    larger: float = 1.0
+    may_be: float = 0.033
 
 
 def object_mask(
@@ -274,18 +278,41 @@ def _chosen(
     size = np.bincount(pieces[pieces >= 0])
     kept = np.zeros(len(size) + 1, dtype=bool)  # the last one stands for no piece
     felt = frame.contacts.moved(frame.camera_from_world).points
+    # the hand may be behind the object: what is seen is then its thickness away
+    thickness = settings.held + 2.0 * max(0.0, -float(model.field.values.min()))
+    gaps = np.full(len(size), np.inf)
+    off = np.zeros(len(size))
+    samples: dict[int, Array] = {}
     for piece in np.nonzero(size >= settings.smallest)[0]:
         own = points[pieces == piece]
-        few = own[:: max(1, len(own) // 300)]
-        gaps = [np.inf]
+        few = samples[int(piece)] = own[:: max(1, len(own) // 300)]
         if view is not None:
-            gaps.append(float(view.distance(few).min()))
+            gaps[piece] = float(view.distance(few).min())
         if len(felt):
-            gaps.append(float(np.linalg.norm(few[:, None] - felt[None], axis=2).min()))
-        kept[piece] = min(gaps) < settings.held
+            gaps[piece] = min(gaps[piece], float(np.linalg.norm(few[:, None] - felt[None], axis=2).min()))
         if start is not None:
-            off = np.abs(model.field.distance(poses.apply(poses.inverse(start), few)))
-            kept[piece] |= float(np.median(off)) < settings.explained
+            off[piece] = float(np.median(np.abs(model.field.distance(poses.apply(poses.inverse(start), few)))))
+            kept[piece] = off[piece] < settings.explained
+    kept[:-1] |= gaps < settings.held
+    _join(kept, samples, settings.held)
+    near = gaps < thickness if start is None else off < settings.may_be
+    behind = np.where(near, size, 0)
+    if behind.max(initial=0) > settings.larger * size[kept[:-1]].sum():
+        kept[int(behind.argmax())] = True
     if not kept.any() and size.max(initial=0) >= settings.smallest:
         kept[int(size.argmax())] = True
     return np.asarray(kept[pieces])
+
+
+def _join(kept: Mask, samples: dict[int, Array], gap: float) -> None:
+    """Mark, in place, pieces within `gap` metres of marked ones, and of those in turn: readings lost between them."""
+    from scipy.spatial import cKDTree
+
+    trees = {piece: cKDTree(points) for piece, points in samples.items()}
+    fresh = [piece for piece in samples if kept[piece]]
+    while fresh:
+        piece = fresh.pop()
+        for other in samples:
+            if not kept[other] and trees[piece].query(samples[other])[0].min() < gap:
+                kept[other] = True
+                fresh.append(other)
