@@ -31,6 +31,7 @@ from fusion.stages import (
     search_stages,
     starts_of,
     vision_rows,
+    with_shared_errors,
 )
 from fusion.trace import Trace
 from scenes import evidence as tables
@@ -62,7 +63,8 @@ def estimate(
 
     prior: a coarse camera_from_object (4, 4), or a Gaussian on it; default the frame's own prior. use: the senses
     allowed. tolerance (m, rad): standard deviations that are good enough; when vision alone is sure and that good,
-    touch is skipped, and when the rows are that good before shared errors are solved for, that is skipped. budget_ms: once it is spent, the joint solution (calibration, depth scale, bias) is skipped.
+    touch is skipped, and when the rows are that good before shared errors are solved for, that is
+    skipped. budget_ms: once it is spent, the joint solution (calibration, depth scale, bias) is skipped.
     Returns an Estimate; data that tell nothing give the verdict "lost" and a covariance that says so, not an error.
     """
     settings, senses = settings or EstimateSettings(), check_senses(use)
@@ -140,9 +142,11 @@ def _estimate(
             last = search_stages(blur, near=True)[-1:]
             modes = find_modes(model, rows, likely, last, None, sight.costs, settings.plan, settings.modes).modes
             stage.note(len(rows), f"{len(looked.pixels)} object pixels around {len(likely)} poses")
-    spent, settled = trace.over_budget, is_within(modes, tolerance, settings)
+    rough = with_shared_errors(modes, viewed, settings)
+    spent, settled = trace.over_budget, is_within(rough, tolerance, settings)
     why_not = "the time budget is spent" if spent else "the rows alone are within the tolerance"
     finish = not (spent or settled)
+    modes = modes if finish else rough
     with trace.stage("solve together", finish, why_not) as stage:
         if finish:
             problem = joint.JointProblem.of(model, frame, looked, seen, felt.rows, believed, hand, settings)

@@ -75,6 +75,24 @@ def check_limits(tolerance: tuple[float, float] | None, budget_ms: float | None)
         raise InputError(f"budget: expected milliseconds from 0, got {budget_ms}")
 
 
+def with_shared_errors(modes: tuple[Mode, ...], frame: Frame, settings: EstimateSettings) -> tuple[Mode, ...]:
+    """Modes of the rows alone, as wide along the camera's ray as errors make them that all pixels of a frame share.
+
+    The joint solution learns these from the frame; where it is skipped they are as large as they are believed to be.
+    """
+    if frame.depth is None:
+        return modes
+    out = []
+    for mode in modes:
+        away = mode.pose[:3, 3]
+        ray = away / max(float(np.linalg.norm(away)), 1e-9)
+        variance = settings.depth.bias_sigma**2 + (settings.depth.scale_sigma * float(np.linalg.norm(away))) ** 2
+        wide = mode.covariance.copy()
+        wide[3:, 3:] += variance * np.outer(ray, ray)
+        out.append(replace(mode, covariance=wide))
+    return tuple(out)
+
+
 def is_within(modes: tuple[Mode, ...], tolerance: tuple[float, float] | None, settings: EstimateSettings) -> bool:
     """Whether one mode holds nearly everything and its largest standard deviations are within tolerance (m, rad)."""
     if tolerance is None or not modes or modes[0].weight < settings.verdict.sure_share:
