@@ -31,7 +31,7 @@ OBJECTS = ("drill", "mug", "bottle", "hammer", "cylinder")
 NEAR = 0.005
 SHEET_FRAMES = 20
 # Captures a cell of occlusion, and in a hurry.
-TRIALS = (5, 2)
+TRIALS = (3, 2)
 
 
 def run(settings: BenchSettings) -> Report:
