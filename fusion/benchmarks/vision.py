@@ -240,7 +240,8 @@ def _settings_table() -> Table:
     from vision.registration import IcpSettings
 
     table = Table("Settings of the peers", [Column("setting"), Column("value")])
-    for name, value in asdict(BaselineSettings()).items():
-        table.add(name, ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else str(value))
-    table.add("icp from a start", ", ".join(f"{k} {v}" for k, v in asdict(IcpSettings()).items()))
+    for name, value in {**asdict(BaselineSettings()), "icp from a start": asdict(IcpSettings())}.items():
+        parts = {f"{name}: {k}": v for k, v in value.items()} if isinstance(value, dict) else {name: value}
+        for part, content in parts.items():
+            table.add(part.replace("_", " "), str(content))
     return table
