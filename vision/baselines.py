@@ -35,8 +35,8 @@ LOCAL = ("icp", "small_gicp")
 
 @dataclass(frozen=True)
 class BaselineSettings:
-    """The methods' usual choices, in shares of the object's size, with weights that forgive outliers; mutual filtering is
-    off because it left too few matches of plain shapes. Not searched over further.
+    """The methods' usual choices, in shares of the object's size, with weights that forgive outliers; mutual filtering
+    is off because it left too few matches of plain shapes. Not searched over further.
     """
 
     # Voxel of features as a share of the object's diameter, and its limits (m).
