@@ -109,4 +109,4 @@ def _show(answers: list[TrackedEstimate], errors: list[Errors | None]) -> None:
     count = {how: sum(a.how == how for a in answers) for how in ("tracked", "carried", "re-initialised", "lost")}
     times = [a.time_ms for a in answers if a.how == "tracked"]
     said = ", ".join(f"{n} {how}" for how, n in count.items() if n) or "started"
-    say(f"{len(answers)} frames: {said}; median {np.median(times) if times else 0.0:.0f} ms a tracked frame")
+    say(f"{len(answers)} frames: {said}" + (f"; median {np.median(times):.0f} ms a tracked frame" if times else ""))
