@@ -21,11 +21,9 @@ from scenes.alignment import AlignSettings, Prior, align, costs, terms
 from scenes.alignment.search import thin
 from scenes.evidence import GATE_ABOVE, SIGMA_NORMAL, TOUCH, Evidence, stack
 from scenes.objects import ObjectModel
+from touch.polish import NO_DISTANCE
 
 Array = NDArray[np.float64]
-
-# A sigma (m) at which a distance says nothing.
-NO_DISTANCE = 1e6
 
 
 @dataclass(frozen=True)
@@ -82,8 +80,7 @@ def moments(
     further costs in nats.
     """
     settings = settings or MomentSettings()
-    uneven = uneven_rows(rows)
-    if not len(uneven):
+    if not len(uneven_rows(rows)):
         return Moments(pose, covariance, 0.0, 0)
     few = thin(rows, settings.rows)
     found = align(model, few, pose[None], prior, AlignSettings(iterations=10))

@@ -78,11 +78,12 @@ def _terms(
     gradient = np.einsum("mn,mni,mn->mi", w, jac, r)
     cost = 0.5 * loss.sum(axis=1)
     if contacts.has_normal.any():
-        # the same contacts with distances that weigh nothing: what remains of the compiled cost are the normals
+        # the same contacts with distances that weigh nothing: what remains of the compiled cost are the normals, which
+        # must not be widened (bend) by a sigma that stands for no distance
         rows = from_contacts(contacts.take(contacts.has_normal)).with_sigma(NO_DISTANCE, TOUCH)
         poses = se3.make_poses(rotations, middles - rotations @ model.centroid)
         for m, pose in enumerate(poses):
-            part = terms(model, rows, pose, settings=AlignSettings(huber=huber))
+            part = terms(model, rows, pose, settings=AlignSettings(huber=huber, bend=0.0))
             cost[m] += part[0]
             gradient[m] += part[1]
             hessian[m] += part[2]

@@ -119,8 +119,8 @@ def _cell(
         return None
     localize(model, cases[0].contacts, 0, method)  # compiled and tabled before anything is timed
     found, limits, oracle, exact, listed, optimal, wrong, times = [], [], [], [], [], [], [], []
-    # the exact likelihood is that of scattered contacts, and needs noise
-    weighable = not grasps and method == "multistart" and noise.point > 0 and noise.normal > 0
+    # the exact likelihood is that of scattered contacts, and as slow as the search: where the demands are
+    weighable = not grasps and method == "multistart" and noise == scene.NOISES[USUAL]
     for i, trial in enumerate(settings.progress(cases, len(cases), f"{model.name} {contacts} {method}")):
         answer = localize(model, trial.contacts, i, method)
         times.append(answer.time_s)

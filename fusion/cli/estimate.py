@@ -3,46 +3,36 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from fusion.cli.options import (
-    add_object,
-    add_prior,
+    add_run,
     announce_compiling,
     length_and_angle,
     load_object,
-    names,
     number,
     positive_number,
     prior_setter,
     progress,
     say,
     show_table,
-    write_json,
+    write_run,
 )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
-    parser.add_argument("capture", metavar="CAPTURE", type=Path, help="folder of the capture")
-    add_object(parser, what="instead of the capture's object")
-    parser.add_argument(
-        "--use", metavar="SENSES", type=names, default=("vision", "touch"), help="vision,touch (default)"
-    )
-    add_prior(parser)
+    add_run(parser)
     parser.add_argument(
         "--tolerance", metavar="MM,DEG", type=length_and_angle, help="good enough, like 1,2: work beyond is skipped"
     )
     parser.add_argument("--budget-ms", metavar="N", type=positive_number, help="milliseconds a frame may take")
-    parser.add_argument("--out", metavar="DIR", type=Path, help="where to write (default out/NAME of the capture)")
-    parser.add_argument("--no-report", action="store_true", help="skip report.html")
 
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when a frame's answer is lost."""
     from fusion.estimation import estimate
     from fusion.judging import Judge
-    from fusion.results import frame_errors, result_json, write_results
+    from fusion.results import frame_errors
     from fusion.stages import check_senses
     from scenes.captures import read_capture
     from scenes.validation import check_usable
@@ -67,17 +57,10 @@ def run(args: argparse.Namespace) -> int:
         answers.append(answer)
         errors.append(frame_errors(judge, frame, answer))
         rows.append(_row(answer, errors[-1], judge.agreement(frame, answer.pose)))
-    out = args.out or Path("out") / capture.name
-    content = result_json(capture.name, model, frames, answers, errors)
-    write_results(out, capture, answers, content)
-    if not args.no_report:
-        from fusion.report.page import write_report
-
-        write_report(out / "report.html", capture.name, frames, model, answers, None, content["errors"])
-    write_json(args.json, content)
+    written = write_run(args, capture, model, frames, answers, errors)
     heads = ("frame", "verdict", "ADD-S mm", "rot °", "trans mm", "cloud mm", "contacts mm", "time ms", "not known")
     show_table(heads, rows)
-    say(f"wrote {out / 'poses.csv'}, result.json" + ("" if args.no_report else ", report.html"))
+    say(written)
     return 1 if any(answer.verdict == "lost" for answer in answers) else 0
 
 

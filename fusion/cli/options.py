@@ -255,3 +255,30 @@ def progress(items: Iterable[T], total: int, what: str) -> Iterator[T]:
     from rich.progress import track
 
     yield from track(items, description=what, total=total, console=Console(stderr=True), transient=True)
+
+
+def add_run(parser: argparse.ArgumentParser) -> None:
+    """What every command has that answers frame by frame: capture, object, senses, start, and where to write."""
+    parser.add_argument("capture", metavar="CAPTURE", type=Path, help="folder of the capture")
+    add_object(parser, what="instead of the capture's object")
+    parser.add_argument(
+        "--use", metavar="SENSES", type=names, default=("vision", "touch"), help="vision,touch (default)"
+    )
+    add_prior(parser)
+    parser.add_argument("--out", metavar="DIR", type=Path, help="where to write (default out/NAME of the capture)")
+    parser.add_argument("--no-report", action="store_true", help="skip report.html")
+
+
+def write_run(args, capture, model, frames, answers, errors) -> str:  # type: ignore[no-untyped-def]  # heavy imports
+    """Write poses.csv, result.json, report.html and --json of a run with the arguments of `add_run`; says what."""
+    from fusion.results import result_json, write_results
+
+    out = args.out or Path("out") / capture.name
+    content = result_json(capture.name, model, frames, answers, errors)
+    write_results(out, capture, answers, content)
+    if not args.no_report:
+        from fusion.report.page import write_report
+
+        write_report(out / "report.html", capture.name, frames, model, answers, None, content["errors"])
+    write_json(args.json, content)
+    return f"wrote {out / 'poses.csv'}, result.json" + ("" if args.no_report else ", report.html")

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fusion.cli.options import (
-    add_object,
-    add_prior,
+    add_run,
     announce_compiling,
     load_object,
-    names,
     number,
     prior_setter,
     progress,
     say,
     show_table,
-    write_json,
+    write_run,
 )
 
 if TYPE_CHECKING:
@@ -31,20 +28,13 @@ LONG = 40
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
-    parser.add_argument("capture", metavar="CAPTURE", type=Path, help="folder of the capture")
-    add_object(parser, what="instead of the capture's object")
-    parser.add_argument(
-        "--use", metavar="SENSES", type=names, default=("vision", "touch"), help="vision,touch (default)"
-    )
-    add_prior(parser)
-    parser.add_argument("--out", metavar="DIR", type=Path, help="where to write (default out/NAME of the capture)")
-    parser.add_argument("--no-report", action="store_true", help="skip report.html")
+    add_run(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when the object is lost in the last frame."""
     from fusion.judging import Judge
-    from fusion.results import frame_errors, result_json, write_results
+    from fusion.results import frame_errors
     from fusion.stages import check_senses
     from fusion.tracking import Tracker
     from scenes.captures import read_capture
@@ -69,16 +59,9 @@ def run(args: argparse.Namespace) -> int:
         frames.append(frame)
         answers.append(tracker.step(frame))
         errors.append(frame_errors(judge, frame, answers[-1]))
-    out = args.out or Path("out") / capture.name
-    content = result_json(capture.name, model, frames, answers, errors)
-    write_results(out, capture, answers, content)
-    if not args.no_report:
-        from fusion.report.page import write_report
-
-        write_report(out / "report.html", capture.name, frames, model, answers, None, content["errors"])
-    write_json(args.json, content)
+    written = write_run(args, capture, model, frames, answers, errors)
     _show(answers, errors)
-    say(f"wrote {out / 'poses.csv'}, result.json" + ("" if args.no_report else ", report.html"))
+    say(written)
     return 1 if answers[-1].verdict == "lost" else 0
 
 
