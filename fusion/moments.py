@@ -71,13 +71,11 @@ def moments(
     covariance: Array,
     seed: int,
     prior: Prior | None = None,
-    also: Callable[[Array], Array] | None = None,
     settings: MomentSettings | None = None,
 ) -> Moments:
     """Pose and covariance with directions in which the posterior is no Gaussian as wide as it is.
 
-    (pose, covariance): the Gaussian so far. rows and prior: all evidence, frame_from_object; also(poses) -> (n,):
-    further costs in nats.
+    (pose, covariance): the Gaussian so far. rows and prior: all evidence, frame_from_object.
     """
     settings = settings or MomentSettings()
     if not len(uneven_rows(rows)):
@@ -103,8 +101,7 @@ def moments(
 
     def log_target(z: Array) -> Array:
         samples = se3.perturb(middle, z @ basis.T, model.centroid)
-        log = -costs(model, few, samples, prior)
-        return log if also is None else log - also(samples)
+        return -costs(model, few, samples, prior)
 
     z, weights = _sampled(log_target, proposals, settings, np.random.default_rng(seed))
     effective = float(1.0 / np.sum(weights**2))

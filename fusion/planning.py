@@ -32,7 +32,7 @@ class PlanSettings:
     first_starts: int = 32
     # Share of these that must end in the best minimum: a search from a prior usually finds two or three others.
     agreeing: float = 0.3
-    # Least share of the object's pixels, and of the contacts, within three sigmas (blur included) of the surface.
+    # Least share of the object's pixels, and of the contacts, within three sigmas of the surface.
     explained_pixels: float = 0.85
     explained_contacts: float = 0.75
     # Of these so many, the best first, are refined with all rows.
@@ -48,11 +48,10 @@ class PlanSettings:
 
 @dataclass(frozen=True)
 class Found:
-    """Modes of a search after refinement with all rows; starts looked at; why no more were."""
+    """Modes of a search after refinement with all rows; starts looked at; why no more were, or what was doubted."""
 
     modes: tuple[Mode, ...]
     looked_at: int
-    past: float
     why: str
 
 
@@ -86,10 +85,10 @@ def find_modes(
         doubt = doubt_of(model, rows, first, past, agreeing, settings)
         if not doubt:
             modes = distinct_modes(model, first, mode_settings)
-            return Found(modes, few, float(past.min()), "the first agree and explain what was sensed")
+            return Found(modes, few, "the first agree and explain what was sensed")
     found = search(model, rows, starts, stages, prior, rank=rank)
-    refined, past = _refined(model, rows, found.poses, prior, rank)
-    return Found(distinct_modes(model, refined, mode_settings), len(starts), float(past.min()), doubt)
+    refined, _ = _refined(model, rows, found.poses, prior, rank)
+    return Found(distinct_modes(model, refined, mode_settings), len(starts), doubt)
 
 
 def worth_solving(modes: tuple[Mode, ...], settings: PlanSettings) -> list[Array]:
