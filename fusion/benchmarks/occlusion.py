@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from fusion.benchmarks.tables import BenchSettings, Claim, Column, Rate, Report, Spread, Table
+from fusion.benchmarks.tables import BenchSettings, Claim, Column, Rate, Report, Spread, Table, own_seed
 
 METHODS = ("icp", "icp_segmented", "vision", "touch", "fused")
 
@@ -66,11 +66,10 @@ def frames_of(name: str, scene: Scene, level: float, trials: int, seed: int) -> 
     made: list[Any] = []
     refused = 0
     while len(made) < trials and refused < 3:
+        own = own_seed(seed, name, scene.noise, scene.occluder, level, len(made), refused)
         try:
-            made += synthesize_frames(
-                library.make(name), hand, 1, level, noise=scene.noise, seed=seed + 1000 * refused + 7 * len(made)
-            )
-        except InputError:  # noqa: PERF203  (a grasp that cannot hide so much is tried anew)
+            made += synthesize_frames(library.make(name), hand, 1, level, noise=scene.noise, seed=own)
+        except InputError:
             refused += 1
     return made
 

@@ -11,6 +11,7 @@ import json
 import math
 import os
 import platform
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
@@ -55,6 +56,16 @@ class BenchSettings:
         if self.trials is not None:
             return self.trials
         return (quick or max(3, usual // 10)) if self.quick else usual
+
+
+def own_seed(seed: int, *what: str | float) -> int:
+    """A seed for one frame or trial of a cell, from the benchmark's seed and what tells the frame from all others.
+
+    Cells that share seeds share draws of a camera's lasting errors, and are wrong together: five draws would then be
+    all that a table of hundreds of frames rests on.
+    """
+    label = "/".join(str(part) for part in what)
+    return int(np.random.default_rng([seed, zlib.crc32(label.encode())]).integers(2**31))
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fusion.benchmarks.tables import own_seed
 from scenes.errors import InputError
 from scenes.frames import Frame
 
@@ -68,7 +69,7 @@ def frames(
 ) -> list[Frame]:
     """Up to `count` frames with truth and prior, read from the folder or made and written there.
 
-    Frame i depends on seed and i only. Contacts are none: vision is alone.
+    A frame depends on seed, object, noise, level and its number. Contacts are none: vision is alone.
     """
     from scenes.captures import read_capture, write_capture
 
@@ -89,7 +90,7 @@ def _made(model: ObjectModel, hand: Hand, preset: Preset, level: float, seed: in
 
     settings = SynthesisSettings(mask=True, rgb=False)
     for attempt in range(MOST_REFUSED):
-        drawn = seed * 100_003 + 1009 * attempt + index
+        drawn = own_seed(seed, model.name, preset.noise, level, index, attempt)
         try:
             return synthesize_frames(
                 model, hand, 1, level, touch=(), noise=preset.noise, seed=drawn, settings=settings
