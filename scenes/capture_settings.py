@@ -16,6 +16,8 @@ WORLDS = ("camera", "robot base")
 
 # models_info.json and the mesh may be rounded or sampled differently; more than this and a unit is wrong.
 LARGEST_DIAMETER_RATIO = 1.5
+# What recordings have that are not captures yet: BOP, YCBInEOAT, ROS 2, handover, plain images.
+RECORDINGS = ("scene_camera.json", "cam_K.txt", "metadata.yaml", "cloud.off", "depth", "rgb")
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,10 @@ def read_settings(folder: Path, report: Report) -> Settings:
         raise CaptureError(f"{folder}: expected the folder of a capture, found {found}")
     path = folder / "capture.json"
     if not path.is_file():
-        raise CaptureError(f"{folder}: expected a capture (a folder with capture.json), found no capture.json")
+        hint = ""
+        if any((folder / name).exists() for name in RECORDINGS):
+            hint = f": it looks like a recording of another format, which `palpate convert {folder} OUT` makes one of"
+        raise CaptureError(f"{folder}: expected a capture (a folder with capture.json), found no capture.json{hint}")
     content = bop.read_json(path, refuse)
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise CaptureError(f'{path}: expected "format": "{FORMAT}", got {str(content)[:60]}')

@@ -20,7 +20,6 @@ from scenes.objects import METRES_PER_UNIT, ObjectModel
 FORMAT = "palpate-capture"
 VERSION = 1
 OBJECT_ID = 1
-MODEL_FILE = f"models/obj_{OBJECT_ID:06d}.ply"
 
 
 def write_capture(
@@ -29,14 +28,16 @@ def write_capture(
     model: ObjectModel,
     hand: Hand | None = None,
     world: str = "camera",
-    depth_scale: float = 0.1,
+    depth_scale: float | Mapping[int, float] = 0.1,
     model_unit: str = "m",
     with_mask: bool = True,
     notes: Mapping[str, Any] | None = None,
+    object_id: int = OBJECT_ID,
 ) -> Path:
     """Write a capture and return its folder; frames are written as they come, so an iterator may be long.
 
-    world: "camera" or "robot base". depth_scale: millimetres per count of the depth images (0.1 reaches 6.5 m).
+    world: "camera" or "robot base". depth_scale: millimetres per count of the depth images (0.1 reaches 6.5 m), one for
+    all or by frame number. object_id: BOP's number of the object, from 0.
     model_unit: unit of the mesh file, one of m, cm, mm, inch. with_mask: write the frames' masks where they have one.
     notes: kept in capture.json (how it was made). An older capture of the same name is replaced once the new one is
     complete; raises CaptureError for a folder that holds anything else, InputError for frames that do not fit.
@@ -49,9 +50,9 @@ def write_capture(
     partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
     try:
         partial.chmod(0o755)
-        _write_model(partial, model, model_unit)
+        _write_model(partial, model, model_unit, object_id)
         _write_hand(partial, hand)
-        count = _Recorder(partial, world, depth_scale, with_mask).write(frames)
+        count = _Recorder(partial, world, depth_scale, with_mask, object_id).write(frames)
         if count == 0:
             raise InputError(f"{folder}: expected at least one frame to write, got none")
         bop.write_json(
@@ -59,7 +60,7 @@ def write_capture(
             {
                 "format": FORMAT,
                 "version": VERSION,
-                "object": {"id": OBJECT_ID, "model": MODEL_FILE, "unit": model_unit, "name": model.name},
+                "object": {"id": object_id, "model": model_file(object_id), "unit": model_unit, "name": model.name},
                 "hand": None if hand is None else {"urdf": "hand/hand.urdf", "sensors": "hand/sensors.json"},
                 "world": world,
                 **({"notes": dict(notes)} if notes else {}),
@@ -69,6 +70,11 @@ def write_capture(
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return folder
+
+
+def model_file(object_id: int) -> str:
+    """Where a capture keeps its mesh, by BOP's number of the object."""
+    return f"models/obj_{object_id:06d}.ply"
 
 
 def refuse_foreign_folder(folder: Path) -> None:
@@ -91,10 +97,10 @@ def _swap(partial: Path, folder: Path) -> None:
         shutil.rmtree(old, ignore_errors=True)
 
 
-def _write_model(folder: Path, model: ObjectModel, unit: str) -> None:
+def _write_model(folder: Path, model: ObjectModel, unit: str, object_id: int) -> None:
     (folder / "models").mkdir()
-    write_ply(folder / MODEL_FILE, model.vertices / METRES_PER_UNIT[unit], model.faces)
-    info = {str(OBJECT_ID): bop.model_json(model.vertices, model.diameter, model.symmetries)}
+    write_ply(folder / model_file(object_id), model.vertices / METRES_PER_UNIT[unit], model.faces)
+    info = {str(object_id): bop.model_json(model.vertices, model.diameter, model.symmetries)}
     bop.write_json(folder / "models" / "models_info.json", info)
 
 
@@ -106,8 +112,11 @@ def _write_hand(folder: Path, hand: Hand | None) -> None:
 class _Recorder:
     """Collects the rows of the CSVs and JSONs while images and clouds go to disk frame by frame."""
 
-    def __init__(self, folder: Path, world: str, depth_scale: float, with_mask: bool) -> None:
+    def __init__(
+        self, folder: Path, world: str, depth_scale: float | Mapping[int, float], with_mask: bool, object_id: int
+    ) -> None:
         self.folder, self.world, self.depth_scale, self.with_mask = folder, world, depth_scale, with_mask
+        self.object_id = object_id
         self.cameras: dict[str, Any] = {}
         self.truths: dict[str, Any] = {}
         self.priors: dict[str, Any] = {}
@@ -150,12 +159,13 @@ class _Recorder:
             raise InputError(f'frame {key}: expected camera_from_world to be the identity in a world of "camera"')
         if frame.depth is not None and frame.camera is None:
             raise InputError(f"frame {key}: expected a camera for the depth image")
+        scale = self.depth_scale.get(frame.index, 0.1) if isinstance(self.depth_scale, Mapping) else self.depth_scale
         if frame.camera is not None:
             size = (frame.camera.width, frame.camera.height)
             pose = frame.camera_from_world if self.world != "camera" else None
-            self.cameras[key] = bop.camera_json(bop.SceneCamera(frame.camera.matrix, self.depth_scale, pose, size))
+            self.cameras[key] = bop.camera_json(bop.SceneCamera(frame.camera.matrix, scale, pose, size))
         if frame.depth is not None:
-            images.write_depth(self.folder / "depth" / f"{number}.png", frame.depth, self.depth_scale)
+            images.write_depth(self.folder / "depth" / f"{number}.png", frame.depth, scale)
         if frame.rgb is not None:
             images.write_rgb(self.folder / "rgb" / f"{number}.png", frame.rgb)
         if frame.mask is not None and self.with_mask:
@@ -164,7 +174,7 @@ class _Recorder:
             (self.folder / "clouds").mkdir(exist_ok=True)
             write_ply(self.folder / "clouds" / f"{number}.ply", frame.cloud, colours=frame.cloud_colours)
         if frame.camera_from_object_truth is not None:
-            self.truths[key] = bop.truth_json(frame.camera_from_object_truth, OBJECT_ID)
+            self.truths[key] = bop.truth_json(frame.camera_from_object_truth, self.object_id)
         if frame.prior is not None:
             self.priors[key] = frame.prior.tolist()
         self._hand(frame)

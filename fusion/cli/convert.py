@@ -1,50 +1,309 @@
-"""Turn foreign recordings into captures and back: icub-handover folders, contact lists, meshes."""
+"""Turn foreign recordings into captures, and captures into foreign files."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from fusion.cli.options import say, write_json
+from fusion.cli.options import add_object, load_object, positive_number, say, whole, write_json
 
-HELP = "a handover folder or a folder of them, a capture, contacts (.off, .csv), or a mesh or cloud"
+if TYPE_CHECKING:
+    from scenes.captures import Capture
+    from scenes.formats.conversion import Converted
+    from scenes.objects import ObjectModel
+
+SOURCES = {
+    "bop": "scene folder of a BOP data set",
+    "ycbineoat": "sequence folder: cam_K.txt, rgb/, depth/, annotated_poses/",
+    "ros": "ROS 1 .bag, ROS 2 folder, .mcap or .db3, with --topics",
+    "tacman": ".ini of a contact set with its .off files",
+    "handover": "cloud.off, contacts.off, model.off, or a folder of such folders",
+    "contacts": "contacts as .off, .ply or .csv, with --object",
+    "images": "rgb/ and depth/ with camera.json or --intrinsics",
+}
+TARGETS = {
+    "bop": "BOP data set",
+    "glb": "3-D scene as binary glTF",
+    "tum": "trajectory, timestamp tx ty tz qx qy qz qw",
+    "off": "point lists and mesh",
+}
+TABLES = (".off", ".ply", ".csv")
+STAMP_RATE = 30.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
-    parser.add_argument("source", metavar="IN", type=Path, help=HELP)
-    parser.add_argument("out", metavar="OUT", type=Path, help="folder or file to write; its ending says the format")
+    sources = "; ".join(f"{name} ({what})" for name, what in SOURCES.items())
+    targets = "; ".join(f"{name} ({what})" for name, what in TARGETS.items())
+    parser.add_argument(
+        "source", metavar="IN", type=Path, help="recording, capture, contacts (.off, .ply, .csv), mesh or cloud"
+    )
+    parser.add_argument("out", metavar="OUT", type=Path, help="folder or file to write")
+    parser.add_argument("--from", dest="kind", metavar="FORMAT", help=f"of a recording, else seen from it: {sources}")
+    parser.add_argument("--to", metavar="FORMAT", help=f"what a capture becomes: {targets}")
+    add_object(parser, what="instead of the recording's object, or where it has none")
+    parser.add_argument("--object-id", metavar="N", type=whole, help="bop, tacman: which object of several")
+    parser.add_argument("--instance", metavar="K", type=whole, help="bop: which of several in an image, from 0")
+    parser.add_argument("--models", metavar="DIR", type=Path, help="bop: folder of the meshes, else looked for")
+    parser.add_argument("--topics", metavar="FILE", type=Path, help="ros: the topic map (docs/formats.md)")
+    parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="images: the camera, pixels")
+    parser.add_argument(
+        "--depth-scale", metavar="MM", type=positive_number, help="images: millimetres per count (default 1)"
+    )
+    parser.add_argument(
+        "--result", metavar="FILE", type=Path, help="glb, tum: poses.csv, result.json or their folder; else the truth"
+    )
+    parser.add_argument("--frame", metavar="N", type=whole, help="glb: whose cloud and hand (default the first)")
+    parser.add_argument(
+        "--fps", metavar="F", type=positive_number, default=STAMP_RATE, help="tum: where no stamps are known (30)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Exit code 0; what was written is listed."""
-    written = convert(args.source, args.out)
-    write_json(args.json, {"written": [str(path) for path in written]})
-    for path in written:
+    """Exit code 0; what was written and what was dropped is listed."""
+    done = convert(args)
+    write_json(args.json, done.to_json())
+    for path in done.written:
         say(f"wrote {path}")
+    for line in (*done.dropped.lines(), *done.remarks):
+        say(line)
     return 0
 
 
-def convert(source: Path, out: Path) -> list[Path]:
-    """Convert by what `source` is and what `out` is called; raises InputError when no way is known."""
-    from scenes.captures import read_capture
+def convert(args: argparse.Namespace) -> Converted:
+    """Convert by what the source is and what the arguments ask for; raises PalpateError when no way is known."""
     from scenes.errors import InputError
+
+    for name, choices in (("kind", SOURCES), ("to", TARGETS)):
+        asked = getattr(args, name)
+        if asked is not None and asked not in choices:
+            option = "--from" if name == "kind" else "--to"
+            raise InputError(f"{option}: expected one of {', '.join(choices)}, got {asked!r}")
+    source: Path = args.source
+    if not source.exists():
+        raise InputError(f"{source}: expected a recording, a capture or a file, found nothing")
+    if (source / "capture.json").is_file() and args.kind is None:
+        return _export(args)
+    if args.to is not None:
+        raise InputError(f"{source}: expected a capture (capture.json) for --to {args.to}, found none")
+    kind = args.kind or _kind(source, args.out)
+    if kind == "table":
+        from scenes.formats.conversion import Converted
+
+        return Converted((_convert_file(source, args.out),))
+    return _import(kind, args)
+
+
+def _kind(source: Path, out: Path) -> str:
+    """The format of a recording, by its files."""
+    from scenes.errors import InputError
+    from scenes.formats import bop_scene, handover, image_folder, ros_bag, tacman
+
+    if source.is_file():
+        if ros_bag.is_bag(source):
+            return "ros"
+        if source.suffix.lower() == ".ini":
+            return "tacman"
+        as_capture = source.suffix.lower() in TABLES and out.suffix == ""
+        return "contacts" if as_capture else "table"
+    checks = (
+        ("bop", bop_scene.is_scene),
+        ("ros", ros_bag.is_bag),
+        ("ycbineoat", image_folder.is_sequence),
+        ("handover", _is_handover),
+        ("images", image_folder.is_image_folder),
+    )
+    for name, fits in checks:
+        if fits(source):
+            return name
+    if any(tacman.is_set(path) for path in source.glob("*.ini")):
+        return "tacman"
+    scenes = [path.parent.name for path in sorted(source.glob("*/scene_camera.json"))]
+    if scenes:
+        raise InputError(f"{source}: expected one scene folder of the data set, such as {source / scenes[0]}")
+    files = ", ".join(handover.FILES)
+    names = ", ".join(SOURCES)
+    raise InputError(f"{source}: expected a capture (capture.json) or a recording ({names}; {files}), found neither")
+
+
+def _is_handover(folder: Path) -> bool:
     from scenes.formats import handover
 
-    if not source.exists():
-        raise InputError(f"{source}: expected {HELP}, found nothing")
-    if source.is_file():
-        return [_convert_file(source, out)]
-    if (source / "capture.json").is_file():
-        return handover.export(read_capture(source), out)
-    if handover.is_grasp(source):
-        return [handover.convert(source, out)]
-    grasps = sorted(folder for folder in source.iterdir() if folder.is_dir() and handover.is_grasp(folder))
-    if grasps:
-        return [handover.convert(folder, out / folder.name) for folder in grasps]
-    files = ", ".join(handover.FILES)
-    raise InputError(f"{source}: expected a capture (capture.json) or a handover recording ({files}), found neither")
+    return handover.is_grasp(folder) or any(handover.is_grasp(path) for path in folder.iterdir() if path.is_dir())
+
+
+def _object(args: argparse.Namespace, needed: str | None = None) -> ObjectModel | None:
+    """--object, None without one; raises InputError when `needed` says what cannot do without."""
+    from scenes.errors import InputError
+
+    if args.object is None and needed is not None:
+        raise InputError(f"{args.source}: expected --object NAME|MESH for {needed}, got none")
+    return None if args.object is None else load_object(args.object, args.unit)
+
+
+def _import(kind: str, args: argparse.Namespace) -> Converted:
+    from scenes.errors import InputError
+    from scenes.formats import bop_scene, image_folder, tacman
+    from scenes.formats.conversion import Converted
+
+    source, out = args.source, args.out
+    if kind == "bop":
+        choice = bop_scene.Choice(args.object_id, args.instance, args.models)
+        return bop_scene.convert(source, out, choice, _object(args))
+    if kind == "ycbineoat":
+        return image_folder.convert_sequence(source, out, _needed(args, "a YCBInEOAT sequence"))
+    if kind == "images":
+        return image_folder.convert_images(source, out, _needed(args, "a folder of images"), _intrinsics(args))
+    if kind == "contacts":
+        from fusion.cli.localize import read_contacts
+
+        model = _needed(args, f"a capture (or OUT ending in {', '.join(TABLES)})")
+        return tacman.convert_contacts(read_contacts(source), out, model, str(source))
+    if kind == "ros":
+        from scenes.formats import ros, ros_map
+
+        if args.topics is None:
+            raise InputError(f"{source}: expected --topics FILE, a topic map (docs/formats.md), got none")
+        return ros.convert(source, out, ros_map.read_map(args.topics), _object(args))
+    if kind == "tacman":
+        if source.is_file():
+            return tacman.convert(source, out, _object(args), args.object_id)
+        sets = [path for path in sorted(source.glob("*.ini")) if tacman.is_set(path)]
+        parts = [tacman.convert(path, out / path.stem, _object(args), args.object_id) for path in sets]
+    else:
+        from scenes.formats import handover
+
+        grasps = [(source, out)] if handover.is_grasp(source) else []
+        folders = sorted(path for path in source.iterdir() if path.is_dir()) if source.is_dir() and not grasps else []
+        grasps += [(path, out / path.name) for path in folders if handover.is_grasp(path)]
+        parts = [Converted((handover.convert(*pair),), 1) for pair in grasps]
+    if not parts:
+        raise InputError(f"{source}: expected {SOURCES[kind]}, found none")
+    return Converted(tuple(path for part in parts for path in part.written), sum(part.frames for part in parts))
+
+
+def _needed(args: argparse.Namespace, what: str) -> ObjectModel:
+    from scenes.errors import InputError
+
+    model = _object(args, what)
+    if model is None:
+        raise InputError(f"{args.source}: expected --object NAME|MESH for {what}, got none")
+    return model
+
+
+def _intrinsics(args: argparse.Namespace) -> Any:
+    """--intrinsics and --depth-scale, or None: the folder's camera.json."""
+    import numpy as np
+
+    from scenes.errors import InputError
+    from scenes.formats import bop, image_folder
+
+    if args.intrinsics is None:
+        if args.depth_scale is not None:
+            raise InputError("--depth-scale: expected --intrinsics beside it; a camera.json says its own depth_scale")
+        return None
+    try:
+        fx, fy, cx, cy = bop.numbers(args.intrinsics.split(","), 4, "--intrinsics")
+        entry = bop.camera_entry({"cam_K": [fx, 0, cx, 0, fy, cy, 0, 0, 1]})
+    except InputError as error:
+        raise InputError(f"--intrinsics: expected FX,FY,CX,CY in pixels, got {args.intrinsics!r}") from error
+    return image_folder.Intrinsics(np.asarray(entry.matrix), args.depth_scale or 1.0)
+
+
+# ---- from a capture
+
+
+def _export(args: argparse.Namespace) -> Converted:
+    from scenes.captures import read_capture
+    from scenes.formats import bop_scene, handover
+    from scenes.formats.conversion import Converted
+
+    capture = read_capture(args.source)
+    endings = {".glb": "glb", ".tum": "tum"}
+    to = args.to or endings.get(args.out.suffix.lower(), "off")
+    if to == "bop":
+        return bop_scene.export(capture, args.out)
+    if to == "off":
+        written = handover.export(capture, args.out)
+        return Converted(tuple(written), len(written))
+    poses = _poses(capture, args.result)
+    if to == "tum":
+        from scenes.formats.tum import write_tum
+
+        write_tum(args.out, poses, _stamps(capture, args.fps))
+    else:
+        _write_glb(capture, args, poses)
+    return Converted((args.out,), len(poses))
+
+
+def _poses(capture: Capture, result: Path | None) -> dict[int, Any]:
+    """camera_from_object by frame: the result's, or the ground truth without one."""
+    from scenes.errors import CaptureError, InputError
+
+    if result is None:
+        found = {frame.index: frame.camera_from_object_truth for frame in capture}
+        known = {number: pose for number, pose in found.items() if pose is not None}
+        if not known:
+            raise InputError(f"{capture.path}: expected ground truth or --result, found neither")
+        return known
+    known = _result_poses(result)
+    strangers = sorted(set(known) - set(capture.frame_ids))
+    if strangers:
+        raise InputError(f"{result}: expected frames of {capture.path}, got {strangers[0]}, which it does not have")
+    if not known:
+        raise CaptureError(f"{result}: expected poses, found none")
+    return known
+
+
+def _result_poses(result: Path) -> dict[int, Any]:
+    import json
+
+    import numpy as np
+
+    from scenes import poses
+    from scenes.errors import CaptureError, InputError
+    from scenes.formats.bop import read_poses
+
+    if result.is_dir():
+        names = [name for name in ("result.json", "poses.csv") if (result / name).is_file()]
+        if not names:
+            raise CaptureError(f"{result}: expected result.json or poses.csv in it, found neither")
+        result = result / names[0]
+    if result.suffix.lower() != ".json":
+        # of several rows of one frame the best score counts
+        return {row.im_id: row.pose for row in sorted(read_poses(result), key=lambda row: row.score)}
+    try:
+        content = json.loads(result.read_text(encoding="utf-8"))
+        frames = {int(f["frame"]): np.array(f["camera_from_object"], dtype=np.float64) for f in content["frames"]}
+        return {number: poses.check_pose(pose) for number, pose in frames.items()}
+    except (InputError, ValueError, KeyError, TypeError) as error:
+        raise CaptureError(f"{result}: expected a result.json with frames and poses: {error}") from error
+
+
+def _stamps(capture: Capture, fps: float) -> dict[int, int]:
+    """Nanoseconds by frame: what the recording said, else frames at `fps` from 0."""
+    noted = capture.settings.notes.get("stamps_ns")
+    noted = noted if isinstance(noted, dict) else {}
+    said = {int(key): value for key, value in noted.items() if key.isdecimal() and isinstance(value, int)}
+    if set(capture.frame_ids) <= set(said):
+        return said
+    return {number: round(1e9 * number / fps) for number in capture.frame_ids}
+
+
+def _write_glb(capture: Capture, args: argparse.Namespace, found: dict[int, Any]) -> None:
+    from scenes import poses
+    from scenes.formats.glb import write_glb
+
+    shown = args.frame if args.frame is not None else min(found)
+    frame = capture.frame(shown)
+    world_from_camera, truths = {}, {}
+    for number in found:
+        one = capture.frame(number)
+        world_from_camera[number] = poses.inverse(one.camera_from_world)
+        if args.result is not None and one.camera_from_object_truth is not None:
+            truths[number] = one.camera_from_object_truth
+    write_glb(args.out, capture.model, found, frame, world_from_camera, truths, capture.world)
 
 
 def _convert_file(source: Path, out: Path) -> Path:
@@ -55,9 +314,8 @@ def _convert_file(source: Path, out: Path) -> Path:
     from scenes.formats.ply import read_cloud, write_ply
 
     kinds = (source.suffix.lower(), out.suffix.lower())
-    known = (".off", ".ply", ".csv")
-    if kinds[0] not in known or kinds[1] not in known:
-        raise InputError(f"convert: expected files ending in {', '.join(known)}, got {source.name} to {out.name}")
+    if kinds[0] not in TABLES or kinds[1] not in TABLES:
+        raise InputError(f"convert: expected files ending in {', '.join(TABLES)}, got {source.name} to {out.name}")
     data: Any
     if kinds[0] == ".off":
         data = read_off(source)

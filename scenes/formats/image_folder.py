@@ -1,0 +1,174 @@
+"""Folders of images that are no capture yet: plain rgb/ and depth/ with a camera, and the YCBInEOAT layout.
+
+YCBInEOAT: Wen et al., se(3)-TrackNet, IROS 2020: cam_K.txt, rgb/, depth/ (millimetres), annotated_poses/ (4x4,
+camera_from_object, metres), masks in gt_mask/ or masks/. Files of one image share their name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes import poses
+from scenes.captures import write_capture
+from scenes.errors import CaptureError, InputError
+from scenes.formats import bop, images
+from scenes.formats.bop_scene import IMAGE_ENDINGS
+from scenes.formats.conversion import Converted, Dropped, at_least_one, located
+from scenes.formats.problems import refuse
+from scenes.frames import Frame
+from scenes.objects import ObjectModel
+
+Array = NDArray[np.float64]
+
+MASK_FOLDERS = ("masks", "gt_mask", "mask", "mask_visib")
+# A name of this many digits is a time in nanoseconds since 1970, one of fewer than 7 the number of an image.
+STAMP_DIGITS = 19
+LARGEST_NUMBER = 999_999
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """matrix: K (3, 3), pixels; depth_scale: millimetres per count of the depth images."""
+
+    matrix: Array
+    depth_scale: float = 1.0
+
+
+def is_sequence(folder: str | Path) -> bool:
+    """True for the YCBInEOAT layout: cam_K.txt beside depth/ or rgb/."""
+    return (Path(folder) / "cam_K.txt").is_file() and is_image_folder(folder)
+
+
+def is_image_folder(folder: str | Path) -> bool:
+    """True for a folder with depth/ or rgb/ that is no capture."""
+    folder = Path(folder)
+    return any((folder / name).is_dir() for name in ("depth", "rgb")) and not (folder / "capture.json").is_file()
+
+
+def convert_sequence(folder: Path, out: Path, model: ObjectModel) -> Converted:
+    """A YCBInEOAT sequence as a capture; poses without the name of an image belong to the images in their order."""
+    intrinsics = Intrinsics(_numbers(folder / "cam_K.txt", 9).reshape(3, 3))
+    return _convert(folder, out, model, intrinsics, "ycbineoat", lambda names: _annotated(folder, names))
+
+
+def convert_images(folder: Path, out: Path, model: ObjectModel, intrinsics: Intrinsics | None = None) -> Converted:
+    """rgb/ and depth/ as a capture; intrinsics default to the folder's camera.json."""
+    intrinsics = intrinsics or read_camera(folder / "camera.json")
+    return _convert(folder, out, model, intrinsics, "images", lambda names: {})
+
+
+def read_camera(path: Path) -> Intrinsics:
+    """A camera.json: fx, fy, cx, cy or cam_K (9), and depth_scale (millimetres per count, 1 when not said)."""
+    if not path.is_file():
+        raise CaptureError(f"{path.parent}: expected camera.json or --intrinsics fx,fy,cx,cy, found neither")
+    content = bop.read_json(path, refuse)
+    if isinstance(content, dict) and "cam_K" not in content and {"fx", "fy", "cx", "cy"} <= set(content):
+        fx, fy, cx, cy = (content[key] for key in ("fx", "fy", "cx", "cy"))
+        content = {**content, "cam_K": [fx, 0, cx, 0, fy, cy, 0, 0, 1]}
+    try:
+        entry = bop.camera_entry(content)
+    except InputError as error:
+        raise CaptureError(f"{path}: expected fx, fy, cx, cy or cam_K, and depth_scale: {error}") from error
+    return Intrinsics(entry.matrix, entry.depth_scale)
+
+
+def _convert(
+    folder: Path,
+    out: Path,
+    model: ObjectModel,
+    intrinsics: Intrinsics,
+    source: str,
+    read_truths: Callable[[list[str]], dict[str, Path]],
+) -> Converted:
+    entry = bop.SceneCamera(intrinsics.matrix, intrinsics.depth_scale, None, None)
+    files = {name: _files(folder / name) for name in ("depth", "rgb")}
+    mask_folder = next((folder / name for name in MASK_FOLDERS if (folder / name).is_dir()), folder / "masks")
+    files["mask"] = _files(mask_folder)
+    main = "depth" if files["depth"] else "rgb"
+    names = sorted(files[main])
+    if not names:
+        raise CaptureError(f"{folder}: expected images in depth/ or rgb/, found none")
+    dropped = Dropped()
+    dropped.add("rgb", "no depth image of that name", len(set(files["rgb"]) - set(names)))
+    dropped.add("masks", f"no {main} image of that name", len(set(files["mask"]) - set(names)))
+    truths = read_truths(names)
+    numbers = _numbering(names)
+
+    def frames() -> Iterator[Frame]:
+        for name in names:
+            depth = _read(files["depth"].get(name), lambda path: images.read_depth(path, entry.depth_scale))
+            rgb = _read(files["rgb"].get(name), images.read_rgb)
+            mask = _read(files["mask"].get(name), images.read_mask)
+            seen = [image for image in (depth, rgb, mask) if image is not None]
+            if len({image.shape[:2] for image in seen}) > 1:
+                sizes = ", ".join(f"{image.shape[1]}x{image.shape[0]}" for image in seen)
+                raise CaptureError(f"{folder}, image {name}: expected images of one size, got {sizes}")
+            yield Frame(
+                index=numbers[name],
+                where=f"{folder}, image {name}",
+                camera=images.camera(entry, seen[0].shape),
+                depth=depth,
+                rgb=rgb,
+                mask=mask,
+                camera_from_object_truth=_read(truths.get(name), _pose),
+            )
+
+    notes: dict[str, Any] = {"source": source}
+    if all(len(name) == STAMP_DIGITS and name.isdecimal() for name in names):
+        notes["stamps_ns"] = {str(numbers[name]): int(name) for name in names}
+    written = write_capture(
+        out, at_least_one(frames(), folder, dropped), model, depth_scale=entry.depth_scale, notes=notes
+    )
+    return Converted((written,), len(names), dropped)
+
+
+def _files(folder: Path) -> dict[str, Path]:
+    """Image files by their name without the ending."""
+    if not folder.is_dir():
+        return {}
+    return {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in IMAGE_ENDINGS}
+
+
+def _numbering(names: list[str]) -> dict[str, int]:
+    """The names as numbers where they are such, else their order."""
+    if all(name.isdecimal() and int(name) <= LARGEST_NUMBER for name in names):
+        numbers = {name: int(name) for name in names}
+        if len(set(numbers.values())) == len(names):
+            return numbers
+    return {name: position for position, name in enumerate(names)}
+
+
+def _read(path: Path | None, read: Callable[[Path], Any]) -> Any:
+    return None if path is None else located(path, read)
+
+
+def _numbers(path: Path, count: int) -> Array:
+    try:
+        words = path.read_text(encoding="utf-8-sig").replace(",", " ").split()
+    except (OSError, UnicodeDecodeError) as error:
+        raise CaptureError(f"{path}: expected a text file of {count} numbers, it cannot be read") from error
+    try:
+        return bop.numbers(words, count, str(path))
+    except InputError as error:
+        raise CaptureError(str(error)) from error
+
+
+def _pose(path: Path) -> Array:
+    return poses.check_pose(_numbers(path, 16).reshape(4, 4), str(path))
+
+
+def _annotated(folder: Path, names: list[str]) -> dict[str, Path]:
+    """Pose file of each image: by name where they agree, else in order when there are as many."""
+    place = folder / "annotated_poses"
+    files = {path.stem: path for path in sorted(place.glob("*.txt"))} if place.is_dir() else {}
+    if not files or set(files) <= set(names):
+        return files
+    if len(files) != len(names):
+        raise CaptureError(f"{place}: expected a pose for each of {len(names)} images, got {len(files)}")
+    return dict(zip(names, files.values()))
