@@ -87,15 +87,12 @@ def next_touches(
     settings = settings or NextTouchSettings()
     places, normals = model.sample_surface(settings.places, seed=0)
     seen = se3.apply(answer.pose, places)
-    outward = normals @ answer.pose[:3, :3].T
-    tips, hand = _hand_of(frame, answer)
+    tips, hand = hand_around(frame, answer)
     open_ = np.ones(len(places), dtype=bool)
     if len(hand):
         gap = np.linalg.norm(seen[:, None] - hand[None], axis=2).min(axis=1)
         open_ = gap > settings.room
-    within = [_within(model, answer, point, normal, settings) for point, normal in zip(seen, outward)]
-    between = _between(model, answer.modes, seen, outward, settings)
-    gain = np.array([w[0] for w in within]) + between
+    gain, between, within = gains(model, answer, places, normals, settings)
     chosen: list[int] = []
     for i in map(int, np.argsort(-gain, kind="stable")):
         apart = all(np.linalg.norm(places[i] - places[j]) > 0.2 * model.radius for j in chosen)
@@ -118,7 +115,22 @@ def next_touches(
     return tuple(out)
 
 
-def _hand_of(frame: Frame | None, answer: Estimate) -> tuple[dict[str, Array], Array]:
+def gains(
+    model: ObjectModel, answer: Estimate, places: Array, normals: Array, settings: NextTouchSettings | None = None
+) -> tuple[Array, Array, list[tuple[float, float, float]]]:
+    """What a contact at each place (n, 3), outward normals (n, 3), object frame, is expected to tell.
+
+    Returns nats in all (n,), nats between modes (n,), and per place nats within the first mode and the worst sigmas
+    (m, rad) that it would leave.
+    """
+    settings = settings or NextTouchSettings()
+    seen, outward = se3.apply(answer.pose, places), normals @ answer.pose[:3, :3].T
+    within = [_within(model, answer, point, normal, settings) for point, normal in zip(seen, outward)]
+    between = _between(model, answer.modes, seen, outward, settings)
+    return np.array([w[0] for w in within]).reshape(-1) + between, between, within
+
+
+def hand_around(frame: Frame | None, answer: Estimate) -> tuple[dict[str, Array], Array]:
     """Sensors that touch nothing, with their places (3,), and points of the hand's surface (n, 3), camera frame.
 
     The hand is placed as the answer has it in the object's frame, where its correction of the calibration is in.

@@ -83,8 +83,8 @@ def on_surface(model: ObjectModel, points: Array, normals: Array, back: float = 
     """
     if not len(points):
         return np.zeros((0, 3)), np.zeros((0, 3))
-    known = np.isfinite(normals).all(axis=1)
-    outside = points + back * np.where(known[:, None], np.nan_to_num(normals), 0.0)
+    known = np.isfinite(normals).all(axis=1, keepdims=True)
+    outside = points + back * np.where(known, np.nan_to_num(normals), 0.0)
     _, gradient, foot = model.surface.closest(outside)
     return foot, gradient
 
@@ -100,7 +100,8 @@ def primitive_wrenches(
     that do not fit, numbers that are not finite, normals without length or a length that is not above 0.
     """
     settings = settings or WrenchSettings()
-    points, normals = (np.asarray(a, dtype=np.float64).reshape(-1, 3) for a in (points, normals))
+    points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    normals = np.asarray(normals, dtype=np.float64).reshape(-1, 3)
     centre = np.asarray(centre, dtype=np.float64)
     if points.shape != normals.shape or centre.shape != (3,):
         raise InputError(f"grasp: expected as many normals as points, got {points.shape} and {normals.shape}")

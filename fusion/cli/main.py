@@ -12,11 +12,24 @@ from collections.abc import Sequence
 from importlib import metadata
 from typing import NoReturn
 
-from fusion.cli import bench, compare, convert, demo, estimate, evaluate, identify, localize, synth, track, validate
+from fusion.cli import (
+    bench,
+    compare,
+    convert,
+    demo,
+    estimate,
+    evaluate,
+    grasp,
+    identify,
+    localize,
+    synth,
+    track,
+    validate,
+)
 from fusion.cli.options import add_common, check_target
 from scenes.errors import InputError, PalpateError
 
-COMMANDS = (demo, synth, validate, estimate, track, compare, evaluate, localize, identify, convert, bench)
+COMMANDS = (demo, synth, validate, estimate, track, compare, evaluate, localize, identify, grasp, convert, bench)
 
 BAD_INPUT = 2
 INTERRUPTED = 130

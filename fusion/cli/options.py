@@ -83,6 +83,17 @@ def positive_number(text: str) -> float:
     return value
 
 
+def non_negative(text: str) -> float:
+    """A finite number from 0, for argparse."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value >= 0):
+        raise argparse.ArgumentTypeError(f"expected a number from 0, got {text!r}")
+    return value
+
+
 def share(text: str) -> float:
     """A number from 0 to 1, or per cent, for argparse."""
     try:
@@ -275,6 +286,7 @@ def write_run(args, capture, model, frames, answers, errors) -> str:  # type: ig
 
     out = args.out or Path("out") / capture.name
     content = result_json(capture.name, model, frames, answers, errors)
+    content["capture_path"] = str(capture.path.resolve())  # grasp and view read the recording again
     write_results(out, capture, answers, content)
     if not args.no_report:
         from fusion.report.page import write_report

@@ -16,9 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from fusion import metrics
 from fusion.answer import Estimate
+from fusion.grasp import GraspAnswer
 from fusion.judging import Judge
 from fusion.next_touch import next_touches
 from fusion.report import pictures, words
+from fusion.report.grasps import add_grasps
 from fusion.report.outline import silhouette
 from scenes import poses
 from scenes.errors import InputError
@@ -60,6 +62,7 @@ def report_data(
     estimates: Sequence[Estimate],
     comparison: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None,
     errors: Mapping[str, Any] | None = None,
+    grasps: Sequence[GraspAnswer] | None = None,
 ) -> Json:
     """The page's data. Frames without an estimate are left out; an estimate without its frame is refused."""
     by_index = {frame.index: frame for frame in frames}
@@ -68,6 +71,8 @@ def report_data(
         raise InputError(f"report: expected estimates of the frames given, got one of frame {stray[0]}")
     builder = _FrameBuilder(model, len(estimates))
     made = [builder.build(by_index[estimate.frame], estimate) for estimate in estimates]
+    mesh = builder.model_mesh()
+    add_grasps(made, model, estimates, grasps or (), builder.shown_vertices)
     symmetries = model.symmetries
     return {
         "capture": capture_name,
@@ -76,7 +81,7 @@ def report_data(
             "diameter_mm": round(1e3 * model.diameter, 1),
             "symmetry": words.symmetry(len(symmetries.axes), len(symmetries.discrete), symmetries.is_spherical),
         },
-        "mesh": builder.model_mesh(),
+        "mesh": mesh,
         "handFaces": builder.hand_faces,
         "frames": made,
         "comparison": comparison_rows(comparison),
@@ -139,12 +144,14 @@ class _FrameBuilder:
         self.share = min(1.0, FEW_FRAMES / max(1, count)) ** 0.5
         self.renderer = Renderer({"object": (model.vertices, model.faces)})
         self.judge = Judge(model)
+        self.shown_vertices = np.zeros((0, 3))
         self.hand_faces: str | None = None
         self._hand_count = 0
 
     def model_mesh(self) -> Json:
         """The model with at most MODEL_FACES triangles, relative to its centroid."""
         vertices, faces = _reduced(self.model.vertices - self.model.centroid, self.model.faces, MODEL_FACES)
+        self.shown_vertices = vertices + self.model.centroid
         return {"v": _shorts(vertices), "f": _base64(faces.astype("<u2"))}
 
     def build(self, frame: Frame, estimate: Estimate) -> Json:

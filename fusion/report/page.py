@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from fusion.answer import Estimate
+from fusion.grasp import GraspAnswer
 from fusion.report.data import report_data
 from scenes.frames import Frame
 from scenes.objects import ObjectModel
@@ -29,15 +30,17 @@ def write_report(
     estimates: Sequence[Estimate],
     comparison: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None,
     errors: Mapping[str, Any] | None = None,
+    grasps: Sequence[GraspAnswer] | None = None,
 ) -> None:
     """Write the report of a capture's estimates.
 
     path: the HTML file; folders are made. frames: those estimated, in the capture's order. estimates: each with the
     index of its frame. comparison: {"rows": [{"method", "frame", "add_s_mm", "rotation_deg", "translation_mm",
     "time_ms", "verdict"}, ...]} or the list of rows. errors: named numbers over all frames, units as name endings
-    (_mm, _deg). Raises InputError for an estimate whose frame is not given.
+    (_mm, _deg). grasps: how well each frame's object is held. Raises InputError for an estimate whose frame is not
+    given.
     """
-    page = render(report_data(capture_name, frames, model, estimates, comparison, errors))
+    page = render(report_data(capture_name, frames, model, estimates, comparison, errors, grasps))
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     # a reader never meets half a page

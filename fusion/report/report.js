@@ -4,7 +4,7 @@
 const data = JSON.parse(document.getElementById("data").textContent);
 const $ = (id) => document.getElementById(id);
 const SVG = "http://www.w3.org/2000/svg";
-const shown = { after: true, before: true, truth: false, contacts: true, next: false, cloud: true, hand: true };
+const shown = { after: true, before: true, truth: false, contacts: true, next: false, grasp: true, cloud: true, hand: true };
 const state = { frame: 0, picture: "depth", table: "frame" };
 
 function el(tag, attributes, ...children) {
@@ -193,21 +193,35 @@ function nextCard(frame) {
   return card("Where to touch next", "", el("ol", { class: "plain" }, frame.next.map((t) => el("li", {}, t.text))), el("span", { class: "quiet" }, "dashed rings in the view"));
 }
 
+function graspCard(frame) {
+  if (!frame.grasp) return null;
+  const grasp = frame.grasp, places = grasp.places.length ? el("ol", { class: "plain" }, grasp.places.map((t) => el("li", {}, t.text))) : el("p", { class: "quiet" }, grasp.map ? "No place within reach would make it hold better." : "");
+  const figures = table([["Grasp"], ["", "n"]], grasp.rows.map(([name, value]) => row("td", [[name], [value, "n"]])));
+  return card("How it is held", "", [el("p", {}, el("span", { class: `pill ${grasp.closure ? "ok" : "outlier"}` }, grasp.verdict), ` ${grasp.why}`), figures, el("h2", { class: "sub" }, "Where another finger would help"), places]);
+}
+
 function drawCards() {
   const frame = data.frames[state.frame];
-  $("cards").replaceChildren(...[comparisonCard(), traceCard(frame), contactsCard(frame), contributionsCard(frame), nextCard(frame), ...doubtCards(frame)].filter(Boolean));
+  $("cards").replaceChildren(...[comparisonCard(), traceCard(frame), contactsCard(frame), contributionsCard(frame), graspCard(frame), nextCard(frame), ...doubtCards(frame)].filter(Boolean));
 }
 
 // --- the page ------------------------------------------------------------------------------------------------------
 
 function drawControls() {
   const frame = data.frames[state.frame];
-  const options = [["after", "Estimate", "--accent", ""], ["before", "Start", "--before", "dash"], ["truth", "Truth", "--truth", "dash"], ["contacts", "Contacts", "--touch", "dot"], ["next", "Next touch", "--touch", "dash"], ["cloud", "Cloud", "--quiet", "dot"], ["hand", "Hand", "--quiet", "dot"]];
-  const here = (key) => key === "contacts" ? frame.contacts.some((c) => c.p) : key === "next" ? frame.next.length : key === "cloud" ? frame.cloud : key === "hand" ? frame.hand : frame.poses[key];
+  const options = [["after", "Estimate", "--accent", ""], ["before", "Start", "--before", "dash"], ["truth", "Truth", "--truth", "dash"], ["contacts", "Contacts", "--touch", "dot"], ["next", "Next touch", "--touch", "dash"], ["grasp", "Finger map", "--truth", "dot"], ["cloud", "Cloud", "--quiet", "dot"], ["hand", "Hand", "--quiet", "dot"]];
+  const here = (key) => key === "contacts" ? frame.contacts.some((c) => c.p) : key === "next" ? frame.next.length : key === "grasp" ? frame.grasp && frame.grasp.map : key === "cloud" ? frame.cloud : key === "hand" ? frame.hand : frame.poses[key];
   $("controls").replaceChildren(...options.filter(([key]) => here(key)).map(([key, text, colour, shape]) => el("button", {
     type: "button", class: shape, style: `--mark:var(${colour})`, "aria-pressed": String(shown[key]),
-    onclick: () => { shown[key] = !shown[key]; drawControls(); drawPicture(frame); scene.draw(); },
+    onclick: () => { shown[key] = !shown[key]; drawControls(); drawPicture(frame); drawKey(frame); scene.draw(); },
   }, text)));
+}
+
+function drawKey(frame) {
+  const grasp = shown.grasp && frame.grasp && frame.grasp.map;
+  const cloud = frame.cloud && frame.poses.after ? [["within 2 mm", "near"], ["2–6 mm", "middling"], ["farther", "far"]].map(([text, key]) =>
+    el("span", { class: "key", style: `--c:${scene.colours()[key]}` }, text)) : [];
+  $("cloudkey").replaceChildren(...cloud, ...(grasp ? ["no gain", el("i", { class: "ramp", style: `background:linear-gradient(90deg,${[0, 0.5, 1].map((s) => scene.gain(s)).map((c) => `rgb(${c})`).join(",")})` }), `ε +${number(frame.grasp.largest, 3)} with a finger there`] : []));
 }
 
 function go(index) {
@@ -220,8 +234,7 @@ function go(index) {
   $("headline").textContent = frame.headline;
   $("sentence").textContent = frame.sentence;
   $("numbers").replaceChildren(...frame.numbers.map((n) => el("div", { title: n.hint }, el("dt", {}, n.label), el("dd", {}, n.value, el("small", {}, n.unit)))));
-  $("cloudkey").replaceChildren(...(frame.cloud && frame.poses.after ? [["within 2 mm", "near"], ["2–6 mm", "middling"], ["farther", "far"]].map(([text, key]) =>
-    el("span", { class: "key", style: `--c:${scene.colours()[key]}` }, text)) : []));
+  drawKey(frame);
   drawControls();
   drawPicture(frame);
   scene.show(frame, data.handFaces);

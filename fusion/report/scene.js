@@ -131,6 +131,7 @@ class Scene {
     this.frame = frame;
     this.cloud = frame.cloud && { points: millimetres(frame.cloud.p), away: unpack(frame.cloud.d, Uint8Array) };
     const faces = frame.hand && (frame.hand.f || handFaces);
+    this.gains = frame.grasp && frame.grasp.map && unpack(frame.grasp.map, Uint8Array);
     this.hand = frame.hand && new Mesh(millimetres(frame.hand.v), unpack(faces, Uint16Array));
     this.draw();
   }
@@ -162,6 +163,12 @@ class Scene {
     };
   }
 
+  // What another finger would add, 0 to 1, as [r, g, b]: from the object's own colour's grey to blue.
+  gain(share) {
+    const [low, high] = this.colours().dark ? [[74, 82, 92], [112, 170, 255]] : [[214, 214, 208], [38, 84, 214]];
+    return low.map((v, i) => Math.round(v + (high[i] - v) * share));
+  }
+
   draw() {
     const c = this.canvas, ratio = Math.min(2, window.devicePixelRatio || 1);
     const width = Math.round(c.clientWidth * ratio), height = Math.round(c.clientHeight * ratio);
@@ -178,7 +185,8 @@ class Scene {
       if (this.shown[name] && poses[name]) this.wires(pen, poses[name], tint[name], name === "before" ? [6, 5] : [1.5, 4], ratio);
     }
     if (this.shown.contacts) this.touches(pen, tint, ratio);
-    if (this.shown.next) this.nextTouches(pen, tint, ratio);
+    if (this.shown.next) this.rings(pen, this.frame.next, tint, ratio);
+    if (this.shown.grasp && this.gains) this.rings(pen, this.frame.grasp.places, { touch: tint.truth }, ratio);
     this.ruler(pen, tint, ratio);
   }
 
@@ -207,7 +215,7 @@ class Scene {
     const size = 1.7 * ratio * Math.min(2.2, Math.sqrt(this.zoom));
     for (const k of order) {
       const job = jobs[k];
-      if (job >= 0) this.triangle(pen, seen, faces, job, tint.object, normals);
+      if (job >= 0) this.triangle(pen, seen, faces, job, this.shown.grasp && this.gains ? this.shade(faces, job, tint) : tint.object, normals);
       else {
         const away = this.cloud.away[-1 - job], i = 3 * (-1 - job);
         pen.fillStyle = away <= 20 ? tint.near : away <= 60 ? tint.middling : tint.far;
@@ -216,6 +224,12 @@ class Scene {
         pen.globalAlpha = 1;
       }
     }
+  }
+
+  // The mean of a triangle's corners on the finger map; the object's own colour where no finger can be.
+  shade(faces, t, tint) {
+    const corners = [this.gains[faces[t]], this.gains[faces[t + 1]], this.gains[faces[t + 2]]];
+    return corners.includes(255) ? tint.object.map((v) => Math.round(0.55 * v)) : this.gain((corners[0] + corners[1] + corners[2]) / 762);
   }
 
   // Points turned into the view, without perspective: what shading needs.
@@ -328,10 +342,10 @@ class Scene {
     });
   }
 
-  nextTouches(pen, tint, ratio) {
+  rings(pen, places, tint, ratio) {
     pen.font = `${11 * ratio}px system-ui, sans-serif`;
     pen.lineWidth = 2 * ratio;
-    this.frame.next.forEach((touch, i) => {
+    places.forEach((touch, i) => {
       const reach = 0.12 * this.diameter, [x, y, z] = touch.p, n = touch.n;
       const p = this.project([x, y, z, x + reach * n[0], y + reach * n[1], z + reach * n[2]]);
       pen.strokeStyle = pen.fillStyle = tint.touch;

@@ -1,0 +1,154 @@
+"""Say how well the hand holds the object: force closure, epsilon, volume, and where another finger would help."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fusion.cli.options import (
+    add_object,
+    add_prior,
+    announce_compiling,
+    load_object,
+    names,
+    non_negative,
+    number,
+    positive,
+    prior_setter,
+    progress,
+    say,
+    show_table,
+    whole,
+    write_json,
+)
+
+if TYPE_CHECKING:
+    from fusion.answer import Estimate
+    from fusion.grasp import GraspAnswer
+    from scenes.captures import Capture
+    from scenes.frames import Frame
+    from scenes.objects import ObjectModel
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's own arguments."""
+    parser.add_argument(
+        "source",
+        metavar="CAPTURE|RESULT",
+        type=Path,
+        help="a capture, estimated first, or a result.json (or its folder)",
+    )
+    parser.add_argument("--capture", metavar="DIR", type=Path, help="the capture of a result that has moved")
+    add_object(parser, what="instead of the capture's object")
+    parser.add_argument("--use", metavar="SENSES", type=names, default=("vision", "touch"), help="of the estimate")
+    add_prior(parser)
+    parser.add_argument("--friction", metavar="MU", type=non_negative, default=0.5, help="Coulomb's (default 0.5)")
+    parser.add_argument(
+        "--edges", metavar="N", type=positive, default=8, help="sides of a friction pyramid (default 8)"
+    )
+    parser.add_argument(
+        "--soft-finger", metavar="MM", type=non_negative, default=0.0, help="radius of a soft contact (default 0: hard)"
+    )
+    parser.add_argument(
+        "--norm", choices=("l1", "linf"), default="l1", help="limit the sum of the forces (l1) or each of them (linf)"
+    )
+    parser.add_argument(
+        "--normals", choices=("sensed", "mesh"), default="sensed", help="whose normals (default sensed)"
+    )
+    parser.add_argument("--samples", metavar="N", type=whole, default=100, help="of the posterior (default 100)")
+    parser.add_argument("--no-map", action="store_true", help="skip where another finger would help")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="where to write (default out/NAME of the capture)")
+    parser.add_argument("--no-report", action="store_true", help="skip grasp.html")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 1 when a frame's pose is lost: its grasp cannot be told."""
+    from fusion.grasp import GraspSettings, assess
+    from touch.grasp_quality import WrenchSettings
+
+    wrenches = WrenchSettings(args.friction, args.edges, 1e-3 * args.soft_finger, args.norm)
+    places = 0 if args.no_map else GraspSettings().places
+    settings = GraspSettings(wrenches, args.normals, args.samples, places)
+    capture, model, frames, answers = _answers(args)
+    grasps = [
+        assess(model, answer, frame, args.seed, settings)
+        for frame, answer in progress(zip(frames, answers), len(frames), "grasping")
+    ]
+    asked = {"friction": args.friction, "edges": args.edges, "soft_finger_mm": args.soft_finger, "norm": args.norm}
+    content = {
+        "version": 1,
+        "capture": capture.name,
+        "object": model.name,
+        "settings": {**asked, "normals": args.normals, "samples": args.samples, "seed": args.seed},
+        "frames": [grasp.to_json() for grasp in grasps],
+    }
+    out = args.out or Path("out") / capture.name
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / "grasp.json", content)
+    write_json(args.json, content)
+    if not args.no_report:
+        from fusion.report.page import write_report
+
+        write_report(out / "grasp.html", capture.name, frames, model, answers, grasps=grasps)
+    _show(grasps)
+    say(f"wrote {out / 'grasp.json'}" + ("" if args.no_report else ", grasp.html"))
+    return 1 if any(answer.verdict == "lost" for answer in answers) else 0
+
+
+def _answers(args: argparse.Namespace) -> tuple[Capture, ObjectModel, list[Frame], list[Estimate]]:
+    """Capture, object, frames and their answers: read from a result, or estimated now."""
+    from fusion.results import capture_of, find_result, read_result
+    from scenes.captures import read_capture
+    from scenes.errors import InputError
+
+    result = find_result(args.source)
+    if result is not None:
+        content, answers = read_result(result)
+        capture = read_capture(capture_of(result, content, args.capture))
+        model = load_object(args.object, args.unit) if args.object else capture.model
+        return capture, model, [capture.frame(answer.frame) for answer in answers], answers
+    if not args.source.is_dir():
+        raise InputError(f"{args.source}: expected a capture's folder, or a result.json or its folder, found neither")
+    from fusion.estimation import estimate
+    from fusion.stages import check_senses
+    from scenes.validation import check_usable
+
+    senses = tuple(sorted(check_senses(args.use), reverse=True))
+    capture = read_capture(args.source)
+    model = load_object(args.object, args.unit) if args.object else capture.model
+    prepare = prior_setter(args.prior, args.seed)
+    announce_compiling()
+    frames, answers = [], []
+    for recorded in progress(capture, len(capture), "estimating"):
+        frame = prepare(recorded, model)
+        check_usable(frame, model, vision="vision" in senses)
+        frames.append(frame)
+        answers.append(estimate(frame, model, use=senses, seed=args.seed))
+    return capture, model, frames, answers
+
+
+def _show(grasps: list[GraspAnswer]) -> None:
+    heads = ("frame", "pose", "grasp", "contacts", "ε", "ε 5–95 %", "volume", "closed in")
+    rows = [
+        (
+            str(g.frame),
+            g.verdict,
+            g.quality.verdict,
+            str(len(g.points)) + (f" (+{len(g.left_out)} left out)" if g.left_out else ""),
+            number(g.quality.epsilon, 3),
+            f"{number(g.epsilon.low, 3)}–{number(g.epsilon.high, 3)}",
+            f"{g.quality.volume:.3g}",
+            f"{100 * g.closure_probability:.0f} %",
+        )
+        for g in grasps
+    ]
+    show_table(heads, rows)
+    for g in grasps:
+        if not g.quality.closure:
+            say(f"frame {g.frame}: {g.quality.why}")
+        for place in g.places:
+            x, y, z = (1e3 * place.point).round()
+            finger = "" if place.finger is None else f"; nearest is {place.finger}"
+            gain = f"ε {max(0.0, place.margin):.3f} ({place.gain:+.3f}), {place.information:.1f} nats about the pose"
+            say(f"frame {g.frame}: a finger at ({x:.0f}, {y:.0f}, {z:.0f}) mm of the object: {gain}{finger}")
