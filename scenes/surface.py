@@ -9,6 +9,11 @@ from scenes._open3d import open3d
 
 Array = NDArray[np.float64]
 
+# Above this cosine between its offset and the triangle's normal, a foot lies within the triangle.
+_UPRIGHT = 0.999
+# Rays that vote on inside and outside: one may run through an edge.
+_RAYS = 3
+
 
 class Surface:
     """Closest-point queries against the triangles of a closed mesh."""
@@ -30,7 +35,8 @@ class Surface:
         """For points (n, 3): signed distance (n,), its unit gradient (n, 3), and the closest points (n, 3).
 
         The closest point is found in single precision and its foot recomputed in double on that triangle's plane.
-        The sign is that of the nearest triangle's side: trust it near the surface, not across a sharp edge.
+        The sign is that of the nearest triangle's side; where the foot is on an edge or a corner, whose triangles see
+        the point from different sides, it is told by rays.
         """
         o3d = open3d()
         local = np.ascontiguousarray(points, dtype=np.float64) - self._middle
@@ -45,9 +51,14 @@ class Surface:
         offset = local - foot
         length = np.linalg.norm(offset, axis=1)
         side = np.einsum("ni,ni->n", offset, normal)
-        distance = np.where(side < 0, -length, length)
         # closer than single precision resolves, the direction is noise: the triangle's normal stands in
         near = length < 1e-6
+        inside = side < 0
+        slanted = ~near & (np.abs(side) < _UPRIGHT * length)
+        if slanted.any():
+            query = o3d.core.Tensor(local[slanted].astype(np.float32))
+            inside[slanted] = self._scene.compute_occupancy(query, nsamples=_RAYS).numpy() > 0.5
+        distance = np.where(inside, -length, length)
         gradient = np.where(near[:, None], normal, offset / np.where(near, 1.0, distance)[:, None])
         return np.where(near, side, distance), gradient, foot + self._middle
 
