@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from scenes.errors import MeshError
 
@@ -35,7 +35,7 @@ class RepairSettings:
 
 
 def close(
-    vertices: Array, faces: Faces, name: str, settings: RepairSettings | None = None
+    vertices: ArrayLike, faces: ArrayLike, name: str, settings: RepairSettings | None = None
 ) -> tuple[Array, Faces, list[str]]:
     """Make a mesh closed and outwards wound.
 
@@ -45,7 +45,7 @@ def close(
     import trimesh
 
     settings = settings or RepairSettings()
-    vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
+    vertices, faces = _numbers(vertices, faces, name)
     if vertices.size and (vertices.ndim != 2 or vertices.shape[1] != 3):
         raise MeshError(f"{name}: expected vertices of shape (n, 3), got {vertices.shape}")
     if faces.size and (faces.ndim != 2 or faces.shape[1] != 3):
@@ -114,6 +114,21 @@ def close(
             f"{name}: expected a solid, got a mesh of volume {mesh.volume:.3g} for a diameter of {diameter:.3g}"
         )
     return np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int64), mended
+
+
+def _numbers(vertices: ArrayLike, faces: ArrayLike, name: str) -> tuple[Array, Faces]:
+    """The arrays as numbers; raises MeshError for what is none, and for vertex numbers that are not whole."""
+    try:
+        points, corners = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
+        whole = corners if corners.dtype.kind in "iu" else np.asarray(corners, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise MeshError(f"{name}: expected vertices and triangles as numbers: {error}") from error
+    if whole.dtype.kind == "f" and whole.size and not (np.abs(whole) < 2**53).all():
+        raise MeshError(f"{name}: expected vertex numbers, got some that are not finite or too large")
+    triangles = whole.astype(np.int64)
+    if not np.array_equal(triangles, whole):
+        raise MeshError(f"{name}: expected whole vertex numbers, got fractions")
+    return points, triangles
 
 
 def _without_fins(faces: Faces) -> NDArray[np.bool_]:
