@@ -26,7 +26,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scenes.errors import InputError
-from scenes.frames import Contacts
+from scenes.frames import SIGMAS, Contacts
+from scenes.poses import FARTHEST
 
 Array = NDArray[np.float64]
 
@@ -38,7 +39,7 @@ SIGMA, SIGMA_NORMAL, WEIGHT, GATE_ABOVE, GATE_BELOW, OFFSET, FACING = 6, 7, 8, 9
 COLUMNS = 13
 
 # A gate that no residual reaches: the row is trusted whatever it says.
-NO_GATE = 1e6
+NO_GATE = 1e30
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,7 @@ class Evidence:
     def take(self, index: ArrayLike) -> Evidence:
         """Rows by index or mask."""
         index = np.asarray(index)
+        index = index if index.size else index.astype(np.intp)
         return Evidence(np.ascontiguousarray(self.rows[index]), self.sense[index])
 
     def of(self, sense: int) -> Evidence:
@@ -117,20 +119,24 @@ def make(
     rays (n, 3): unit viewing directions of pixels, instead of normals. from_outside: what is there was touched from the
     side that its normal points to.
 
-    Raises InputError when a point is not finite or a sigma is not positive.
+    Raises InputError when a point is not finite (or beyond poses.FARTHEST), or a sigma is not positive.
     """
-    points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    points = np.asarray(points, dtype=np.float64)
+    if points.size and points.shape[-1] != 3:
+        raise InputError(f"evidence: expected points of shape (n, 3), got {points.shape}")
+    points = points.reshape(-1, 3)
     n = len(points)
-    if not np.isfinite(points).all():
-        raise InputError(
-            f"evidence: expected finite points, got {int((~np.isfinite(points)).any(axis=1).sum())} bad rows"
-        )
+    good = np.abs(points) < FARTHEST  # not true of NaN either
+    if not good.all():
+        raise InputError(f"evidence: expected finite points, got {int((~good).any(axis=1).sum())} bad rows")
     rows = np.zeros((n, COLUMNS))
     rows[:, POINT] = points
     rows[:, SIGMA] = sigma
     rows[:, WEIGHT], rows[:, GATE_ABOVE], rows[:, GATE_BELOW], rows[:, OFFSET] = weight, gate_above, gate_below, offset
-    if n and not (rows[:, SIGMA] > 0).all():
-        raise InputError(f"evidence: expected sigma above 0 m, got {rows[:, SIGMA].min()}")
+    if n and not ((rows[:, SIGMA] >= SIGMAS[0]) & (rows[:, SIGMA] <= SIGMAS[1])).all():
+        raise InputError(
+            f"evidence: expected sigma above 0 m, from {SIGMAS[0]:g} to {SIGMAS[1]:g}, got {rows[:, SIGMA]}"
+        )
     if normals is not None:
         known = np.isfinite(normals).all(axis=1)
         rows[known, NORMAL] = normals[known]

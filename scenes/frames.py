@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scenes.errors import InputError
+from scenes.poses import FARTHEST
 
 if TYPE_CHECKING:
     from scenes.cameras import Camera
@@ -22,6 +23,19 @@ Array = NDArray[np.float64]
 # What a contact is worth when the recording does not say (T1 section 4.3: 0.9 mm and 5 degrees).
 DEFAULT_SIGMA_POINT = 0.9e-3
 DEFAULT_SIGMA_NORMAL = np.deg2rad(5.0)
+# Sigmas (m, rad) that a number may stand for: finer than an atom or wider than the Earth they are mistakes, and squares
+# of what they divide overflow.
+SIGMAS = (1e-12, 1e12)
+
+
+def _numbers(values: ArrayLike, name: str) -> Array:
+    """The values as a float64 array of their own; raises InputError for what is none."""
+    try:
+        if np.iscomplexobj(values):
+            raise TypeError("got complex ones")
+        return np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"contacts: expected {name} as real numbers: {error}") from error
 
 
 class Contacts:
@@ -42,21 +56,22 @@ class Contacts:
         forces: ArrayLike | None = None,
         sigma_known: bool | None = None,
     ) -> None:
-        """Check and keep; raises InputError for wrong shapes, non-finite points or a sigma that is not positive."""
-        if np.size(points) and (np.ndim(points) > 2 or np.shape(points)[-1] != 3):
-            raise InputError(f"contacts: expected points of shape (n, 3), got {np.shape(points)}")
-        self.points = np.array(points, dtype=np.float64).reshape(-1, 3) if np.size(points) else np.zeros((0, 3))
+        """Check and keep; raises InputError for wrong shapes, points that are no places or a sigma that is none."""
+        places = _numbers(points, "points")
+        if places.size and (places.ndim > 2 or places.shape[-1] != 3):
+            raise InputError(f"contacts: expected points of shape (n, 3), got {places.shape}")
+        self.points = places.reshape(-1, 3) if places.size else np.zeros((0, 3))
         n = len(self.points)
-        bad = ~np.isfinite(self.points).all(axis=1)
+        bad = ~(np.abs(self.points) < FARTHEST).all(axis=1)  # NaN is not below it either
         if bad.any():
             raise InputError(f"contacts: expected finite points, got row {int(np.argmax(bad))} = {self.points[bad][0]}")
         self.normals = self._rows(normals, n, 3, "normals")
-        length = np.linalg.norm(self.normals, axis=1)
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", over="ignore"):
+            length = np.linalg.norm(self.normals, axis=1)
             known = np.isfinite(length) & (length > 1e-9)
         self.normals[~known] = np.nan
         self.normals[known] /= length[known, None]
-        given = sigma_point is not None and not np.isnan(sigma_point).all()
+        given = sigma_point is not None and not np.isnan(_numbers(sigma_point, "sigma_point")).all()
         self.sigma_known = given if sigma_known is None else sigma_known
         self.forces = self._rows(forces, n, 3, "forces")
         self.sigma_point = self._sigma(sigma_point, n, DEFAULT_SIGMA_POINT, "sigma_point")
@@ -67,19 +82,24 @@ class Contacts:
 
     @staticmethod
     def _rows(values: ArrayLike | None, n: int, width: int, name: str) -> Array:
-        if values is None or np.size(values) == 0:
+        array = np.zeros(0) if values is None else _numbers(values, name)
+        if array.size == 0:
             return np.full((n, width), np.nan)
-        array = np.array(values, dtype=np.float64)
         if array.shape != (n, width):
             raise InputError(f"contacts: expected {name} of shape ({n}, {width}), got {array.shape}")
         return array
 
     @staticmethod
     def _sigma(values: ArrayLike | None, n: int, default: float, name: str) -> Array:
-        array = np.full(n, default) if values is None else np.array(np.broadcast_to(values, (n,)), dtype=np.float64)
+        array = np.array(default) if values is None else _numbers(values, name)
+        if array.ndim > 1 or array.size not in (1, n):
+            raise InputError(f"contacts: expected one {name} or {n} of them, got shape {array.shape}")
+        array = np.array(np.broadcast_to(array.ravel() if n else np.zeros(0), (n,)))
         array[np.isnan(array)] = default
-        if (array <= 0).any() or not np.isfinite(array).all():
-            raise InputError(f"contacts: expected {name} above 0, got {array.min() if n else 0}")
+        low, high = SIGMAS
+        if not ((array >= low) & (array <= high)).all():
+            wrong = array[~((array >= low) & (array <= high))][0]
+            raise InputError(f"contacts: expected {name} above 0, from {low:g} to {high:g}, got {wrong:g}")
         return array
 
     def __len__(self) -> int:
@@ -92,7 +112,8 @@ class Contacts:
 
     def take(self, rows: ArrayLike) -> Contacts:
         """The chosen rows (indices or mask), in that order."""
-        index = np.arange(len(self))[np.asarray(rows)]
+        chosen = np.asarray(rows)
+        index = np.arange(len(self))[chosen if chosen.size else chosen.astype(np.intp)]
         return Contacts(
             self.points[index],
             self.normals[index],

@@ -181,6 +181,9 @@ def normal_at(values, origin, spacing, x, y, z, gradient, hessian):
             hessian[m, 2] = 0.0
 
 
+# Coordinates (m) whose squares overflow are no places.
+_FARTHEST = 1e100
+
 # A seen point beyond the far side of a wall is led back towards the camera in steps of this many cells, doubled.
 _FIRST_STEP = 1.5
 _STEPS = 4
@@ -243,8 +246,10 @@ def check_finite(points: np.ndarray, name: str) -> np.ndarray:
     array = np.ascontiguousarray(points, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
         raise InputError(f"{name}: expected points of shape (n, 3), got {array.shape}")
-    if not np.isfinite(array).all():
+    # not true of NaN either
+    good = np.abs(array) < _FARTHEST
+    if not good.all():
         raise InputError(
-            f"{name}: expected finite points, got {int((~np.isfinite(array)).any(axis=1).sum())} rows not finite"
+            f"{name}: expected finite points, got {int((~good).any(axis=1).sum())} bad rows"
         )
     return array

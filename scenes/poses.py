@@ -18,6 +18,8 @@ from scenes.errors import InputError
 
 Array = NDArray[np.float64]
 
+# Metres: nothing that is felt or seen is as far as the Moon, and squares of much larger numbers overflow.
+FARTHEST = 1e9
 # Rotations whose columns are off orthonormal by more than this are refused, not silently repaired.
 ORTHONORMAL_TOLERANCE = 1e-4
 
@@ -28,13 +30,15 @@ def check_pose(pose: ArrayLike, name: str = "pose") -> Array:
     Parameters: pose, shape (4, 4) or (..., 4, 4), target_from_source.
     Returns the same as a contiguous float64 array, rotation re-orthonormalised to double precision.
     Raises InputError when the shape is wrong, a value is not finite, the last row is not
-    (0, 0, 0, 1), or the rotation is scaled, sheared or mirrored.
+    (0, 0, 0, 1), the rotation is scaled, sheared or mirrored, or the translation beyond FARTHEST.
     """
     array = np.array(pose, dtype=np.float64)
     if array.shape[-2:] != (4, 4):
         raise InputError(f"{name}: expected a 4x4 transform, got shape {array.shape}")
     if not np.isfinite(array).all():
         raise InputError(f"{name}: expected finite numbers, got {int((~np.isfinite(array)).sum())} not finite")
+    if np.abs(array[..., :3, 3]).max(initial=0.0) > FARTHEST:
+        raise InputError(f"{name}: expected metres, got a translation of {np.abs(array[..., :3, 3]).max():.3g}")
     if not np.allclose(array[..., 3, :], (0.0, 0.0, 0.0, 1.0), atol=1e-9):
         raise InputError(f"{name}: expected last row 0 0 0 1, got {array[..., 3, :].reshape(-1, 4)[0]}")
     rotation = array[..., :3, :3]

@@ -236,7 +236,7 @@ def test_queries_that_are_not_finite_are_refused(bad):
     points = np.zeros((3, 3))
     points[1, 2] = bad
     for query in (field.distance, field.distance_and_gradient, field.normals):
-        with pytest.raises(InputError, match="1 rows not finite"):
+        with pytest.raises(InputError, match="expected finite points, got 1 bad rows"):
             query(points)
     with pytest.raises(InputError, match=r"shape \(n, 3\), got \(3,\)"):
         field.distance(np.zeros(3))
