@@ -12,6 +12,16 @@ from scenes.errors import InputError
 Array = NDArray[np.float64]
 
 
+# Metres: no depth camera reads so far, and what says so is an overflow.
+FARTHEST_READING = 1e3
+
+
+def is_reading(depth: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Where depths along z (m) are readings: above 0 and no farther than any camera sees; false of NaN, infinity."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray((depth > 0) & (depth < FARTHEST_READING))
+
+
 @dataclass(frozen=True)
 class Camera:
     """Intrinsics in pixels: focal lengths fx, fy, principal point cx, cy, image width and height."""
@@ -59,7 +69,7 @@ class Camera:
 
     def back_project(self, depth: NDArray[np.floating], pixels: NDArray[np.bool_] | None = None) -> Array:
         """Points (n, 3) of the pixels with a reading (and in the (h, w) mask `pixels`), row-major order."""
-        valid = np.isfinite(depth) & (depth > 0)
+        valid = is_reading(depth)
         if pixels is not None:
             valid &= pixels
         v, u = np.nonzero(valid)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.cameras import Camera
+from scenes.cameras import Camera, is_reading
 
 Array = NDArray[np.float64]
 
@@ -127,7 +127,7 @@ def read_pixels(
     grid_u, grid_v = np.meshgrid(np.arange(u0, u1, stride), np.arange(v0, v1, stride))
     u, v = grid_u.ravel(), grid_v.ravel()
     z = depth[v, u]
-    valid = np.isfinite(z) & (z > 0)
+    valid = is_reading(z)
     if mask is not None:
         valid &= mask[v, u]
     u, v, z = u[valid], v[valid], z[valid].astype(np.float64)

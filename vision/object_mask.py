@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes import poses
+from scenes.cameras import is_reading
 from scenes.frames import Frame
 from scenes.objects import ObjectModel
 from scenes.rendering import Renderer
@@ -130,7 +131,7 @@ def _candidates(
     assert frame.camera is not None
     u0, v0, u1, v1 = box
     z = frame.depth[v0:v1, u0:u1].astype(np.float64)
-    good = np.isfinite(z) & (z > 0)
+    good = is_reading(z)
     z = np.where(good, z, 0.0)
     x = (np.arange(u0, u1) - frame.camera.cx) / frame.camera.fx * z
     y = ((np.arange(v0, v1) - frame.camera.cy) / frame.camera.fy)[:, None] * z

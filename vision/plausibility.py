@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from scenes.cameras import is_reading
 from scenes.frames import Frame
 from vision.hand_view import CalibrationModel, HandView, camera_from_hand, prior_information
 
@@ -65,7 +66,7 @@ def _seen_past(frame: Frame, hand: HandView, settings: PlausibilitySettings) -> 
     inside = ((pixels >= 0) & (pixels < [frame.camera.width, frame.camera.height])).all(axis=1)
     pixels, z = pixels[inside], z[inside]
     seen = frame.depth[pixels[:, 1], pixels[:, 0]].astype(np.float64)
-    read = np.isfinite(seen) & (seen > 0)
+    read = is_reading(seen)
     if not read.any():
         return 0.0, 0
     # points on the hand's far side are hidden by its near side: never seen past

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes import poses as se3
+from scenes.cameras import is_reading
 from scenes.frames import Frame
 from scenes.objects import ObjectModel
 from vision.clouds import DepthModel
@@ -61,7 +62,7 @@ def visibility(frame: Frame, model: ObjectModel, pose: Array, depth_model: Depth
     sigma = np.sqrt(
         depth_model.independent_sigma(z) ** 2 + depth_model.bias_sigma**2 + (depth_model.scale_sigma * z) ** 2
     )
-    unread = ~(np.isfinite(seen) & (seen > 0))
+    unread = ~is_reading(seen)
     difference = np.where(unread, 0.0, seen - z)
     hidden = difference < -2.5 * sigma
     violated = difference > 2.5 * sigma
