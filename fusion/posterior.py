@@ -115,8 +115,10 @@ def unobservable(
         for value, vector in zip(values, vectors.T):
             if np.sqrt(max(value, 0.0)) > limit:
                 found.append(f"{word} {_axis_name(vector)}")
-    for axis in model.symmetries.axes[:1]:
-        name = f"rotation about {_axis_name(axis.direction)}"
+    # a ball turns about every axis, whichever two were declared
+    turns = np.eye(3) if model.symmetries.is_spherical else [a.direction for a in model.symmetries.axes[:1]]
+    for direction in turns:
+        name = f"rotation about {_axis_name(direction)}"
         if name not in found:
             found.append(name)
     return tuple(found)
