@@ -1,0 +1,9 @@
+"""Moving the world, units, order of rows and vertices, processes, threads."""
+
+from fusion.benchmarks import stability_cases_invariance
+
+CASES = stability_cases_invariance.CASES
+
+
+def test_holds(case):
+    case.run()

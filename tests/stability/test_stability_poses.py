@@ -1,0 +1,9 @@
+"""Rotations at and near 0 and pi, a million composed steps, 10 km from the origin."""
+
+from fusion.benchmarks import stability_cases_poses
+
+CASES = stability_cases_poses.CASES
+
+
+def test_holds(case):
+    case.run()
