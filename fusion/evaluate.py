@@ -70,9 +70,11 @@ def _frame_errors(
     model = judge.model
     errors = judge.errors(row.pose, truth, covariance)
     hull = _extreme_vertices(model)
+    # BOP's own turns, so that the numbers compare with published ones; BOP has no sphere
+    symmetries = model.symmetries if model.symmetries.is_spherical else metrics.bop_symmetries(model.symmetries)
     mspd = vsd = float("nan")
     if frame.camera is not None:
-        mspd = metrics.mspd(row.pose, truth, model.vertices, frame.camera, model.symmetries)
+        mspd = metrics.mspd(row.pose, truth, model.vertices, frame.camera, symmetries)
     if frame.camera is not None and frame.depth is not None:
         seen = [renderer.render(frame.camera, {"object": pose}).depth for pose in (row.pose, truth)]
         taus = [share * model.diameter for share in VSD_TAUS]
@@ -80,7 +82,7 @@ def _frame_errors(
     return {
         "add_mm": 1e3 * errors.add,
         "add_s_mm": 1e3 * errors.add_s,
-        "mssd_mm": 1e3 * metrics.mssd(row.pose, truth, hull, model.symmetries),
+        "mssd_mm": 1e3 * metrics.mssd(row.pose, truth, hull, symmetries),
         "mspd_px": mspd,
         "vsd": vsd,
         "rotation_deg": float(np.rad2deg(errors.rotation)),
