@@ -17,6 +17,7 @@ WORLDS = ("camera", "robot base")
 # models_info.json and the mesh may be rounded or sampled differently; more than this and a unit is wrong.
 LARGEST_DIAMETER_RATIO = 1.5
 # What recordings have that are not captures yet: BOP, YCBInEOAT, ROS 2, handover, plain images.
+RECORDING_ENDINGS = (".bag", ".mcap", ".db3", ".ini", ".off")
 RECORDINGS = ("scene_camera.json", "cam_K.txt", "metadata.yaml", "cloud.off", "depth", "rgb")
 
 
@@ -66,7 +67,8 @@ def read_settings(folder: Path, report: Report) -> Settings:
     """What capture.json says; raises CaptureError when there is none, reports each field that is not as it must be."""
     if not folder.is_dir():
         found = "a file" if folder.exists() else "nothing"
-        raise CaptureError(f"{folder}: expected the folder of a capture, found {found}")
+        hint = f": `palpate convert {folder} OUT` may make one of it" if folder.suffix in RECORDING_ENDINGS else ""
+        raise CaptureError(f"{folder}: expected the folder of a capture, found {found}{hint}")
     path = folder / "capture.json"
     if not path.is_file():
         hint = ""

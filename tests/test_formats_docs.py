@@ -127,7 +127,7 @@ def test_every_command_of_the_page_works(place, monkeypatch, capsys):
         assert [p for p in validate(capture.path) if "sizes that agree" not in p.message] == []
     assert read_capture(place / "captures/can").settings.object_id == 5
     counts = json.loads((place / "out/counts.json").read_text())
-    assert (counts["frames"], counts["dropped"], counts["remarks"]) == (3, [], [])
+    assert (counts["frames"], counts["dropped"], len(counts["remarks"])) == (3, [], 1)
     grasps = [read_capture(place / "captures" / name) for name in ("grasp", "grasp_ros2", "grasp_mcap")]
     for frame in (capture[2] for capture in grasps):
         assert (frame.joints["thumb_opposition"], len(frame.contacts), len(frame.wrenches)) == (0.1, 1, 1)

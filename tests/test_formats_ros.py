@@ -185,7 +185,8 @@ def test_a_bag_is_a_capture(tmp_path, hand, hand_folder, box, capsys, kind):
     assert said["dropped"] == [
         {"what": "/joint_states", "why": "nearest to no frame within 10 ms", "count": 5},
     ]
-    assert (said["frames"], said["remarks"]) == (5, [])
+    silent = ", ".join(hand.joint_names[4:])
+    assert (said["frames"], said["remarks"]) == (5, [f"joints of the hand on no topic, taken as 0: {silent}"])
     assert "dropped 5 of /joint_states" in capsys.readouterr().out
 
 
@@ -326,15 +327,18 @@ def test_inverse_depth_and_depth_beyond_what_is_kept(tmp_path):
     assert np.abs(capture[0].depth - far).max() <= 0.1250001e-3
 
 
-def test_definitions_of_the_map_stand_in_for_those_of_the_bag(tmp_path, monkeypatch):
+def test_definitions_of_the_map_stand_in_for_those_of_the_bag(tmp_path, monkeypatch, capsys):
     from rosbags.rosbag2 import storage_sqlite3
 
     # bags of ROS 2 before Iron: the database has no table of definitions
     monkeypatch.setattr(storage_sqlite3.Sqlite3Writer, "add_msgtype", lambda self, connection: None)
     out = plain("sqlite3", 1)
     out.pressures("/pad", START, [1.0, 2.5])
-    monkeypatch.undo()
     topics = PLAIN | {"/pad": {"role": "tactile", "sensor": "pad", "field": "cells"}}
+    made = write_map(tmp_path / "without.json", topics)
+    bag = out.write(tmp_path / "undefined")
+    error = refused(capsys, "convert", bag, tmp_path / "c", "--topics", made, "--object", "box")
+    assert "/pad: expected the definition of palpate_msgs/msg/Pressures in the topic map, got none" in error
     capture, _ = converted(tmp_path, out, topics, definitions=bags.TYPES)
     assert capture[0].tactile["pad"].tolist() == [1.0, 2.5]
 

@@ -277,7 +277,7 @@ def _result_poses(result: Path) -> dict[int, Any]:
         content = json.loads(result.read_text(encoding="utf-8"))
         frames = {int(f["frame"]): np.array(f["camera_from_object"], dtype=np.float64) for f in content["frames"]}
         return {number: poses.check_pose(pose) for number, pose in frames.items()}
-    except (InputError, ValueError, KeyError, TypeError) as error:
+    except (InputError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise CaptureError(f"{result}: expected a result.json with frames and poses: {error}") from error
 
 

@@ -7,8 +7,7 @@ within the map's tolerance; transforms are interpolated (`ros_transforms`); cont
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +19,9 @@ from scenes.captures import write_capture
 from scenes.errors import CaptureError, InputError
 from scenes.formats import bop
 from scenes.formats.conversion import Converted, Dropped, at_least_one
-from scenes.formats.images import LARGEST_COUNT
 from scenes.formats.ros_bag import Bag, frame_id, open_bag, stamp_ns
-from scenes.formats.ros_images import decode_depth, decode_mask, decode_rgb
 from scenes.formats.ros_map import Topic, TopicMap
+from scenes.formats.ros_pixels import IMAGES, Plan, Scale, whole_frames
 from scenes.formats.ros_streams import (
     Joints,
     Stream,
@@ -51,9 +49,6 @@ TYPES = {
     "tf": ("TFMessage", "tfMessage"),
     "tf_static": ("TFMessage", "tfMessage"),
 }
-IMAGES = ("depth", "rgb", "mask")
-# Millimetres per count: 16UC1 counts millimetres (REP 118); 32FC1 is rounded to a tenth of one.
-SCALE_16UC1, SCALE_32FC1 = 1.0, 0.1
 # A camera whose distortion coefficients are all below this draws straight lines straight.
 LARGEST_DISTORTION = 1e-9
 
@@ -66,16 +61,6 @@ class _Recording:
     hand: Hand | None
     streams: dict[str, Stream] = field(default_factory=dict)
     joints: list[Joints] = field(default_factory=list)
-
-
-@dataclass
-class _Plan:
-    """A frame to be: its number, stamp, what is known of it, and the images (topic, order in the bag) it waits for."""
-
-    frame: Frame
-    stamp: int
-    images: dict[str, int]
-    seen: dict[str, Any] = field(default_factory=dict)
 
 
 def convert(path: Path, out: Path, topics: TopicMap, model: ObjectModel | None = None) -> Converted:
@@ -95,8 +80,8 @@ def convert(path: Path, out: Path, topics: TopicMap, model: ObjectModel | None =
         _check_topics(bag, topics)
         recording = _read(bag, topics, dropped)
         plans = _plan(path, topics, recording, dropped, missing)
-        scale = _Scale(topics.of_role("depth")[0].options.get("depth_scale"))
-        frames = _frames(bag, topics, plans, scale, dropped)
+        scale = Scale(topics.of_role("depth")[0].options.get("depth_scale"))
+        frames = whole_frames(bag, topics, plans, scale, dropped)
         stamps = {str(plan.frame.index): plan.stamp for plan in plans}
         notes = {"source": "ros", "bag": path.name, "tolerance_s": topics.tolerance_s, "stamps_ns": stamps}
         written = write_capture(
@@ -109,8 +94,17 @@ def convert(path: Path, out: Path, topics: TopicMap, model: ObjectModel | None =
             notes=notes,
         )
     near = f"{1e3 * topics.tolerance_s:g} ms"
-    remarks = tuple(f"{n} of {len(plans)} frames without {what} within {near}" for what, n in missing.items())
-    return Converted((written,), len(plans), dropped, remarks)
+    remarks = [f"{n} of {len(plans)} frames without {what} within {near}" for what, n in missing.items()]
+    return Converted((written,), len(plans), dropped, (*remarks, *_silent_joints(recording)))
+
+
+def _silent_joints(recording: _Recording) -> list[str]:
+    """A remark on the joints of the hand that the bag is silent about."""
+    if recording.hand is None or not recording.joints:
+        return []
+    said = set().union(*(joints.names for joints in recording.joints))
+    silent = [name for name in recording.hand.joint_names if name not in said]
+    return [f"joints of the hand on no topic, taken as 0: {', '.join(silent)}"] if silent else []
 
 
 def _check_topics(bag: Bag, topics: TopicMap) -> None:
@@ -198,12 +192,12 @@ def _intrinsics(topic: Topic, message: Any) -> tuple[Array, int, int]:
 # ---- which messages make a frame
 
 
-def _plan(path: Path, topics: TopicMap, recording: _Recording, dropped: Dropped, missing: Counter[str]) -> list[_Plan]:
+def _plan(path: Path, topics: TopicMap, recording: _Recording, dropped: Dropped, missing: Counter[str]) -> list[Plan]:
     """The frames that the depth images make, with everything but their pixels, in time order."""
     tolerance = recording.tree.tolerance_ns
     near = f"{1e3 * topics.tolerance_s:g} ms"
     depth = recording.streams[topics.of_role("depth")[0].name]
-    plans: list[_Plan] = []
+    plans: list[Plan] = []
     last = None
     for position, stamp in enumerate(depth.stamps):
         order, own_frame = depth.values[position]
@@ -257,7 +251,7 @@ def _plan(path: Path, topics: TopicMap, recording: _Recording, dropped: Dropped,
             hand=recording.hand,
             **known,
         )
-        plans.append(_Plan(frame, stamp, images))
+        plans.append(Plan(frame, stamp, images))
     _count_unused(topics, recording, dropped, near)
     return plans
 
@@ -335,68 +329,3 @@ def _count_unused(topics: TopicMap, recording: _Recording, dropped: Dropped, nea
             dropped.add(stream.topic.name, why, len(stream.stamps) - len(stream.used))
     for joints in recording.joints:
         dropped.add(joints.topic.name, why, joints.unused)
-
-
-# ---- second pass: the pixels
-
-
-class _Scale:
-    """Millimetres per count of the depth images that are written, by frame: as published, or a tenth for 32FC1."""
-
-    def __init__(self, asked: float | None) -> None:
-        self.asked = asked
-        self.by_frame: dict[int, float] = {}
-
-    def metres(self, number: int, image: NDArray[Any], topic: str, dropped: Dropped) -> NDArray[np.float32]:
-        """(h, w) metres; readings beyond what 16 bits hold at this scale are dropped."""
-        counted = image.dtype == np.uint16
-        scale = self.asked or (SCALE_16UC1 if counted else SCALE_32FC1)
-        self.by_frame[number] = scale
-        if counted:
-            return (image.astype(np.float64) * (scale * bop.MM)).astype(np.float32)
-        limit = LARGEST_COUNT * scale * bop.MM
-        dropped.add(topic, f"depth readings beyond {limit:.4g} m", int((image > limit).sum()))
-        return np.where(image <= limit, image, np.float32(0.0)).astype(np.float32)
-
-
-DECODERS = {"depth": decode_depth, "rgb": decode_rgb, "mask": decode_mask}
-
-
-def _frames(bag: Bag, topics: TopicMap, plans: list[_Plan], scale: _Scale, dropped: Dropped) -> Iterator[Frame]:
-    """Each frame as soon as its last image has come: images of later frames wait decoded, none is read twice."""
-    roles = {topic.name: topic.role for topic in topics.topics if topic.role in IMAGES}
-    waiting: dict[tuple[str, int], list[_Plan]] = {}
-    for plan in plans:
-        for key in plan.images.items():
-            waiting.setdefault(key, []).append(plan)
-    counts: Counter[str] = Counter()
-    for name, received, message in bag.messages(list(roles)) if plans else ():
-        order = counts[name]
-        counts[name] += 1
-        wanted = waiting.pop((name, order), [])
-        if not wanted:
-            continue
-        where = f"{bag.path}, {name} at {stamp_ns(message, received) / 1e9:.3f} s"
-        image = DECODERS[roles[name]](message, where)
-        for plan in wanted:
-            plan.seen[roles[name]] = image
-            if len(plan.seen) == len(plan.images):
-                yield _whole(plan, topics, scale, dropped, where)
-                plan.seen.clear()
-
-
-def _whole(plan: _Plan, topics: TopicMap, scale: _Scale, dropped: Dropped, where: str) -> Frame:
-    depth = plan.seen["depth"]
-    camera = plan.frame.camera
-    height, width = depth.shape
-    if camera is not None and (camera.width, camera.height) != (width, height):
-        got = f"{camera.width}x{camera.height}"
-        raise CaptureError(f"{where}: expected camera_info of {width}x{height} like the depth image, got {got}")
-    for role in ("rgb", "mask"):
-        image = plan.seen.get(role)
-        if image is not None and image.shape[:2] != (height, width):
-            got = f"{image.shape[1]}x{image.shape[0]}"
-            raise CaptureError(f"{where}: expected {role} of {width}x{height} like the depth image, got {got}")
-    name = topics.of_role("depth")[0].name
-    metres = scale.metres(plan.frame.index, depth, name, dropped)
-    return replace(plan.frame, depth=metres, rgb=plan.seen.get("rgb"), mask=plan.seen.get("mask"))

@@ -46,6 +46,12 @@ class Bag:
         connections = [c for c in self._reader.connections if c.topic in topics]
         if not connections:
             return
+        for connection in connections:
+            if connection.msgtype not in self._reader.typestore.fielddefs:
+                where = f"{self.path}, {connection.topic}"
+                raise CaptureError(
+                    f"{where}: expected the definition of {connection.msgtype} in the topic map, got none"
+                )
         try:
             for connection, received, raw in self._reader.messages(connections=connections):
                 yield connection.topic, received, self._reader.deserialize(raw, connection.msgtype)

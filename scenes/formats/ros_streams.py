@@ -5,6 +5,7 @@ Joints, wrenches, pressures and contacts in SI units; stamps in nanoseconds.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -65,7 +66,7 @@ class Stream:
 
 def nearest(stamps: list[int], stamp: int, tolerance_ns: int | None) -> int | None:
     """Position in the sorted `stamps` nearest to `stamp`, the earlier of two, None when none is near enough."""
-    after = int(np.searchsorted(np.asarray(stamps, dtype=np.int64), stamp))
+    after = bisect_left(stamps, stamp)
     near = [i for i in (after - 1, after) if 0 <= i < len(stamps)]
     if not near:
         return None
@@ -81,13 +82,15 @@ class Joints:
         self._rename: dict[str, str] = topic.options.get("names", {})
         self._known = None if hand is None else {joint.name for joint in hand.robot.joints if joint.kind in MOVING}
         self._samples: dict[str, list[tuple[int, float, int]]] = {}
-        self._sorted = False
+        self._stamps: dict[str, list[int]] = {}
         self._messages = 0
         self._used: set[int] = set()
         self._taken: set[int] = set()
 
     def add(self, stamp: int, message: Any) -> None:
-        """Keep the positions of a JointState; raises CaptureError when they do not fit its names or are not finite."""
+        """Keep the positions of a JointState, before the first `at`; raises CaptureError when they do not fit its names
+        or are not finite.
+        """
         names, positions = list(message.name), np.asarray(message.position, dtype=np.float64)
         if len(names) != len(positions):
             raise CaptureError(
@@ -106,13 +109,12 @@ class Joints:
 
     def at(self, stamp: int, tolerance_ns: int) -> dict[str, float]:
         """The position of each joint nearest in time, of those near enough."""
-        if not self._sorted:
-            for rows in self._samples.values():
-                rows.sort()
-            self._sorted = True
         found = {}
         for name, rows in self._samples.items():
-            best = nearest([row[0] for row in rows], stamp, tolerance_ns)
+            if name not in self._stamps:
+                rows.sort()
+                self._stamps[name] = [row[0] for row in rows]
+            best = nearest(self._stamps[name], stamp, tolerance_ns)
             if best is not None:
                 found[name] = rows[best][1]
                 self._taken.add(rows[best][2])
@@ -122,6 +124,11 @@ class Joints:
         """Whether the frame that positions were taken for is kept."""
         self._used |= self._taken if kept else set()
         self._taken = set()
+
+    @property
+    def names(self) -> set[str]:
+        """The joints that were published, as the hand calls them."""
+        return set(self._samples)
 
     @property
     def unused(self) -> int:
