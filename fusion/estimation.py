@@ -37,6 +37,7 @@ from fusion.trace import Trace
 from scenes import evidence as tables
 from scenes.alignment import Prior
 from scenes.frames import Frame
+from scenes.near_symmetries import near_symmetries
 from scenes.objects import ObjectModel
 from scenes.point_pairs import pair_table
 from scenes.threads import one_blas_thread
@@ -70,7 +71,9 @@ def estimate(
     settings, senses = settings or EstimateSettings(), check_senses(use)
     check_limits(tolerance, budget_ms)
     believed = as_prior(prior if prior is not None else frame.prior, settings)
-    model.field  # noqa: B018  (built or read once per object, not part of a frame's time)
+    # built or read once per object, not part of a frame's time
+    model.field  # noqa: B018
+    near_symmetries(model)
     if believed is None:
         pair_table(model)
     trace = Trace(budget_ms)

@@ -16,7 +16,7 @@ A pixel's residual is its distance from the surface along its ray, d over the co
 the surface, noise along the rays would shrink whenever the surface is turned away from them, and the bias would help.
 
 One robust Gauss-Newton in whitened unknowns. How large the shared errors are is itself inferred: the system is solved
-for a few levels (a well-calibrated rig, a usual one, a poor one) and the level of highest evidence is kept
+for a few rigs (one without shared errors, a usual one, a poor one), which are averaged over by their evidence
 (Laplace; MacKay, Neural Computation 4, 1992). The covariance is the marginal of delta.
 """
 
@@ -50,6 +50,21 @@ FIXED = 13
 
 
 @dataclass(frozen=True)
+class Rig:
+    """A size of shared errors that may be the case.
+
+    level: factor on what calibration, depth scale and bias are believed to be off by. share: how usual it is. weight:
+    of a pixel. Neighbours share what nothing here describes: fingers whose joints are off, flying pixels, the side of
+    a thin wall. Counted as independent, answers of a usual rig were twice as sure as they should have been; where
+    nothing else is shared, neither is that.
+    """
+
+    level: float
+    share: float
+    weight: float
+
+
+@dataclass(frozen=True)
 class JointSettings:
     """The joint solution."""
 
@@ -57,12 +72,12 @@ class JointSettings:
     steps: int = 8
     # A step that promises less than this (nats) is not taken: beyond it rows change sides, not the pose.
     worth: float = 0.02
-    # Factors on the believed sizes of calibration, scale and bias errors that are tried.
-    levels: tuple[float, ...] = (0.1, 0.4, 1.0, 2.0)
+    # Rigs that are tried: factors on the believed sizes of calibration, scale and bias errors, how usual each is before
+    # anything is seen, and the weight of a pixel in it. A rig without shared errors, a usual one, a poor one; with one
+    # in between, at 0.2 or 0.4, frames that show little of the hand took it too often, and were too sure.
+    rigs: tuple[Rig, ...] = (Rig(0.03, 0.1, 1.0), Rig(1.0, 0.8, 0.3), Rig(2.0, 0.1, 0.3))
     # Share of a contact's sigma by which its normal may have been felt elsewhere on a bent surface (AlignSettings).
     bend: float = 1.0
-    # Standard deviation of the logarithm of the level before anything is seen.
-    level_spread: float = 0.8
     # Modes that are solved (the rest of the posterior is negligible), and candidates for choosing the level.
     modes: int = 5
     # Pixels between inducing points of the bias, in correlation lengths, and the most of them.
@@ -71,10 +86,6 @@ class JointSettings:
     # Independent error of the hand's surface (m): joint errors move whole links; and how many of its pixels share it.
     hand_sigma: float = 0.001
     hand_sharing: float = 6.0
-    # Weight of a pixel. Neighbours share what nothing here describes: edges of fingers taken for the object, facets,
-    # the lattice's cells, the side of a thin wall. With all of them counted as independent, answers in `lab` were twice
-    # as sure as they should have been (median NEES / 6 of 1.9 at 60 and 80 % hidden; 0.9 like this), and no better.
-    weight: float = 0.15
     # What a mesh and its lattice leave out of a real object, metres.
     model_sigma: float = 0.0004
     # Least cosine of the incidence of a pixel: cameras read nothing of surfaces steeper than 80 degrees.
@@ -168,10 +179,15 @@ class JointProblem:
         if self.camera is not None:
             independent = self.depth.independent_sigma(rows[:, 2])
             self._sigma = np.where(self._on, np.hypot(independent, self.settings.model_sigma), rows[:, SIGMA])
-            self._weight = np.where(self._on, self.settings.weight, rows[:, WEIGHT])
+            self._weigh(min(rig.weight for rig in self.settings.rigs))
         else:
             self._sigma, self._weight = rows[:, SIGMA], rows[:, WEIGHT]
         self._hand_blocks(hand_points)
+
+    def _weigh(self, weight: float) -> None:
+        """Let every pixel count that much."""
+        if self.camera is not None:
+            self._weight = np.where(self._on, weight, self.seen.rows[:, WEIGHT])
 
     def _lay_bias(self, hand_points: Array) -> None:
         self._inducing: Array = np.zeros((0, 2))
@@ -210,9 +226,10 @@ class JointProblem:
         """The hand's pixels, linear in (xi, s, b): their constant part, for unit sigmas of s and b."""
         if self.hand is None:
             return
-        g, w = self.hand.directions, self.hand.trust
+        g = self.hand.directions
         sigma = np.hypot(self.depth.independent_sigma(points[:, 2]), self.settings.hand_sigma)
-        self._hand_weight = w / sigma**2 / self.settings.hand_sharing
+        # All that agree count in full: weights that fall towards the gate would hide how large the bias is
+        self._hand_weight = 1.0 / sigma**2 / self.settings.hand_sharing
         ray = points / points[:, 2:]
         jac_xi = -np.concatenate([np.cross(points - self.hand.centre, g), g], axis=1)
         along = -np.sum(g * ray, axis=1)
@@ -221,8 +238,12 @@ class JointProblem:
         self._hand_normal = weighted.T @ jac
         self._hand_gradient = weighted.T @ self.hand.residual
 
-    def solve(self, pose: Array, level: float) -> JointResult:
-        """Gauss-Newton from `pose` (4, 4) for shared errors `level` times as large as believed."""
+    def solve(self, pose: Array, level: float, weight: float | None = None) -> JointResult:
+        """Gauss-Newton from `pose` (4, 4) for shared errors `level` times as large as believed.
+
+        weight: of a pixel; the least of all rigs' when not told, so that log evidences of levels can be compared.
+        """
+        self._weigh(min(rig.weight for rig in self.settings.rigs) if weight is None else weight)
         size = FIXED + len(self._inducing)
         middle = pose[:3, :3] @ self.model.centroid + pose[:3, 3]
         self._centre = self.hand.centre if self.hand is not None else middle
@@ -444,18 +465,24 @@ def _marginal(normal: Array) -> tuple[Array, float]:
 def solve_modes(problem: JointProblem, starts: list[Array]) -> list[JointResult]:
     """Solve from each start; how large the shared errors are is averaged over at the first start.
 
-    A level weighs exp(log evidence) times a log-normal prior around 1. The first answer is the levels' weighted mean
-    and mixture covariance, so that not knowing the level is part of its uncertainty; other modes use the best level.
+    A rig weighs exp(log evidence) times how usual it is. The first answer is the rigs' weighted mean and mixture
+    covariance, so that not knowing the rig is part of its uncertainty; other modes use the best. Where that is one
+    whose pixels count more, all are solved with these.
     """
     settings = problem.settings
-    tried = [problem.solve(starts[0], settings.levels[0])]
-    for level in settings.levels[1:]:
-        tried.append(problem.solve(tried[-1].pose, level))
-    score = np.array([t.log_evidence - 0.5 * (np.log(t.level) / settings.level_spread) ** 2 for t in tried])
+    tried = [problem.solve(starts[0], settings.rigs[0].level)]
+    for rig in settings.rigs[1:]:
+        tried.append(problem.solve(tried[-1].pose, rig.level))
+    score = np.array([t.log_evidence + np.log(rig.share) for t, rig in zip(tried, settings.rigs)])
     weights = np.exp(score - score.max())
-    best = tried[int(np.argmax(score))]
-    first = _averaged(problem.model, tried, weights / weights.sum(), best)
-    return [first, *(problem.solve(start, best.level) for start in starts[1 : settings.modes])]
+    best = int(np.argmax(score))
+    rig = settings.rigs[best]
+    if rig.weight > min(other.weight for other in settings.rigs):
+        return [
+            problem.solve(start, rig.level, rig.weight) for start in [tried[best].pose, *starts[1 : settings.modes]]
+        ]
+    first = _averaged(problem.model, tried, weights / weights.sum(), tried[best])
+    return [first, *(problem.solve(start, rig.level) for start in starts[1 : settings.modes])]
 
 
 def _averaged(model: ObjectModel, tried: list[JointResult], weights: Array, best: JointResult) -> JointResult:

@@ -2,6 +2,10 @@
 
 A search from many starts looks at a few of them first. When those agree on one minimum, and that minimum explains what
 was seen and felt to within its noise, more starts can only find what explains it no better, and are not looked at.
+
+Blur that opens a wide basin also levels what tells poses apart in it: a mug turns freely until its handle is sharp, and
+all starts slide into one place of that valley. So the valleys of the blurred cost are walked from the best minimum, and
+each step goes down without blur.
 """
 
 from __future__ import annotations
@@ -13,13 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes import poses as se3
-from scenes.alignment import Alignment, AlignSettings, Prior, align
-from scenes.alignment.modes import Mode, ModeSettings, distinct_modes
-from scenes.alignment.search import SearchStage, search, thin
+from scenes.alignment import Alignment, AlignSettings, Prior, align, terms
+from scenes.alignment.modes import Mode, ModeSettings, covariance_of, distinct_modes
+from scenes.alignment.search import SearchStage, distinct_first, search, thin
 from scenes.evidence import GATE_ABOVE, SIGMA, TOUCH, VISION, Evidence
+from scenes.near_symmetries import near_symmetries
 from scenes.objects import ObjectModel
 
 Array = NDArray[np.float64]
+
+ALIGNMENT_PARTS = ("poses", "costs", "hessians", "iterations")
 
 
 @dataclass(frozen=True)
@@ -44,6 +51,14 @@ class PlanSettings:
     least_pixels: int = 60
     # Modes below this share of the posterior are not solved jointly with calibration and bias: they cannot win.
     negligible: float = 1e-3
+    # Valleys: directions in which the blurred cost lets a point at the object's radius move by this share of it (one
+    # standard deviation). Of these the widest are walked, both ways, by so many standard deviations, with so many rows.
+    valley_share: float = 0.1
+    valleys: int = 2
+    valley_steps: tuple[float, ...] = (0.5, 1.0, 1.5, 2.0)
+    valley_rows: int = 160
+    # Longest of these steps, radians and shares of the radius: farther is another basin, which the starts cover.
+    longest_step: float = 1.2
 
 
 @dataclass(frozen=True)
@@ -84,11 +99,61 @@ def find_modes(
         first, past = _refined(model, rows, poses[order[: settings.refined]], prior, rank)
         doubt = doubt_of(model, rows, first, past, agreeing, settings)
         if not doubt:
+            first = _with_valleys(model, rows, first, stages[0], prior, rank, settings, mode_settings)
             modes = distinct_modes(model, first, mode_settings)
             return Found(modes, few, "the first agree and explain what was sensed")
     found = search(model, rows, starts, stages, prior, rank=rank)
     refined, _ = _refined(model, rows, found.poses, prior, rank)
+    refined = _with_valleys(model, rows, refined, stages[0], prior, rank, settings, mode_settings)
     return Found(distinct_modes(model, refined, mode_settings), len(starts), doubt)
+
+
+def _with_valleys(
+    model: ObjectModel,
+    rows: Evidence,
+    found: Alignment,
+    stage: SearchStage,
+    prior: Prior | None,
+    rank: Callable[[Array, float], Array],
+    settings: PlanSettings,
+    mode_settings: ModeSettings,
+) -> Alignment:
+    """`found` and the minima along the valleys that `stage`'s blur makes through the best of them."""
+    steps = valley_steps(model, rows, found.poses[int(np.argmin(found.costs))], stage, prior, settings, mode_settings)
+    if not len(steps):
+        return found
+    rough = align(model, thin(rows, settings.valley_rows), steps, prior, AlignSettings(iterations=12))
+    likely = rough.costs + rank(rough.poses, 0.0)
+    chosen = distinct_first(model, replace(rough, costs=likely), settings.refined)
+    chosen = chosen[likely[chosen] < likely[chosen[0]] + mode_settings.cost_margin]
+    more, _ = _refined(model, rows, rough.poses[chosen], prior, rank)
+    both = [np.concatenate([getattr(a, name) for a in (found, more)]) for name in ALIGNMENT_PARTS]
+    return Alignment(*both)
+
+
+def valley_steps(
+    model: ObjectModel,
+    rows: Evidence,
+    pose: Array,
+    stage: SearchStage,
+    prior: Prior | None,
+    settings: PlanSettings,
+    mode_settings: ModeSettings,
+) -> Array:
+    """(n, 4, 4) poses along the directions in which a stage's blurred cost tells little about `pose` (4, 4), and those
+    that leave most of the object where it is.
+    """
+    blurred = AlignSettings(blur=stage.blur, blur_normal=stage.blur_normal)
+    hessian = terms(model, thin(rows, stage.rows), pose, prior, blurred)[2]
+    unit = np.array([1.0] * 3 + [model.radius] * 3)
+    values, vectors = np.linalg.eigh(covariance_of(model, hessian, mode_settings) / (unit * unit[:, None]))
+    widths = np.sqrt(np.maximum(values, 0.0))
+    free = np.flatnonzero(widths > settings.valley_share)[::-1][: settings.valleys]
+    lengths = np.array([sign * k for k in settings.valley_steps for sign in (1.0, -1.0)])
+    along = [np.clip(lengths * widths[i], -settings.longest_step, settings.longest_step) for i in free]
+    delta = [length[:, None] * (vectors[:, i] * unit) for i, length in zip(free, along)]
+    alike = pose @ near_symmetries(model)
+    return np.concatenate([se3.perturb(pose, np.concatenate(delta), model.centroid), alike]) if delta else alike
 
 
 def worth_solving(modes: tuple[Mode, ...], settings: PlanSettings) -> list[Array]:

@@ -96,7 +96,7 @@ class Tracker:
         self._unseen = 0
         self._lost_for = 0
         self._usual: float | None = None
-        self._levels: list[float] = []
+        self._rigs: list[float] = []
 
     def step(self, frame: Frame) -> TrackedEstimate:
         """The object in this frame."""
@@ -258,15 +258,20 @@ class Tracker:
         self, frame: Frame, looked: Segments, seen: Evidence, felt: Felt, prior: Prior, start: Array, correction: Array
     ) -> joint.JointResult:
         s = self.settings
-        known = len(self._levels) >= s.level_frames
-        how = replace(s.joint, levels=(float(np.median(self._levels)),)) if known else s.joint
+        known = len(self._rigs) >= s.level_frames
+        how = replace(s.joint, rigs=(self._usual_rig(),)) if known else s.joint
         hand = looked.hand_view if len(felt.rows) else None
         rows = felt.rows if hand is not None else felt.rows.moved(correction)
         problem = joint.JointProblem.of(self.model, frame, looked, seen, rows, prior, hand, replace(s.first, joint=how))
         solved = joint.solve_modes(problem, [start])[0]
         if not known and len(seen) and hand is not None:
-            self._levels.append(solved.level)
+            self._rigs.append(solved.level)
         return solved
+
+    def _usual_rig(self) -> joint.Rig:
+        """The rig that most of the first frames were taken for, the lesser of two."""
+        usual = sorted(self._rigs)[(len(self._rigs) - 1) // 2]
+        return next(rig for rig in self.settings.joint.rigs if rig.level == usual)
 
     def _measurement(self, solved: joint.JointResult, predicted: Belief, looked: Segments) -> Measurement:
         """The frame's own answer; a frame without a camera has the robot's error of its own."""

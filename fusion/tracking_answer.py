@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,9 @@ from fusion.tracking_filter import SlipSettings
 from fusion.tracking_motion import HandMotionSettings
 from vision.tracking import VelocitySettings
 from vision.tracking_look import LookSettings
+
+# Pixels count half of what they do in one frame: frames share the edges of fingers that are taken for the object.
+RIGS = tuple(replace(rig, weight=0.5 * rig.weight) for rig in joint.JointSettings().rigs)
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class TrackSettings:
     leap: float = 2.5
     # The joint solution starts within a millimetre and knows the size of the shared errors from the first frames.
     joint: joint.JointSettings = field(
-        default_factory=lambda: joint.JointSettings(steps=4, most_inducing=24, spacing=1.6, modes=1)
+        default_factory=lambda: joint.JointSettings(steps=4, most_inducing=24, spacing=1.6, modes=1, rigs=RIGS)
     )
     level_frames: int = 3
     # Factor on the variance that independent noise makes of a frame's answer: the noise of neighbouring pixels is not

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion import joint
 from fusion.joint import FIXED, POSE, SCALE, XI, JointProblem, JointSettings, robust, solve_modes
 from scenes import evidence, poses
 from scenes.alignment import Prior
@@ -226,7 +225,8 @@ def test_little_evidence_is_solved_too(drill, rng, kind):
 def test_the_level_of_shared_errors_follows_the_data(drill):
     """Pixels that agree with the contacts need no shared error; pixels 6 mm off need much of it."""
     problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-5)
-    own = replace(problem.settings, weight=1.0)  # these pixels share nothing
+    # these pixels share nothing
+    own = replace(problem.settings, rigs=tuple(replace(rig, weight=1.0) for rig in problem.settings.rigs))
     seen, felt = problem.seen, problem.felt
     together = JointProblem(drill, seen, felt, None, None, DepthModel(), CalibrationModel(), CAMERA, settings=own)
     agree = solve_modes(together, [pose])[0]
@@ -234,4 +234,13 @@ def test_the_level_of_shared_errors_follows_the_data(drill):
     apart = JointProblem(drill, off, felt, None, None, DepthModel(), CalibrationModel(), CAMERA, settings=own)
     disagree = solve_modes(apart, [pose])[0]
     assert agree.level < disagree.level
-    assert set(joint.JointSettings().levels) >= {agree.level, disagree.level}
+    assert {rig.level for rig in own.rigs} >= {agree.level, disagree.level}
+
+
+def test_where_nothing_is_shared_pixels_count_more(drill):
+    """The covariance is that of the rig which the frame was taken for: pixels that agree exactly are trusted."""
+    problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-5)
+    calm = solve_modes(problem, [pose])[0]
+    usual = problem.solve(pose, 1.0)
+    assert calm.level < usual.level
+    assert np.trace(calm.covariance[3:, 3:]) < 0.5 * np.trace(usual.covariance[3:, 3:])
