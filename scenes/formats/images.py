@@ -13,6 +13,10 @@ from scenes.errors import CaptureError
 from scenes.formats.bop import MM, SceneCamera
 
 LARGEST_COUNT = 65535
+# Pixels that no depth camera has: a header that claims more (in a file of a few bytes) would fill the memory.
+MOST_PIXELS = 100_000_000
+# A PNG begins with this; width and height are the next two big-endian words.
+_PNG = b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR"
 
 
 def _read(path: Path) -> NDArray[Any]:
@@ -20,7 +24,14 @@ def _read(path: Path) -> NDArray[Any]:
 
     # imdecode keeps OpenCV from printing its own complaint about a file that it cannot open
     data = np.fromfile(path, dtype=np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
+    if data[:16].tobytes() == _PNG and len(data) >= 24:
+        width, height = (int.from_bytes(data[i : i + 4].tobytes(), "big") for i in (16, 20))
+        if width * height > MOST_PIXELS:
+            raise CaptureError(f"expected an image of up to {MOST_PIXELS:g} pixels, got {width}x{height}")
+    try:
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
+    except cv2.error:
+        image = None
     if image is None:
         raise CaptureError(f"expected a PNG image, got {len(data)} bytes that are none")
     return image
