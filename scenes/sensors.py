@@ -66,7 +66,7 @@ def read_sensors(path: str | Path) -> dict[str, Sensor]:
         raise InputError(f"{path}: expected a sensors file, found none")
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected JSON, got malformed text: {error}") from error
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected an object of sensors by name, got {type(data).__name__}")
