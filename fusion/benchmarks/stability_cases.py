@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 # Modules with cases, in the order of the table.
 MODULES = tuple(
     f"fusion.benchmarks.stability_cases_{name}"
-    for name in ("poses", "objects", "contacts", "numbers", "values", "invariance", "fuzz")
+    for name in ("poses", "objects", "contacts", "numbers", "values", "invariance", "fuzz", "files")
 )
 # How far a rotation may be from orthonormal, and how far a covariance from symmetric (share of its largest entry).
 ORTHONORMAL = 1e-9
