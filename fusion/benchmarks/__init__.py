@@ -15,6 +15,7 @@ BENCHMARKS = {
     "recognition": "fusion.benchmarks.recognition",
     "vision": "fusion.benchmarks.vision",
     "occlusion": "fusion.benchmarks.occlusion",
+    "calibration": "fusion.benchmarks.calibration",
     "skipping": "fusion.benchmarks.skipping",
     "stability": "fusion.benchmarks.stability",
     "peers": "fusion.benchmarks.peers",
