@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scenes import distance_field, mesh_repair
 from scenes.distance_field import DistanceField
 from scenes.errors import InputError, MeshError
+from scenes.formats.problems import UNREADABLE
 from scenes.surface import Surface
 from scenes.symmetries import Symmetries
 
@@ -200,16 +201,7 @@ def _read_mesh(path: Path) -> tuple[Array, Faces]:
 
     try:
         mesh = trimesh.load(path, force="mesh", process=False)
-    except (
-        ValueError,
-        KeyError,
-        IndexError,
-        TypeError,
-        AttributeError,
-        NotImplementedError,
-        OSError,
-        EOFError,
-    ) as error:
+    except UNREADABLE as error:
         raise MeshError(f"{path}: expected a mesh file, got one that cannot be read: {error}") from error
     vertices = getattr(mesh, "vertices", None)
     faces = getattr(mesh, "faces", None)

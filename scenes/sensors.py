@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scenes import poses
 from scenes.errors import InputError
 from scenes.formats.ply import write_ply
+from scenes.formats.problems import UNREADABLE
 
 Array = NDArray[np.float64]
 
@@ -111,8 +112,9 @@ def _hull_of(path: Path, changed: int, where: str) -> tuple[Array, NDArray[np.in
     try:
         mesh: Any = trimesh.load(path, force="mesh", process=False)
         hull = mesh.convex_hull
-    except (ValueError, KeyError, IndexError, TypeError, AttributeError, OSError, EOFError, QhullError) as error:
-        raise InputError(f"{where}: expected a solid mesh in {path}, got {str(error).splitlines()[0]}") from error
+    except (*UNREADABLE, QhullError) as error:
+        said = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"{where}: expected a solid mesh in {path}, got {said}") from error
     return np.asarray(hull.vertices, dtype=np.float64), np.asarray(hull.faces, dtype=np.int64)
 
 

@@ -5,20 +5,29 @@ Reading goes through trimesh, which knows every PLY there is. Numbers stay in th
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scenes.errors import MeshError
+from scenes.formats.problems import UNREADABLE
 
 Array = NDArray[np.float64]
 
 
 def write_ply(
-    path: str | Path, points: ArrayLike, faces: ArrayLike | None = None, colours: ArrayLike | None = None
+    path: str | Path,
+    points: ArrayLike,
+    faces: ArrayLike | None = None,
+    colours: ArrayLike | None = None,
+    extra: Mapping[str, ArrayLike] | None = None,
 ) -> None:
-    """Write points (n, 3), optional triangles (m, 3) and colours (n, 3) 0..255 as little-endian binary PLY."""
+    """Write points (n, 3), optional triangles (m, 3) and colours (n, 3) 0..255 as little-endian binary PLY.
+
+    extra: further numbers of each point, name -> (n,), kept as 32-bit floats.
+    """
     points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     fields: list[tuple[str, str]] = [("x", "<f8"), ("y", "<f8"), ("z", "<f8")]
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
@@ -26,6 +35,9 @@ def write_ply(
     if colours is not None:
         fields += [("red", "u1"), ("green", "u1"), ("blue", "u1")]
         header += ["property uchar red", "property uchar green", "property uchar blue"]
+    for name in extra or {}:
+        fields += [(name, "<f4")]
+        header += [f"property float {name}"]
     vertices = np.zeros(len(points), dtype=fields)
     for i, name in enumerate("xyz"):
         vertices[name] = points[:, i]
@@ -35,6 +47,8 @@ def write_ply(
             raise MeshError(f"{path}: expected colours of shape {points.shape}, got {shades.shape}")
         for i, name in enumerate(("red", "green", "blue")):
             vertices[name] = shades[:, i]
+    for name, values in (extra or {}).items():
+        vertices[name] = np.broadcast_to(np.asarray(values, dtype=np.float32), len(points))
     body = vertices.tobytes()
     if faces is not None:
         triangles = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
@@ -73,16 +87,7 @@ def _read_with_trimesh(path: Path) -> tuple[Array, NDArray[np.uint8] | None]:
         raise MeshError(f"{path}: expected a point cloud, found no file")
     try:
         cloud = trimesh.load(path, process=False)
-    except (
-        ValueError,
-        KeyError,
-        IndexError,
-        TypeError,
-        AttributeError,
-        NotImplementedError,
-        OSError,
-        EOFError,
-    ) as error:
+    except UNREADABLE as error:
         raise MeshError(f"{path}: expected a point cloud, got a file that cannot be read: {error}") from error
     vertices = getattr(cloud, "vertices", None)
     if vertices is None or np.ndim(vertices) != 2:

@@ -6,11 +6,30 @@ raises; validating one passes the `append` of a list: both judge by the same cod
 
 from __future__ import annotations
 
+import struct
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NoReturn
 
 from scenes.errors import CaptureError
+
+# What trimesh's readers raise on files that are none: they check little, so nearly anything a wrong value leads to.
+UNREADABLE = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    NameError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+    struct.error,
+    zlib.error,
+)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from scenes import poses
 from scenes.errors import InputError
+from scenes.formats.problems import UNREADABLE
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -234,10 +235,10 @@ def _read_mesh(filename: str, path: Path, where: str) -> tuple[Array, Faces]:
         # STL repeats the corners of each triangle
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
         vertices, faces = np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int64)
-    except (ValueError, KeyError, IndexError, TypeError, AttributeError, NotImplementedError, OSError) as error:
-        raise InputError(f"{file}: expected a mesh, got a file that cannot be read: {error}") from error
     except ImportError as error:
         raise InputError(f"{file}: reading this format needs a missing package ({error}): convert to STL") from error
+    except UNREADABLE as error:
+        raise InputError(f"{file}: expected a mesh, got a file that cannot be read: {error}") from error
     if len(faces) == 0 or not np.isfinite(vertices).all():
         raise InputError(f"{file}: expected a mesh of triangles with finite vertices, got {len(faces)} triangles")
     return vertices, faces

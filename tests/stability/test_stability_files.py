@@ -9,8 +9,9 @@ import pytest
 from fusion.benchmarks import stability_cases_files
 from fusion.benchmarks.stability_mutations import mutate
 from fusion.evaluate import read_covariances
-from scenes.errors import CaptureError, InputError
-from scenes.formats import images
+from scenes.errors import CaptureError, InputError, MeshError
+from scenes.formats import images, ply
+from scenes.objects import ObjectModel
 from scenes.sensors import read_sensors
 
 CASES = stability_cases_files.CASES
@@ -59,3 +60,21 @@ def test_a_header_that_the_decoder_stumbles_over_is_refused(tmp_path):
     path.write_bytes(b"BM" + struct.pack("<IHHIIiiHHIIiiII", 60, 0, 0, 54, 40, 2**30, 2**30, 1, 24, 0, 0, 0, 0, 0, 0))
     with pytest.raises(CaptureError, match="expected a PNG image"):
         images.read_rgb(path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        # a face before any vertex, and a count that is infinite: two ways to stop the reader of text PLY
+        "ply\nformat ascii 1.0\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n3 0 1 2\n",
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+        "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\ninf 0 1 2\n",
+    ],
+)
+def test_a_mesh_that_stops_its_reader_is_refused(tmp_path, text):
+    path = tmp_path / "mesh.ply"
+    path.write_text(text)
+    with pytest.raises(MeshError, match="expected"):
+        ObjectModel.load(path)
+    with pytest.raises(MeshError, match="expected"):
+        ply.read_cloud(path)
