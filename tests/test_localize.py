@@ -270,3 +270,28 @@ def test_real_contacts_reach_the_floor(contact_data, name):
     contacts = Contacts(read_off(contact_file).points)
     indices = [1e3 * localize(model, contacts, seed=seed).index for seed in range(1)]
     assert max(indices) < 1.05 * floor + 0.001
+
+
+@pytest.mark.parametrize("false", [2, 6])
+def test_false_contacts_do_not_speak_for_the_others(drill, false):
+    """Of 20 contacts, 2 or 6 are centimetres off and claim to be as good: the pose is that of the others."""
+    hits = 0
+    for seed in range(6):
+        rng = np.random.default_rng([41, seed])
+        points, normals = drill.sample_surface(20, seed=seed)
+        points = points + 0.0009 * rng.normal(size=points.shape)
+        away = rng.normal(size=(false, 3))
+        points[:false] += 0.03 * away / np.linalg.norm(away, axis=1, keepdims=True)
+        normals[:false] = away / np.linalg.norm(away, axis=1, keepdims=True)
+        found = localize(drill, Contacts(points, normals, 0.0009, 0.09), seed=seed)
+        error = poses.difference(found.pose, np.eye(4), drill.centroid)
+        hits += np.linalg.norm(error[:3]) < np.deg2rad(5.0) and np.linalg.norm(error[3:]) < 0.003
+        assert found.sigma < 0.002 or found.verdict != "ok"
+    assert hits >= 5
+
+
+def test_noise_above_the_claim_is_still_inferred(drill):
+    rng = np.random.default_rng(2)
+    points, normals = drill.sample_surface(40, seed=2)
+    noisy = Contacts(points + 0.006 * rng.normal(size=points.shape), normals, 0.0005, 0.5)
+    assert 0.003 < localize(drill, noisy, seed=0).sigma < 0.009

@@ -3,8 +3,9 @@
 The default method is a batched multi-start: many starts, each refined by Levenberg-Marquardt on distance and normal (T1
 eqs. 3.3, 3.5 with an analytic Jacobian), blur falling from a share of the object's size to the noise of the contacts;
 all distinct minima are kept. Where starts come from depends on what is known: a narrow prior is drawn from; contacts
-with normals suggest poses pair by pair; bare points are tried everywhere. Noise larger than the contacts claim is
-inferred from their residuals.
+with normals suggest poses pair by pair; bare points are tried everywhere. Contacts that cannot all be met to within the
+noise they claim are explained in one of two ways: some of them are false, when most others agree to within their claim;
+else all are noisier than that, and how much is inferred from their residuals.
 """
 
 from __future__ import annotations
@@ -81,6 +82,11 @@ class LocalizeSettings:
     budget_rows: int = 400_000
     # Residuals this many times above the claimed sigma mean that the claim is wrong: the noise is then inferred.
     surprise: float = 1.5
+    # Then some contacts may be false: as likely false as true at this many sigmas. At least this share of them, and
+    # this many, must agree with one pose to within three sigmas: six contacts can always be met.
+    false_gate: float = 4.0
+    agreeing_share: float = 0.5
+    agreeing_least: int = 8
     # Inferred noise has an unknown shape: residuals beyond this many sigmas count linearly.
     huber: float = 0.3
     # Share of the posterior that the first mode must hold to be the answer, and standard deviations (rad, m) of its
@@ -272,6 +278,11 @@ def multistart(
     result = align(model, rows, found.poses, prior)
     sigma = float(np.sqrt(np.mean(contacts.sigma_point**2)))
     inferred = _inferred_noise(model, contacts, result, settings)
+    some_false = None
+    if inferred is not None and contacts.sigma_known:
+        some_false = _some_false(model, contacts, extra, rng, prior, settings)
+    if some_false is not None:
+        result, inferred = some_false, None
     if inferred is not None:
         sigma = inferred
         rows = rows.with_sigma(sigma, tables.TOUCH)
@@ -279,7 +290,7 @@ def multistart(
             model, rows, np.concatenate([found.poses, result.poses]), prior, AlignSettings(huber=settings.huber)
         )
     modes = distinct_modes(model, result, ModeSettings())
-    if sigma < settings.exact_below * model.field.spacing and extra is None and prior is None:
+    if sigma < settings.exact_below * model.field.spacing and extra is None and prior is None and some_false is None:
         modes = polish(model, contacts, modes, sigma, settings.huber if inferred is not None else 0.0)
     pose = modes[0].pose
     return Localization(
@@ -290,6 +301,32 @@ def multistart(
         verdict_of(modes, model, settings),
         time.perf_counter() - begin,
     )
+
+
+def _some_false(
+    model: ObjectModel,
+    contacts: Contacts,
+    extra: Evidence | None,
+    rng: np.random.Generator,
+    prior: Prior | None,
+    settings: LocalizeSettings,
+) -> Alignment | None:
+    """Poses that some of the contacts speak for as they claim, and the others not at all; None when too few agree."""
+    rows = tables.from_contacts(contacts, gate=settings.false_gate)
+    if extra is not None:
+        rows = tables.stack(rows, extra)
+    found = find_candidates(model, contacts, rows, rng, prior, settings)
+    result = align(model, rows, found.poses, prior)
+    best = result.poses[int(np.argmin(result.costs))]
+    local = se3.apply(se3.inverse(best), contacts.points)
+    residual, outward, _ = model.surface.closest(local)
+    agree = np.abs(residual) < 3.0 * contacts.sigma_point
+    if contacts.has_normal.any():
+        cosine = np.sum(outward * (contacts.normals @ best[:3, :3]), axis=1)
+        limit = np.minimum(3.0 * contacts.sigma_normal, np.pi)
+        agree &= ~contacts.has_normal | (np.arccos(np.clip(cosine, -1.0, 1.0)) < limit)
+    needed = max(settings.agreeing_least, settings.agreeing_share * len(contacts))
+    return result if agree.sum() >= needed else None
 
 
 def _inferred_noise(
