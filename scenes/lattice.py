@@ -249,7 +249,5 @@ def check_finite(points: np.ndarray, name: str) -> np.ndarray:
     # not true of NaN either
     good = np.abs(array) < _FARTHEST
     if not good.all():
-        raise InputError(
-            f"{name}: expected finite points, got {int((~good).any(axis=1).sum())} bad rows"
-        )
+        raise InputError(f"{name}: expected finite points, got {int((~good).any(axis=1).sum())} bad rows")
     return array

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,8 @@ Array = NDArray[np.float64]
 
 # Above this cosine between its offset and the triangle's normal, a foot lies within the triangle.
 _UPRIGHT = 0.999
+# Most cells along the longest side of the grid that sorts out what is far away.
+_CELLS = 64
 # Rays that vote on inside and outside: one may run through an edge.
 _RAYS = 3
 
@@ -30,6 +34,38 @@ class Surface:
         )
         cross = np.cross(self._corners[:, 1] - self._corners[:, 0], self._corners[:, 2] - self._corners[:, 0])
         self._normals = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
+
+    @cached_property
+    def _boxes(self) -> tuple[Array, Array]:
+        """Lowest and highest corner (m, 3) of every triangle."""
+        a, b, c = self._corners[:, 0], self._corners[:, 1], self._corners[:, 2]
+        return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+
+    def may_be_within(self, points: Array, distance: float) -> NDArray[np.bool_]:
+        """(n,) False only for points (n, 3) farther than `distance` (m) from the surface: cheap, to ask few for more.
+
+        A point that near lies in some triangle's box widened by the distance; the boxes are marked on a grid.
+        """
+        local = np.asarray(points, dtype=np.float64) - self._middle
+        low, high = self._boxes
+        low, high = low - distance, high + distance
+        origin, size = low.min(axis=0), (high.max(axis=0) - low.min(axis=0)).max()
+        cell = max(distance, size / _CELLS)
+        first = ((low - origin) / cell).astype(np.int64)
+        last = ((high - origin) / cell).astype(np.int64) + 1
+        shape = last.max(axis=0) + 1
+        # boxes as differences at their corners: their sums along each axis count the boxes over a cell
+        marks = np.zeros(int(shape.prod()))
+        for corner in range(8):
+            ends = [last[:, k] if corner >> k & 1 else first[:, k] for k in range(3)]
+            sign = -1.0 if bin(corner).count("1") % 2 else 1.0
+            marks += sign * np.bincount(np.ravel_multi_index(ends, shape), minlength=len(marks))
+        covered = marks.reshape(shape).cumsum(axis=0).cumsum(axis=1).cumsum(axis=2) > 0.5
+        index = np.floor((local - origin) / cell)
+        known = ((index >= 0) & (index < shape)).all(axis=1)
+        out = np.zeros(len(local), dtype=bool)
+        out[known] = covered[tuple(index[known].astype(np.int64).T)]
+        return out
 
     def closest(self, points: Array) -> tuple[Array, Array, Array]:
         """For points (n, 3): signed distance (n,), its unit gradient (n, 3), and the closest points (n, 3).

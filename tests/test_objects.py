@@ -166,3 +166,17 @@ def test_closest_points_on_the_surface_itself_are_finite():
     assert np.isfinite(gradient).all()
     assert np.allclose(gradient[:200], normals, atol=1e-6)
     assert model.surface.closest(np.zeros((0, 3)))[1].shape == (0, 3)
+
+
+@pytest.mark.parametrize("name", ["drill", "mug"])
+@pytest.mark.parametrize("distance", [0.002, 0.03])
+def test_no_point_that_is_near_is_sorted_out_as_far(name, distance):
+    surface = library.make(name).surface
+    rng = np.random.default_rng(4)
+    points = rng.uniform(-0.25, 0.25, (4000, 3)) * [1.0, 1.0, 1.5]
+    near = np.abs(surface.closest(points)[0]) < distance
+    maybe = surface.may_be_within(points, distance)
+    assert not (near & ~maybe).any()
+    assert maybe.mean() < 0.5
+    far = surface.may_be_within(points + 10.0, distance)
+    assert not far.any()

@@ -62,10 +62,14 @@ class HandView:
     trust: Array
     surface: Surface
 
-    def distance(self, points: Array) -> Array:
-        """Unsigned distances (n,) of camera-frame points to the aligned hand, metres."""
-        distance, _, _ = self.surface.closest(se3.apply(se3.inverse(self.aligned), points))
-        return np.abs(distance)
+    def nearer(self, points: Array, distance: float) -> NDArray[np.bool_]:
+        """(n,) whether camera-frame points (n, 3) are nearer than `distance` (m) to the aligned hand, or inside it
+        that deep.
+        """
+        local = se3.apply(se3.inverse(self.aligned), points)
+        near = self.surface.may_be_within(local, distance)
+        near[near] = np.abs(self.surface.closest(local[near])[0]) < distance
+        return near
 
     def correct(self) -> Array:
         """camera_from_camera transform that moves what the robot reports to where the camera sees it."""
@@ -109,8 +113,9 @@ def view_hand(
     vertices, faces, _ = frame.hand.mesh(frame.joints)
     surface = Surface(vertices, faces)
     hand_from_camera = se3.inverse(measured)
-    start, _, _ = surface.closest(se3.apply(hand_from_camera, pixels.points))
-    near = np.abs(start) < 2 * settings.gates[0]
+    local = se3.apply(hand_from_camera, pixels.points)
+    near = surface.may_be_within(local, 2 * settings.gates[0])
+    near[near] = np.abs(surface.closest(local[near])[0]) < 2 * settings.gates[0]
     points = pixels.points[near]
     if len(points) < settings.fewest:
         return HandView(

@@ -165,7 +165,7 @@ def segment(
             wide = read_pixels(frame.depth, frame.camera, full, settings.most_hand)
             hand_view = view_hand(frame, wide, depth_model, calibration, hand_settings)
         if hand_view is not None and len(mine):
-            near_hand = hand_view.distance(mine.points) < hand_settings.margin
+            near_hand = hand_view.nearer(mine.points, hand_settings.margin)
             dropped["hand pixels"] = int(near_hand.sum())
     told_apart = frame.mask is not None or hand_view is not None
     return Segments(

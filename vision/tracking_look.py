@@ -99,7 +99,7 @@ class Looker:
         others = pixels.take(~near).thinned(self.settings.free_rays)
         of_hand = np.zeros(len(mine), dtype=bool)
         if hand_view is not None and len(mine):
-            of_hand = hand_view.distance(mine.points) < HandViewSettings().margin
+            of_hand = hand_view.nearer(mine.points, HandViewSettings().margin)
         told_apart = frame.mask is not None or hand_view is not None
         dropped = {"hand pixels": int(of_hand.sum())} if hand_view is not None else {}
         return Segments(
