@@ -385,13 +385,14 @@ def test_overwritten_bytes_are_one_line_or_a_capture(tmp_path, capsys):
             assert (code, err.count("\n")) in ((0, 0), (2, 1)), err
 
 
-def test_malformed_bags_and_maps(tmp_path, capsys):
+def test_malformed_bags_and_maps(tmp_path, capfd):
+    # capfd: complaints of libraries written in C do not pass through Python
     def says(message, out, topics=None, **rest):
         folder = tmp_path / f"case{len(list(tmp_path.iterdir()))}"
         folder.mkdir()
         bag = out.write(folder / "bag")
         made = write_map(folder / "topics.json", topics or PLAIN, **rest)
-        error = refused(capsys, "convert", bag, folder / "c", "--topics", made, "--object", "box")
+        error = refused(capfd, "convert", bag, folder / "c", "--topics", made, "--object", "box")
         assert message in error, error
         assert not (folder / "c").exists()
 
@@ -411,6 +412,12 @@ def test_malformed_bags_and_maps(tmp_path, capsys):
     bayer = plain("mcap", 1)
     bayer.image("/color", START, np.zeros((HEIGHT, WIDTH), dtype=np.uint8), "bayer_rggb8")
     says("got 'bayer_rggb8'", bayer, PLAIN | {"/color": {"role": "rgb"}})
+    png = cv2.imencode(".png", np.arange(HEIGHT * WIDTH, dtype=np.uint16).reshape(HEIGHT, WIDTH))[1].tobytes()
+    for data in (png[:-20], png[:80] + b"xxxx" + png[84:], b"", b"\xff\xd8\xff"):
+        cut = Messages("mcap")
+        cut.camera_info("/depth/info", START)
+        cut.compressed("/depth", START, data, "16UC1; png compressed")
+        says("expected a compressed image ('16UC1; png compressed')", cut)
     other = plain("mcap", 1)
     other.image("/color", START, np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8), "rgb8", frame="color_camera")
     says(
@@ -477,13 +484,13 @@ def test_malformed_bags_and_maps(tmp_path, capsys):
     ):
         says(message, plain("mcap", 1), topics, **rest)
     bag = plain("mcap", 1).write(tmp_path / "bag")
-    assert "expected --topics FILE, a topic map" in refused(capsys, "convert", bag, tmp_path / "c", "--object", "box")
+    assert "expected --topics FILE, a topic map" in refused(capfd, "convert", bag, tmp_path / "c", "--object", "box")
     made = write_map(tmp_path / "topics.json", PLAIN)
-    assert "say --object MESH" in refused(capsys, "convert", bag, tmp_path / "c", "--topics", made)
+    assert "say --object MESH" in refused(capfd, "convert", bag, tmp_path / "c", "--topics", made)
     (tmp_path / "empty").mkdir()
-    assert "found neither" in refused(capsys, "convert", tmp_path / "empty", tmp_path / "c", "--topics", made)
+    assert "found neither" in refused(capfd, "convert", tmp_path / "empty", tmp_path / "c", "--topics", made)
     argv = ("convert", tmp_path / "empty", tmp_path / "c", "--topics", made, "--from", "ros", "--object", "box")
-    assert "expected a readable ROS bag" in refused(capsys, *argv)
+    assert "expected a readable ROS bag" in refused(capfd, *argv)
 
 
 def test_without_rosbags_the_extra_is_named(tmp_path, capsys, monkeypatch):

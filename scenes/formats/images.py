@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -20,21 +22,45 @@ _PNG = b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR"
 
 
 def _read(path: Path) -> NDArray[Any]:
-    import cv2
-
-    # imdecode keeps OpenCV from printing its own complaint about a file that it cannot open
-    data = np.fromfile(path, dtype=np.uint8)
-    if data[:16].tobytes() == _PNG and len(data) >= 24:
-        width, height = (int.from_bytes(data[i : i + 4].tobytes(), "big") for i in (16, 20))
-        if width * height > MOST_PIXELS:
-            raise CaptureError(f"expected an image of up to {MOST_PIXELS:g} pixels, got {width}x{height}")
-    try:
-        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
-    except cv2.error:
-        image = None
+    data = path.read_bytes()
+    image = decode(data)
     if image is None:
         raise CaptureError(f"expected a PNG image, got {len(data)} bytes that are none")
     return image
+
+
+def decode(data: bytes) -> NDArray[Any] | None:
+    """The image in a file's bytes, channels as OpenCV orders them; None when they are no image or a damaged one.
+
+    Raises CaptureError for a PNG that claims more pixels than any camera has.
+    """
+    import cv2
+
+    if data[:16] == _PNG and len(data) >= 24:
+        width, height = struct.unpack_from(">II", data, 16)
+        if width * height > MOST_PIXELS:
+            raise CaptureError(f"expected an image of up to {MOST_PIXELS:g} pixels, got {width}x{height}")
+    # OpenCV and libpng print complaints of their own about a PNG that is cut off or overwritten
+    if not data or (data.startswith(_PNG[:8]) and not _whole_png(data)):
+        return None
+    try:
+        return cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        return None
+
+
+def _whole_png(data: bytes) -> bool:
+    """True when every chunk is there to the last, with the checksum that it says."""
+    at, kind = 8, b""
+    while kind != b"IEND":
+        if at + 12 > len(data):
+            return False
+        size, kind = struct.unpack_from(">I4s", data, at)
+        end = at + 8 + size
+        if end + 4 > len(data) or zlib.crc32(data[at + 4 : end]) != struct.unpack_from(">I", data, end)[0]:
+            return False
+        at = end + 4
+    return True
 
 
 def _write(path: Path, image: NDArray[Any]) -> None:

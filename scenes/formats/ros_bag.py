@@ -76,7 +76,8 @@ def open_bag(path: Path, definitions: Mapping[str, str]) -> Iterator[Bag]:
 
     broken: tuple[type[Exception], ...] = (AnyReaderError, Error1, Error2, SerdeError, TypesysError, struct.error)
     # what the decompressors, SQLite and the parsers raise on bytes that were cut off or overwritten
-    broken += (OSError, EOFError, ValueError, KeyError, IndexError, AssertionError, RuntimeError, *_database_errors())
+    broken += (OSError, EOFError, ValueError, LookupError, AssertionError, RuntimeError, AttributeError, TypeError)
+    broken += (OverflowError, MemoryError, *_database_errors())
     store = get_typestore(Stores.LATEST)
     try:
         given: dict[str, Any] = {}

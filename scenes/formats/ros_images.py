@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError
+from scenes.formats.images import decode
 
 # name -> (type, channels, order of red, green, blue)
 COLOURS: dict[str, tuple[int, tuple[int, int, int]]] = {
@@ -88,9 +89,7 @@ def _raw(message: Any, kind: np.dtype[Any], channels: int, where: str) -> NDArra
 
 
 def _opened(message: Any, data: bytes, where: str) -> NDArray[Any]:
-    import cv2
-
-    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    image = decode(data)
     if image is None:
         raise CaptureError(f"{where}: expected a compressed image ({message.format!r}), got {len(data)} bytes of none")
     return image
