@@ -60,10 +60,14 @@ def result_json(
 def write_results(out: Path, capture: Capture, answers: Sequence[Estimate], content: dict[str, Any]) -> None:
     """Write OUT/poses.csv and OUT/result.json; the folder is made when missing."""
     out.mkdir(parents=True, exist_ok=True)
-    number = capture.settings.object_id
+    number, scene = capture.settings.object_id, capture.settings.notes.get("scene_id", 0)
+    scene = scene if isinstance(scene, int) else 0
     write_poses(
         out / "poses.csv",
-        [PoseRow(0, a.frame, number, a.modes[0].weight if a.modes else 0.0, a.pose, a.time_ms / 1e3) for a in answers],
+        [
+            PoseRow(scene, a.frame, number, a.modes[0].weight if a.modes else 0.0, a.pose, a.time_ms / 1e3)
+            for a in answers
+        ],
     )
     write_json(out / "result.json", content)
 

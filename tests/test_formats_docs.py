@@ -18,6 +18,7 @@ from test_formats_folders import images, sequence
 from fusion.cli.main import main
 from scenes import poses
 from scenes.captures import read_capture, write_capture
+from scenes.formats.bop import read_poses
 from scenes.formats.off import write_off
 from scenes.formats.ply import write_ply
 from scenes.hand_generation import five_finger_hand
@@ -126,6 +127,8 @@ def test_every_command_of_the_page_works(place, monkeypatch, capsys):
         assert len(capture) > 0
         assert [p for p in validate(capture.path) if "sizes that agree" not in p.message] == []
     assert read_capture(place / "captures/can").settings.object_id == 5
+    rows = read_poses(place / "out/drill/poses.csv")
+    assert [(row.scene_id, row.im_id, row.obj_id) for row in rows] == [(48, 0, 15), (48, 3, 15)]
     counts = json.loads((place / "out/counts.json").read_text())
     assert (counts["frames"], counts["dropped"], len(counts["remarks"])) == (3, [], 1)
     grasps = [read_capture(place / "captures" / name) for name in ("grasp", "grasp_ros2", "grasp_mcap")]

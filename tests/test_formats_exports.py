@@ -68,15 +68,19 @@ def test_the_poses_of_a_result(capture, tmp_path, capsys):
         (stamp, pose), *others = read_tum(tmp_path / "t.tum").items()
         assert (stamp, others) == (100_000_000, [])
         np.testing.assert_allclose(pose, moved, atol=1e-12)
-    (result / "result.json").write_text(json.dumps({"frames": [{"frame": 6, "camera_from_object": moved.tolist()}]}))
+    entry = {"frame": 6, "camera_from_object": moved.tolist(), "verdict": "ok"}
+    (result / "result.json").write_text(json.dumps({"capture": "c", "frames": [entry]}))
     assert run("convert", folder, tmp_path / "t.tum", "--result", result) == 0
     assert list(read_tum(tmp_path / "t.tum")) == [200_000_000]
+    # a result by itself finds its capture
+    assert run("convert", result, tmp_path / "u.tum") == 0
+    assert (tmp_path / "u.tum").read_text() == (tmp_path / "t.tum").read_text()
     capsys.readouterr()
-    (result / "result.json").write_text(json.dumps({"frames": [{"frame": 5, "camera_from_object": moved.tolist()}]}))
+    (result / "result.json").write_text(json.dumps({"frames": [entry | {"frame": 5}]}))
     argv = ("convert", folder, tmp_path / "t.tum", "--result", result)
     assert "got 5, which it does not have" in refused(capsys, *argv)
     (result / "result.json").write_text("{}")
-    assert "expected a result.json with frames and poses" in refused(capsys, *argv)
+    assert "expected a result.json as estimate writes it" in refused(capsys, *argv)
     assert "expected result.json or poses.csv in it" in refused(capsys, *argv[:-1], tmp_path)
 
 

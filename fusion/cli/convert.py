@@ -37,11 +37,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     sources = "; ".join(f"{name} ({what})" for name, what in SOURCES.items())
     targets = "; ".join(f"{name} ({what})" for name, what in TARGETS.items())
     parser.add_argument(
-        "source", metavar="IN", type=Path, help="recording, capture, contacts (.off, .ply, .csv), mesh or cloud"
+        "source", metavar="IN", type=Path, help="recording, capture, result, contacts (.off, .ply, .csv), mesh or cloud"
     )
     parser.add_argument("out", metavar="OUT", type=Path, help="folder or file to write")
     parser.add_argument("--from", dest="kind", metavar="FORMAT", help=f"of a recording, else seen from it: {sources}")
-    parser.add_argument("--to", metavar="FORMAT", help=f"what a capture becomes: {targets}")
+    parser.add_argument(
+        "--to", metavar="FORMAT", help=f"what a capture (or a result, with its capture) becomes: {targets}"
+    )
     add_object(parser, what="instead of the recording's object, or where it has none")
     parser.add_argument("--object-id", metavar="N", type=whole, help="bop, tacman: which object of several")
     parser.add_argument("--instance", metavar="K", type=whole, help="bop: which of several in an image, from 0")
@@ -83,8 +85,15 @@ def convert(args: argparse.Namespace) -> Converted:
     source: Path = args.source
     if not source.exists():
         raise InputError(f"{source}: expected a recording, a capture or a file, found nothing")
-    if (source / "capture.json").is_file() and args.kind is None:
-        return _export(args)
+    if args.kind is None:
+        if (source / "capture.json").is_file():
+            return _export(args)
+        from fusion.results import capture_of, find_result, read_result
+
+        result = find_result(source)
+        if result is not None:
+            args.source, args.result = capture_of(result, read_result(result)[0]), result
+            return _export(args)
     if args.to is not None:
         raise InputError(f"{source}: expected a capture (capture.json) for --to {args.to}, found none")
     kind = args.kind or _kind(source, args.out)
@@ -256,29 +265,20 @@ def _poses(capture: Capture, result: Path | None) -> dict[int, Any]:
     return known
 
 
-def _result_poses(result: Path) -> dict[int, Any]:
-    import json
-
-    import numpy as np
-
-    from scenes import poses
-    from scenes.errors import CaptureError, InputError
+def _result_poses(path: Path) -> dict[int, Any]:
+    from fusion.results import find_result, read_result
+    from scenes.errors import CaptureError
     from scenes.formats.bop import read_poses
 
-    if result.is_dir():
-        names = [name for name in ("result.json", "poses.csv") if (result / name).is_file()]
-        if not names:
-            raise CaptureError(f"{result}: expected result.json or poses.csv in it, found neither")
-        result = result / names[0]
-    if result.suffix.lower() != ".json":
-        # of several rows of one frame the best score counts
-        return {row.im_id: row.pose for row in sorted(read_poses(result), key=lambda row: row.score)}
-    try:
-        content = json.loads(result.read_text(encoding="utf-8"))
-        frames = {int(f["frame"]): np.array(f["camera_from_object"], dtype=np.float64) for f in content["frames"]}
-        return {number: poses.check_pose(pose) for number, pose in frames.items()}
-    except (InputError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        raise CaptureError(f"{result}: expected a result.json with frames and poses: {error}") from error
+    result = find_result(path)
+    if result is not None:
+        return {answer.frame: answer.pose for answer in read_result(result)[1]}
+    if path.is_dir():
+        path = path / "poses.csv"
+        if not path.is_file():
+            raise CaptureError(f"{path.parent}: expected result.json or poses.csv in it, found neither")
+    # of several rows of one frame the best score counts
+    return {row.im_id: row.pose for row in sorted(read_poses(path), key=lambda row: row.score)}
 
 
 def _stamps(capture: Capture, fps: float) -> dict[int, int]:
