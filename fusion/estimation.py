@@ -107,7 +107,7 @@ def _estimate(
         felt = feel(frame if "touch" in senses else numb(frame), settings.contact_gate, looked.region)
         stage.note(len(felt.rows), f"{len(felt.contacts)} contacts, {len(felt.rows) - len(felt.contacts)} empty points")
 
-    hand = looked.hand_view if len(felt.rows) else None
+    hand = looked.hand_view if looked.hand_view is not None and len(looked.hand_view.points) else None
     correction = hand.correct() if hand is not None else np.eye(4)
     uncorrected = hand is None and frame.camera is not None
     touch_rows = felt.slackened(settings.calibration, uncorrected).moved(correction)

@@ -169,7 +169,8 @@ class JointProblem:
 
     def __post_init__(self) -> None:
         """Lay the inducing pixels and the hand's constant block."""
-        self.hand = self.hand if self.has_robot and len(self.felt) else None
+        # without touch, too: the hand's pixels have the object's depth errors, and its shape is known
+        self.hand = self.hand if self.has_robot and self.hand is not None and len(self.hand.points) else None
         hand_points = self.hand.points if self.hand is not None else np.zeros((0, 3))
         self._lay_bias(hand_points)
         self._seen_basis = self._basis(self.seen.points)

@@ -15,6 +15,7 @@ from scenes.errors import InputError
 COLOURS = {
     "icp": "#9a9a9a",
     "icp_segmented": "#5f6b7a",
+    "icp_touch": "#7a5ea8",
     "vision": "#3b7dd8",
     "touch": "#e08a2e",
     "fused": "#2c9c5a",

@@ -181,7 +181,8 @@ class Frame:
     camera: intrinsics, None when there is no camera. camera_from_world (4, 4).
     depth (h, w) float32 metres along z, 0 = no reading. rgb (h, w, 3) uint8. mask (h, w) bool, the object's pixels.
     cloud (n, 3) world frame. joints: name -> radians or metres. world_from_hand (4, 4).
-    camera_from_object_truth and prior (4, 4): ground truth and coarse start, when the recording has them.
+    camera_from_object_truth and prior (4, 4): ground truth and coarse start, when the recording has them;
+    hand_from_object_truth (4, 4): where a simulated hand really holds it.
     where: file and frame, for messages.
     """
 
@@ -203,3 +204,4 @@ class Frame:
     tactile: dict[str, Array] = field(default_factory=dict)
     prior: Array | None = None
     camera_from_object_truth: Array | None = None
+    hand_from_object_truth: Array | None = None

@@ -305,6 +305,7 @@ class _Recording:
             no_contact=empty,
             prior=self._prior(camera_from_object, rng),
             camera_from_object_truth=camera_from_object,
+            hand_from_object_truth=grasp.hand_from_object,
             **image,
         )
 

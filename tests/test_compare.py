@@ -14,6 +14,7 @@ from fusion.compare import METHODS, Row, check_methods, compare, compare_frame, 
 from fusion.evaluate import evaluate
 from fusion.judging import Agreement, Errors, Judge, json_number
 from fusion.plots import check_suffix, draw, write_plot
+from fusion.stages import numb
 from scenes import poses
 from scenes.cameras import Camera
 from scenes.captures import read_capture, write_capture
@@ -176,3 +177,16 @@ def test_evaluation(tmp_path):
     blind = write_capture(tmp_path / "blind", [replace(frames[0], camera_from_object_truth=None)], make("drill"))
     with pytest.raises(CaptureError, match="expected ground truth"):
         evaluate(rows[:1], read_capture(blind))
+
+
+def test_contacts_join_the_cloud_at_their_share(exact_frame):
+    cloud = np.random.default_rng(0).normal(size=(900, 3))
+    both = comparing.with_contacts(cloud, exact_frame)
+    felt = poses.apply(exact_frame.camera_from_world, exact_frame.contacts.points)
+    share = 1.0 - len(cloud) / len(both)
+    assert abs(share - comparing.CONTACT_SHARE) < 0.01
+    assert len(np.unique(both, axis=0)) == len(cloud) + len(felt)
+    # any part of them holds about that share, too
+    known = {tuple(point) for point in felt}
+    assert sum(tuple(point) in known for point in both[:300]) in range(15, 50)
+    assert comparing.with_contacts(cloud, numb(exact_frame)) is cloud

@@ -71,6 +71,10 @@ class HandView:
         near[near] = np.abs(self.surface.closest(local[near])[0]) < distance
         return near
 
+    def gap(self, points: Array) -> float:
+        """Least distance (m) between camera-frame points (n, 3), n at least 1, and the aligned hand."""
+        return float(np.abs(self.surface.closest(se3.apply(se3.inverse(self.aligned), points))[0]).min())
+
     def correct(self) -> Array:
         """camera_from_camera transform that moves what the robot reports to where the camera sees it."""
         return self.aligned @ se3.inverse(self.measured)

@@ -288,7 +288,7 @@ def _chosen(
         own = points[pieces == piece]
         few = samples[int(piece)] = own[:: max(1, len(own) // 300)]
         if view is not None:
-            gaps[piece] = float(view.distance(few).min())
+            gaps[piece] = view.gap(few)
         if len(felt):
             gaps[piece] = min(gaps[piece], float(np.linalg.norm(few[:, None] - felt[None], axis=2).min()))
         if start is not None:

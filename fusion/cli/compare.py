@@ -41,7 +41,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
     parser.add_argument("captures", metavar="CAPTURE", type=Path, nargs="+", help="folders of captures")
     parser.add_argument(
-        "--methods", metavar="NAMES", type=names, help="icp, icp_segmented, vision, touch, fused (default all)"
+        "--methods",
+        metavar="NAMES",
+        type=names,
+        help="icp, icp_segmented, icp_touch, vision, touch, fused (default all)",
     )
     add_object(parser, what="instead of the captures' object")
     add_prior(parser)

@@ -49,6 +49,7 @@ AGREEING = 60.0
 METHOD_NAMES = {
     "icp": "ICP, usual crop",
     "icp_segmented": "ICP, segmented",
+    "icp_touch": "ICP, with contacts",
     "vision": "Vision",
     "touch": "Touch",
     "fused": "Fused",
