@@ -13,6 +13,7 @@ from importlib import metadata
 from typing import NoReturn
 
 from fusion.cli import (
+    batch,
     bench,
     compare,
     convert,
@@ -22,6 +23,7 @@ from fusion.cli import (
     grasp,
     identify,
     localize,
+    model,
     synth,
     track,
     validate,
@@ -29,7 +31,22 @@ from fusion.cli import (
 from fusion.cli.options import add_common, check_target
 from scenes.errors import InputError, PalpateError
 
-COMMANDS = (demo, synth, validate, estimate, track, compare, evaluate, localize, identify, grasp, convert, bench)
+COMMANDS = (
+    demo,
+    synth,
+    validate,
+    estimate,
+    track,
+    compare,
+    evaluate,
+    localize,
+    identify,
+    grasp,
+    model,
+    batch,
+    convert,
+    bench,
+)
 
 BAD_INPUT = 2
 INTERRUPTED = 130

@@ -57,14 +57,15 @@ def render(data: Mapping[str, Any]) -> str:
     packed = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     parts = {
         "TITLE": html.escape(f"{data['object']['name']} · {data['capture']}"),
-        "STYLE": _asset("report.css"),
-        "SCENE": _asset("scene.js"),
-        "SCRIPT": _asset("report.js"),
+        "STYLE": asset("report.css"),
+        "SCENE": asset("scene.js"),
+        "SCRIPT": asset("report.js"),
         "DATA": packed,
     }
     # one pass, so that a capture named like a placeholder stays a name
-    return re.sub(r"\{\{([A-Z]+)\}\}", lambda match: parts[match[1]], _asset("report.html"))
+    return re.sub(r"\{\{([A-Z]+)\}\}", lambda match: parts[match[1]], asset("report.html"))
 
 
-def _asset(name: str) -> str:
+def asset(name: str) -> str:
+    """A file of the pages, as text."""
     return resources.files("fusion.report").joinpath(name).read_text(encoding="utf-8")

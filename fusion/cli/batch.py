@@ -1,0 +1,114 @@
+"""Estimate many captures, by several processes or a cluster; a run that was stopped goes on where it ended."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fusion.cli.options import (
+    add_object,
+    add_prior,
+    announce_compiling,
+    names,
+    number,
+    positive,
+    progress,
+    say,
+    show_table,
+    write_json,
+)
+
+if TYPE_CHECKING:
+    from fusion.batch import Job, Outcome
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's own arguments."""
+    parser.add_argument("folder", metavar="DIR", type=Path, help="folder with captures in it, however deep")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", metavar="N", type=positive, help="processes (default: the cores that may be used)")
+    where.add_argument("--scheduler", metavar="ADDRESS", help="of a dask cluster, like tcp://host:8786")
+    add_object(parser, what="instead of the captures' objects")
+    parser.add_argument(
+        "--use", metavar="SENSES", type=names, default=("vision", "touch"), help="vision,touch (default)"
+    )
+    add_prior(parser)
+    parser.add_argument("--out", metavar="DIR", type=Path, help="where to write (default out/NAME of the folder)")
+    parser.add_argument("--no-report", action="store_true", help="skip the captures' report.html")
+    parser.add_argument("--again", action="store_true", help="also what an earlier run did")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 1 when a capture failed or a frame is lost."""
+    from fusion.batch import Job, Outcome, find_captures, finished
+    from fusion.batch_results import summary_of, write_all
+    from fusion.cli.options import prior_setter
+    from fusion.stages import check_senses
+
+    use = tuple(sorted(check_senses(args.use), reverse=True))
+    prior_setter(args.prior, args.seed)  # a mistake in it is one line now, not one a capture
+    paths = find_captures(args.folder)
+    out = args.out or Path("out") / args.folder.resolve().name
+    told = {"use": use, "prior": args.prior, "object": args.object, "unit": args.unit, "report": not args.no_report}
+    jobs = []
+    for path in paths:
+        name = path.relative_to(args.folder).as_posix()
+        name = args.folder.resolve().name if name == "." else name
+        jobs.append(Job(str(path.resolve()), name, str((out / name).resolve()), seed=args.seed, **told))
+    found: dict[str, Outcome] = {}
+    for job in jobs:
+        rows = None if args.again else finished(job)
+        if rows is not None:
+            found[job.name] = Outcome(job, "kept", rows)
+    rest = [job for job in jobs if job.name not in found]
+    announce_compiling()
+    out.mkdir(parents=True, exist_ok=True)
+    for outcome in progress(_outcomes(args, rest), len(rest), "estimating"):
+        found[outcome.job.name] = outcome
+    outcomes = [found[job.name] for job in jobs]
+    summary = summary_of(outcomes)
+    written = write_all(out, out.resolve().name, outcomes)
+    write_json(args.json, {"summary": summary, "rows": [row for outcome in outcomes for row in outcome.rows]})
+    _show(outcomes, summary)
+    say(f"wrote {', '.join(str(path) for path in written)}")
+    return 1 if summary["failed"] or summary["verdicts"]["lost"] else 0
+
+
+def _outcomes(args: argparse.Namespace, jobs: list[Job]) -> Iterator[Outcome]:
+    from fusion.batch import Cluster, Processes, run_jobs
+    from scenes.threads import thread_count
+
+    if not jobs:
+        return
+    if args.scheduler is None:
+        yield from run_jobs(jobs, Processes(min(args.workers or thread_count(), len(jobs))))
+        return
+    cluster = Cluster(args.scheduler)
+    try:
+        yield from run_jobs(jobs, cluster)
+    finally:
+        cluster.close()
+
+
+def _show(outcomes: list[Outcome], summary: dict[str, Any]) -> None:
+    from fusion.batch_results import median
+
+    heads = ("capture", "frames", "ok", "ambiguous", "lost", "ADD-S mm", "rot °", "time ms")
+    rows = []
+    for outcome in outcomes:
+        if outcome.status == "error":
+            continue
+        counts = [str(sum(row["verdict"] == word for row in outcome.rows)) for word in ("ok", "ambiguous", "lost")]
+        middle = [median([row[name] for row in outcome.rows]) for name in ("add_s_mm", "rotation_deg", "time_ms")]
+        measured = [number(middle[0]), number(middle[1]), number(middle[2], 0)]
+        rows.append((outcome.job.name, str(len(outcome.rows)), *counts, *measured))
+    if rows:
+        show_table(heads, rows)
+    for outcome in outcomes:
+        if outcome.status == "error":
+            say(f"{outcome.job.name}: failed: {outcome.rows[0]['error']}")
+    kept = f", {summary['kept']} of them from an earlier run" if summary["kept"] else ""
+    failed = f", {summary['failed']} failed" if summary["failed"] else ""
+    say(f"{summary['captures']} captures{kept}{failed}; {summary['frames']} frames")
