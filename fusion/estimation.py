@@ -25,6 +25,7 @@ from fusion.stages import (
     good_enough,
     hand_from_object,
     is_within,
+    look,
     no_answer,
     numb,
     rejudged,
@@ -100,9 +101,9 @@ def _estimate(
     start = believed.pose if believed is not None else None
 
     with trace.stage("look", "vision" in senses, "vision not asked for") as stage:
-        looked = segment(viewed, model, start, settings.segmentation, settings.depth, settings.calibration)
+        looked, how = look(viewed, model, start, settings)
         seen = vision_rows(looked, settings)
-        stage.note(len(seen), f"{len(looked.pixels)} object pixels, {len(looked.hand)} of the hand")
+        stage.note(len(seen), f"{len(looked.pixels)} object pixels, {len(looked.hand)} of the hand{how}")
     with trace.stage("feel", "touch" in senses, "touch not asked for") as stage:
         felt = feel(frame if "touch" in senses else numb(frame), settings.contact_gate, looked.region)
         stage.note(len(felt.rows), f"{len(felt.contacts)} contacts, {len(felt.rows) - len(felt.contacts)} empty points")

@@ -45,7 +45,7 @@ class PlanSettings:
     # Of these so many, the best first, are refined with all rows.
     refined: int = 6
     # Most that a pose may cost for what the camera saw past it and what must hide it (negative log likelihood, see
-    # vision.sight): 12 are an object all hidden, 16 a half hidden one of which 8 % were seen past.
+    # vision.sight): 12 are an object all hidden, 16 a half hidden one of which 6 % were seen past.
     past: float = 16.0
     # Pixels below which vision cannot speak for an answer alone.
     least_pixels: int = 60

@@ -25,7 +25,15 @@ from scenes.objects import ObjectModel
 from touch.contacts import contact_starts
 from vision.clouds import DepthModel
 from vision.hand_view import CalibrationModel
-from vision.segmentation import SegmentationSettings, Segments, free_space_rows, surface_rows
+from vision.object_mask import object_mask
+from vision.segmentation import (
+    SegmentationSettings,
+    Segments,
+    find_region,
+    free_space_rows,
+    segment,
+    surface_rows,
+)
 from vision.starts import StartSettings, seen_starts
 
 Array = NDArray[np.float64]
@@ -46,6 +54,8 @@ class EstimateSettings:
     # First blur of the search as a share of the object's radius, and its limits in metres.
     blur_share: float = 0.14
     blur_limits: tuple[float, float] = (0.004, 0.015)
+    # Fewer pixels than this are no object but what a mask left over.
+    least_masked: int = 60
     # A contact is as likely a false one at this many sigmas.
     contact_gate: float = 4.0
     segmentation: SegmentationSettings = field(default_factory=SegmentationSettings)
@@ -141,6 +151,25 @@ def hand_from_object(frame: Frame, pose: Array, correction: Array) -> Array | No
     if frame.world_from_hand is None:
         return None
     return se3.inverse(correction @ frame.camera_from_world @ frame.world_from_hand) @ pose
+
+
+def look(frame: Frame, model: ObjectModel, start: Array | None, settings: EstimateSettings) -> tuple[Segments, str]:
+    """The frame's pixels sorted, and a word on how. Without a start they are more than a ball around one: what stands
+    about and what the hand covers is taken away first, by `object_mask`, where a hand is seen that holds the object.
+    """
+    beliefs = settings.segmentation, settings.depth, settings.calibration
+    looked = segment(frame, model, start, *beliefs)
+    view = looked.hand_view
+    if start is not None or frame.mask is not None or view is None or not len(view.points):
+        return looked, ""
+    mask = object_mask(frame, model, None, None, settings.depth, settings.calibration, view=view)
+    if int(mask.sum()) < settings.least_masked:
+        return looked, "; no piece of an object near the hand"
+    masked = replace(frame, mask=mask)
+    region = find_region(masked, model, None, settings.segmentation)
+    if region is None:
+        return looked, ""
+    return segment(masked, model, None, *beliefs, again=(region, view)), "; table, hand and clutter taken away"
 
 
 def vision_rows(looked: Segments, settings: EstimateSettings) -> Evidence:

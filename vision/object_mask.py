@@ -75,12 +75,14 @@ def object_mask(
     depth_model: DepthModel | None = None,
     calibration: CalibrationModel | None = None,
     colour: bool = True,
+    view: HandView | None = None,
 ) -> Mask:
     """(h, w) pixels that show the object; all False for a frame without depth or with the object outside the image.
 
     start (4, 4) camera_from_object: a coarse one, or None. Without one the object is looked for around the contacts or
     between the hand's fingertips, and in the whole image when there are neither. A mask of the frame is not used.
-    colour: whether the colour image, when there is one, may tell the hand from the object.
+    colour: whether the colour image, when there is one, may tell the hand from the object. view: the hand as it was
+    seen in this frame before.
     """
     settings, depth_model = settings or MaskSettings(), depth_model or DepthModel()
     if frame.depth is None or frame.camera is None:
@@ -93,8 +95,7 @@ def object_mask(
         return mask
     part = (slice(box[1], box[3]), slice(box[0], box[2]))
     points, candidates = _candidates(frame, model, start, region, box, settings, depth_model)
-    view = None
-    if frame.hand is not None and frame.joints is not None and frame.world_from_hand is not None:
+    if view is None and frame.hand is not None and frame.joints is not None and frame.world_from_hand is not None:
         wide = read_pixels(frame.depth, frame.camera, full, 8000)
         view = view_hand(frame, wide, depth_model, calibration or CalibrationModel(), HandViewSettings())
     if view is not None:

@@ -27,9 +27,12 @@ class SightSettings:
     # Samples looked up when many poses are only sifted, and how many poses are many.
     samples_sifting: int = 130
     many: int = 500
+    # Least cosine of the incidence of a sample that is looked up: flatter ones are a pixel from the outline, where a
+    # camera reads what is behind.
+    least_cosine: float = 0.3
     # What one cell costs (negative log likelihood) when the camera sees past it: clutter in front is common, a hole in
     # the object is a flying pixel at most.
-    cost_past: float = 4.0
+    cost_past: float = 7.0
     # Something unknown in front of a cell is less likely than the object's own surface there.
     cost_hidden: float = 0.3
     # Of a right pose at most this share is seen past (noise at the outline): it costs nothing.
@@ -38,9 +41,24 @@ class SightSettings:
 
 @numba.njit(cache=True, nogil=True)
 def _sight_shares(
-    depth, fx, fy, cx, cy, points, normals, rotations, translations, floor, growth, bias, scale, slack, out
+    depth,
+    fx,
+    fy,
+    cx,
+    cy,
+    points,
+    normals,
+    least_cosine,
+    rotations,
+    translations,
+    floor,
+    growth,
+    bias,
+    scale,
+    slack,
+    out,
 ):
-    """Fill out (n, 2): shares of samples facing the camera inside the image that are seen past, and that are hidden."""
+    """Fill out (n, 2): shares, of the samples facing the camera inside the image, seen past and hidden."""
     height, width = depth.shape
     for n in range(rotations.shape[0]):
         r, t = rotations[n], translations[n]
@@ -60,7 +78,7 @@ def _sight_shares(
                 + (r[1, 0] * nx + r[1, 1] * ny + r[1, 2] * nz) * y
                 + (r[2, 0] * nx + r[2, 1] * ny + r[2, 2] * nz) * z
             )
-            if away >= 0.0:
+            if away >= -least_cosine * math.sqrt(x * x + y * y + z * z):
                 continue
             u = math.floor(fx * x / z + cx + 0.5)
             v = math.floor(fy * y / z + cy + 0.5)
@@ -114,7 +132,7 @@ class Sight:
             points, normals = points[: s.samples_sifting], normals[: s.samples_sifting]
         rotations = np.ascontiguousarray(candidates[:, :3, :3])
         translations = np.ascontiguousarray(candidates[:, :3, 3])
-        view = (self._depth, c.fx, c.fy, c.cx, c.cy, points, normals)
+        view = (self._depth, c.fx, c.fy, c.cx, c.cy, points, normals, s.least_cosine)
         noise = (m.axial_floor, m.axial_growth, m.bias_sigma, m.scale_sigma, slack)
 
         def work(part: slice) -> None:
