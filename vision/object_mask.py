@@ -43,10 +43,12 @@ class MaskSettings:
     hand_outline: float = 0.001
     # With colour the uncertain strip is this much wider, because colour decides inside it (px).
     colour_strip: int = 6
-    # Colour is asked when hand and object differ by this many standard deviations, each known from so many pixels; a
-    # channel's share varies by at least `colour_floor` within one thing (shading, white balance).
+    # Colour is asked when hand and object differ by this many standard deviations, each known from so many pixels, and
+    # from no more than so many; a channel's share varies by at least `colour_floor` within one thing (shading, white
+    # balance).
     colour_apart: float = 3.0
     colour_pixels: int = 60
+    colour_most: int = 2000
     # The object's colour is looked for this near to the hand's outline (px): what is held is there, clutter rarely.
     colour_around: int = 25
     colour_floor: float = 0.012
@@ -138,7 +140,10 @@ def _candidates(
     y = ((np.arange(v0, v1) - frame.camera.cy) / frame.camera.fy)[:, None] * z
     points = np.stack([x, y, z], axis=2)
     if region is not None:
-        good &= np.square(points - region.centre).sum(axis=2) < region.radius**2
+        away = np.square(x - region.centre[0])
+        away += np.square(y - region.centre[1])
+        away += np.square(z - region.centre[2])
+        good &= away < region.radius**2
     plane = find_plane(frame, settings, depth_model)
     if plane is not None:
         room = settings.plane_margin + settings.plane_sigmas * depth_model.independent_sigma(z)
@@ -218,31 +223,40 @@ def _hand_pixels(
     inner = close & (cv2.erode(there, kernel) > 0)
     around = np.ones((2 * settings.colour_around + 1, 2 * settings.colour_around + 1), np.uint8)
     outer = candidates & ~close & (cv2.dilate(there, kernel) == 0) & (cv2.dilate(there, around) > 0)
-    scores = _colour_scores(rgb, inner, outer, settings)
+    uncertain = close & ~inner
+    scores = _colour_scores(rgb, inner, outer, uncertain, settings)
     if scores is None:
         return _hand_pixels(frame, view, box, z, candidates, None, settings)
-    uncertain = close & ~inner
-    return np.asarray(inner | (uncertain & (scores > 0)))
+    inner[uncertain] = scores > 0
+    return np.asarray(inner)
 
 
-def _colour_scores(rgb: NDArray[np.uint8], hand: Mask, other: Mask, settings: MaskSettings) -> Array | None:
-    """(h, w) above 0 where a pixel's colour is more the hand's; None when the two are not known apart.
+def _colour_scores(
+    rgb: NDArray[np.uint8], hand: Mask, other: Mask, asked: Mask, settings: MaskSettings
+) -> Array | None:
+    """(n,) above 0 where the colour of an asked pixel is more the hand's; None when the two are not known apart.
 
     Shares of the channels, which shading leaves alone; medians, because what is not the hand is not all the object.
     """
     if min(hand.sum(), other.sum()) < settings.colour_pixels:
         return None
-    share = rgb.astype(np.float64)
-    share = share[..., :2] / np.maximum(share.sum(axis=2, keepdims=True), 1.0)
+
+    def shares(chosen: Mask) -> Array:
+        colours = rgb[chosen].astype(np.float64)
+        return np.asarray(colours[:, :2] / np.maximum(colours.sum(axis=1, keepdims=True), 1.0))
+
     centres, spreads = [], []
     for part in (hand, other):
-        centre = np.median(share[part], axis=0)
+        share = shares(part)
+        share = share[:: max(1, len(share) // settings.colour_most)]
+        centre = np.median(share, axis=0)
         centres.append(centre)
-        spreads.append(np.maximum(1.4826 * np.median(np.abs(share[part] - centre), axis=0), settings.colour_floor))
+        spreads.append(np.maximum(1.4826 * np.median(np.abs(share - centre), axis=0), settings.colour_floor))
     apart = np.abs(centres[0] - centres[1]) / np.sqrt((spreads[0] ** 2 + spreads[1] ** 2) / 2)
     if apart.max() < settings.colour_apart:
         return None
-    off = [np.square((share - c) / s).sum(axis=2) + 2 * np.log(s).sum() for c, s in zip(centres, spreads)]
+    share = shares(asked)
+    off = [np.square((share - c) / s).sum(axis=1) + 2 * np.log(s).sum() for c, s in zip(centres, spreads)]
     return np.asarray(off[1] - off[0])
 
 
