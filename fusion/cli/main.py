@@ -16,6 +16,7 @@ from fusion.cli import (
     batch,
     bench,
     compare,
+    completion,
     convert,
     demo,
     estimate,
@@ -27,25 +28,14 @@ from fusion.cli import (
     synth,
     track,
     validate,
+    view,
 )
 from fusion.cli.options import add_common, check_target
 from scenes.errors import InputError, PalpateError
 
 COMMANDS = (
-    demo,
-    synth,
-    validate,
-    estimate,
-    track,
-    compare,
-    evaluate,
-    localize,
-    identify,
-    grasp,
-    model,
-    batch,
-    convert,
-    bench,
+    *(demo, synth, validate, estimate, track, compare, evaluate, localize, identify),
+    *(grasp, model, batch, view, convert, bench, completion),
 )
 
 BAD_INPUT = 2
@@ -111,6 +101,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         where = f"{error.filename}: " if error.filename is not None else ""
         return _complain(f"{where}{error.strerror or error}")
     except KeyboardInterrupt:
+        sys.stderr.write("palpate: interrupted\n")
         return INTERRUPTED
 
 
