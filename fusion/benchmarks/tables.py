@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from fusion.benchmarks.charts import Chart
 
 T = TypeVar("T")
+# Resamplings of a mean's interval, and values drawn for one at most.
+RESAMPLED, MOST_DRAWS = 1000, 2_000_000
 PACKAGES = ("palpate", "numpy", "scipy", "numba", "open3d", "open3d-cpu", "trimesh", "opencv-contrib-python-headless")
 
 
@@ -70,13 +72,17 @@ def own_seed(seed: int, *what: str | float) -> int:
 
 @dataclass(frozen=True)
 class Spread:
-    """Mean, standard deviation, median and largest of n finite values; all NaN when there is none."""
+    """Mean, standard deviation, median and largest of n finite values; low to high: 95 % interval of the mean by
+    resampling (Efron 1979). All NaN when there is none.
+    """
 
     mean: float
     sd: float
     median: float
     largest: float
     n: int
+    low: float = math.nan
+    high: float = math.nan
 
     @staticmethod
     def of(values: ArrayLike, scale: float = 1.0) -> Spread:
@@ -86,7 +92,14 @@ class Spread:
         if not len(array):
             return Spread(math.nan, math.nan, math.nan, math.nan, 0)
         sd = float(array.std(ddof=1)) if len(array) > 1 else 0.0
-        return Spread(float(array.mean()), sd, float(np.median(array)), float(array.max()), len(array))
+        if len(array) * RESAMPLED <= MOST_DRAWS:
+            draws = np.random.default_rng(0).integers(len(array), size=(RESAMPLED, len(array)))
+            low, high = np.quantile(array[draws].mean(axis=1), [0.025, 0.975])
+        else:  # the mean of so many is a Gaussian's
+            half = 1.96 * sd / math.sqrt(len(array))
+            low, high = array.mean() - half, array.mean() + half
+        centre, largest = float(np.median(array)), float(array.max())
+        return Spread(float(array.mean()), sd, centre, largest, len(array), float(low), float(high))
 
 
 @dataclass(frozen=True)
@@ -228,7 +241,8 @@ def text_of(cell: Any, digits: int = 2) -> str:
 def plain(cell: Any) -> Any:
     """A cell as JSON data."""
     if isinstance(cell, Spread):
-        return {"mean": cell.mean, "sd": cell.sd, "median": cell.median, "largest": cell.largest, "n": cell.n}
+        numbers = {"mean": cell.mean, "sd": cell.sd, "median": cell.median, "largest": cell.largest, "n": cell.n}
+        return {**numbers, "interval_95": [cell.low, cell.high]}
     if isinstance(cell, Rate):
         return {"share": cell.share, "hits": cell.hits, "n": cell.n, "interval_95": list(cell.interval)}
     return cell.item() if isinstance(cell, np.generic) else cell

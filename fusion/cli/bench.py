@@ -1,23 +1,32 @@
-"""Run a benchmark: tables on the terminal, and with --out DIR also JSON, text and plots."""
+"""Run a benchmark, or all: tables on the terminal, and with --out DIR also JSON, text and plots."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fusion.cli.options import console, positive, progress, say, write_json
+
+if TYPE_CHECKING:
+    from fusion.benchmarks.tables import BenchSettings
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
-    parser.add_argument("name", metavar="NAME", help="the benchmark, or all")
+    parser.add_argument("name", metavar="NAME", help="the benchmark, or all: resumed where DIR has finished ones")
     parser.add_argument("--trials", metavar="N", type=positive, help="trials of every cell (default: the benchmark's)")
     parser.add_argument(
         "--objects", metavar="A,B", type=names_list, help="objects of `vision` (default: all there are)"
     )
-    parser.add_argument("--quick", action="store_true", help="a tenth of the work, to see that it runs")
     parser.add_argument(
-        "--out", metavar="DIR", type=Path, help="also write NAME.json, NAME.txt and NAME.svg here, and keep captures"
+        "--quick", action="store_true", help="a tenth of the work (all: five minutes), to see that it runs"
+    )
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        help="also write NAME.json, NAME.txt and NAME.svg here, and keep captures (all: default out/bench)",
     )
 
 
@@ -43,14 +52,32 @@ def run(args: argparse.Namespace) -> int:
         shown.append(table)
 
     settings = BenchSettings(args.trials, args.seed, args.quick, progress, args.objects, args.out, show)
-    reports = []
-    for name in names if args.name == "all" else [args.name]:
-        report = benchmarks.load(name).run(settings)
-        show_report(report, console(), shown)
-        if args.out is not None:
-            for path in write_report(report, args.out):
-                say(f"wrote {path}")
-        reports.append(report.to_json())
-    if args.json is not None:
-        write_json(args.json, reports[0] if args.name != "all" else {"benchmarks": reports})
+    if args.name == "all":
+        return _run_all(args, names, settings)
+    report = benchmarks.load(args.name).run(settings)
+    show_report(report, console(), shown)
+    if args.out is not None:
+        for path in write_report(report, args.out):
+            say(f"wrote {path}")
+    write_json(args.json, report.to_json())
+    return 0
+
+
+def _run_all(args: argparse.Namespace, names: list[str], settings: BenchSettings) -> int:
+    from dataclasses import replace
+
+    from fusion.benchmarks.all_benchmarks import Outcome, run_all, summary
+    from fusion.benchmarks.tables import show_table
+
+    folder = args.out or Path("out") / "bench"
+
+    def finished(one: Outcome) -> None:
+        text = folder / f"{one.name}.txt"
+        say(text.read_text(encoding="utf-8") if text.is_file() else f"{one.name}: {one.state} {one.why}")
+
+    # each is printed whole when it is finished
+    outcomes = run_all(names, replace(settings, show=lambda table: None), folder, finished)
+    show_table(summary(outcomes), console())
+    say(f"wrote {folder}")
+    write_json(args.json, {"benchmarks": [one.report for one in outcomes]})
     return 0
