@@ -19,6 +19,7 @@ BENCHMARKS = {
     "skipping": "fusion.benchmarks.skipping",
     "stability": "fusion.benchmarks.stability",
     "peers": "fusion.benchmarks.peers",
+    "scaling": "fusion.benchmarks.scaling",
     "scenes": "fusion.benchmarks.scenes",
     "segmentation": "fusion.benchmarks.segmentation",
     "tracking": "fusion.benchmarks.tracking",
