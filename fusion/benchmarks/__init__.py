@@ -20,6 +20,7 @@ BENCHMARKS = {
     "stability": "fusion.benchmarks.stability",
     "peers": "fusion.benchmarks.peers",
     "scaling": "fusion.benchmarks.scaling",
+    "faults": "fusion.benchmarks.faults",
     "scenes": "fusion.benchmarks.scenes",
     "segmentation": "fusion.benchmarks.segmentation",
     "tracking": "fusion.benchmarks.tracking",
