@@ -10,6 +10,7 @@ from typing import Any
 BENCHMARKS = {
     "local": "fusion.benchmarks.local",
     "global": "fusion.benchmarks.global_search",
+    "robustness": "fusion.benchmarks.contact_robustness",
     "arrays": "fusion.benchmarks.arrays",
     "filters": "fusion.benchmarks.filters",
     "recognition": "fusion.benchmarks.recognition",

@@ -8,7 +8,6 @@ import numpy as np
 
 from fusion.benchmarks import contact_trials as scene
 from fusion.benchmarks.charts import Chart
-from fusion.benchmarks.contact_robustness import add_robustness
 from fusion.benchmarks.local import bound_ratios
 from fusion.benchmarks.tables import BenchSettings, Claim, Column, Rate, Report, Spread, Table
 from scenes import library
@@ -88,7 +87,6 @@ def run(settings: BenchSettings) -> Report:
                                 _claim(report, name, contacts, cell)
     report.tables.append(table)
     settings.show(table)
-    add_robustness(report, settings, OBJECTS[1:])
     report.charts.append(Chart("Global search, scattered, 0.9 mm and 5°", "contacts", "success, %", chart))
     return report
 
