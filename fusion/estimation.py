@@ -16,6 +16,7 @@ from fusion import joint, posterior
 from fusion.answer import Estimate
 from fusion.moments import moments
 from fusion.planning import find_modes, worth_solving
+from fusion.rigs import solve_modes
 from fusion.stages import (
     EstimateSettings,
     as_prior,
@@ -154,7 +155,7 @@ def _estimate(
     with trace.stage("solve together", finish, why_not) as stage:
         if finish:
             problem = joint.JointProblem.of(model, frame, looked, seen, felt.rows, believed, hand, settings)
-            solved = joint.solve_modes(problem, worth_solving(modes, settings.plan))
+            solved = solve_modes(problem, worth_solving(modes, settings.plan))
             past = sight.costs(np.array([s.pose for s in solved]))
             modes = rejudged(model, solved, past, settings)
             best = solved[int(np.argmin([s.cost + c for s, c in zip(solved, past)]))]

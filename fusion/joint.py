@@ -22,12 +22,14 @@ for a few rigs (one without shared errors, a usual one, a poor one), which are a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.depth_bias import DepthBias
+from fusion.joint_algebra import cross, marginal, robust
 from scenes import alignment
 from scenes import evidence as tables
 from scenes import poses as se3
@@ -172,8 +174,10 @@ class JointProblem:
         # without touch, too: the hand's pixels have the object's depth errors, and its shape is known
         self.hand = self.hand if self.has_robot and self.hand is not None and len(self.hand.points) else None
         hand_points = self.hand.points if self.hand is not None else np.zeros((0, 3))
-        self._lay_bias(hand_points)
-        self._seen_basis = self._basis(self.seen.points)
+        seen = self.seen.points if self.camera is not None and len(self.seen) else np.zeros((0, 3))
+        reach = np.concatenate([seen, hand_points]) if len(seen) else seen
+        self._bias = DepthBias.over(self.camera, reach, self.depth, self.settings.spacing, self.settings.most_inducing)
+        self._seen_basis = self._bias.basis(self.seen.points)
         rows = self.seen.rows
         self._on = rows[:, GATE_ABOVE] > 0
         self._is_pixel = (rows[:, FACING] > 0) & (self.camera is not None)
@@ -190,39 +194,6 @@ class JointProblem:
         if self.camera is not None:
             self._weight = np.where(self._on, weight, self.seen.rows[:, WEIGHT])
 
-    def _lay_bias(self, hand_points: Array) -> None:
-        self._inducing: Array = np.zeros((0, 2))
-        self._factor: Array = np.zeros((0, 0))
-        if self.camera is None or not len(self.seen):
-            return
-        uv, _ = self.camera.project(np.concatenate([self.seen.points, hand_points]))
-        low, high = uv.min(axis=0), uv.max(axis=0)
-        step = self.settings.spacing * self.depth.bias_length
-        while True:
-            counts = np.maximum(1, np.ceil((high - low) / step)).astype(int) + 1
-            if counts.prod() <= 4 * self.settings.most_inducing:
-                axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts)]
-                grid = np.stack([x.ravel() for x in np.meshgrid(*axes)], axis=1)
-                gap = np.array([np.min(np.sum((uv - g) ** 2, axis=1)) for g in grid])
-                grid = grid[gap < step**2]
-                if len(grid) <= self.settings.most_inducing:
-                    break
-            step *= 1.2
-        self._inducing = grid
-        kernel = self._kernel(grid, grid) + 1e-6 * np.eye(len(grid))
-        self._factor = np.asarray(np.linalg.cholesky(kernel), dtype=np.float64)
-
-    def _kernel(self, a: Array, b: Array) -> Array:
-        square = np.sum((a[:, None] - b[None]) ** 2, axis=-1)
-        return np.asarray(np.exp(-0.5 * square / self.depth.bias_length**2), dtype=np.float64)
-
-    def _basis(self, points: Array) -> Array:
-        """(n, k) bias at the points' pixels per whitened unknown, in units of the bias' sigma."""
-        if self.camera is None or not len(self._inducing) or not len(points):
-            return np.zeros((len(points), len(self._inducing)))
-        uv, _ = self.camera.project(points)
-        return np.asarray(np.linalg.solve(self._factor, self._kernel(self._inducing, uv)).T, dtype=np.float64)
-
     def _hand_blocks(self, points: Array) -> None:
         """The hand's pixels, linear in (xi, s, b): their constant part, for unit sigmas of s and b."""
         if self.hand is None:
@@ -234,7 +205,8 @@ class JointProblem:
         ray = points / points[:, 2:]
         jac_xi = -np.concatenate([np.cross(points - self.hand.centre, g), g], axis=1)
         along = -np.sum(g * ray, axis=1)
-        jac = np.concatenate([jac_xi, (along * points[:, 2])[:, None], along[:, None] * self._basis(points)], axis=1)
+        jac_bias = along[:, None] * self._bias.basis(points)
+        jac = np.concatenate([jac_xi, (along * points[:, 2])[:, None], jac_bias], axis=1)
         weighted = jac * self._hand_weight[:, None]
         self._hand_normal = weighted.T @ jac
         self._hand_gradient = weighted.T @ self.hand.residual
@@ -245,7 +217,7 @@ class JointProblem:
         weight: of a pixel; the least of all rigs' when not told, so that log evidences of levels can be compared.
         """
         self._weigh(min(rig.weight for rig in self.settings.rigs) if weight is None else weight)
-        size = FIXED + len(self._inducing)
+        size = FIXED + len(self._bias)
         middle = pose[:3, :3] @ self.model.centroid + pose[:3, 3]
         self._centre = self.hand.centre if self.hand is not None else middle
         # whitening: unknown = scale * whitened, prior of the whitened is the identity
@@ -284,7 +256,7 @@ class JointProblem:
                     break
             else:
                 damping = max(damping, 1e-5) * 10
-        covariance, log_det = _marginal(normal + np.diag(width))
+        covariance, log_det = marginal(normal + np.diag(width))
         return JointResult(
             here,
             covariance,
@@ -433,67 +405,3 @@ class JointProblem:
         gradient[:6] = self._white_xi.T @ gradient[:6]
         normal *= scale * scale[:, None]
         self._hand_white = (constant, gradient * scale, normal)
-
-
-def cross(a: Array, b: Array) -> Array:
-    """(n, 3) cross products of rows; NumPy's own takes many times as long on few of them."""
-    out = np.zeros(a.shape)
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        out[:, i] = a[:, j] * b[:, k] - a[:, k] * b[:, j]
-    return out
-
-
-def robust(square: Array, gate: Array) -> tuple[Array, Array]:
-    """Loss and belonging of each row, the kernel's `_robust` for arrays (see scenes.evidence)."""
-    over = np.clip(0.5 * (square - gate * gate), -40.0, 40.0)
-    floor = np.log1p(np.exp(-0.5 * np.minimum(gate, 30.0) ** 2))
-    loss = np.where(over >= 40.0, gate * gate, square - 2.0 * np.log1p(np.exp(over))) + 2.0 * floor
-    silent = gate == 0.0
-    return np.where(silent, 0.0, loss), np.where(silent, 0.0, 1.0 / (1.0 + np.exp(over)))
-
-
-def _marginal(normal: Array) -> tuple[Array, float]:
-    """(6, 6) covariance of the pose with all else marginalised, and the log-determinant of the whole system."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    scaled = normal * scale * scale[:, None]
-    # unit diagonal: a billionth more keeps the factor of a singular system finite, and changes no digit of another
-    factor = np.linalg.cholesky(scaled + 1e-9 * np.eye(len(normal)))
-    half = np.linalg.solve(factor, np.eye(len(normal))[:, :6])
-    covariance = (half.T @ half) * scale[:6] * scale[:6, None]
-    return covariance, float(2.0 * np.log(np.diag(factor)).sum() - 2.0 * np.log(scale).sum())
-
-
-def solve_modes(problem: JointProblem, starts: list[Array]) -> list[JointResult]:
-    """Solve from each start; how large the shared errors are is averaged over at the first start.
-
-    A rig weighs exp(log evidence) times how usual it is. The first answer is the rigs' weighted mean and mixture
-    covariance, so that not knowing the rig is part of its uncertainty; other modes use the best. Where that is one
-    whose pixels count more, all are solved with these.
-    """
-    settings = problem.settings
-    tried = [problem.solve(starts[0], settings.rigs[0].level)]
-    for rig in settings.rigs[1:]:
-        tried.append(problem.solve(tried[-1].pose, rig.level))
-    score = np.array([t.log_evidence + np.log(rig.share) for t, rig in zip(tried, settings.rigs)])
-    weights = np.exp(score - score.max())
-    best = int(np.argmax(score))
-    rig = settings.rigs[best]
-    if rig.weight > min(other.weight for other in settings.rigs):
-        return [
-            problem.solve(start, rig.level, rig.weight) for start in [tried[best].pose, *starts[1 : settings.modes]]
-        ]
-    first = _averaged(problem.model, tried, weights / weights.sum(), tried[best])
-    return [first, *(problem.solve(start, rig.level) for start in starts[1 : settings.modes])]
-
-
-def _averaged(model: ObjectModel, tried: list[JointResult], weights: Array, best: JointResult) -> JointResult:
-    """The levels' mixture about `best`: levels that ended in another minimum do not count."""
-    delta = np.array([se3.difference(t.pose, best.pose, model.centroid) for t in tried])
-    moved = np.linalg.norm(delta[:, :3], axis=1) * model.radius + np.linalg.norm(delta[:, 3:], axis=1)
-    weights = np.where(moved < 0.2 * model.radius, weights, 0.0)
-    weights = weights / weights.sum()
-    mean = weights @ delta
-    spread = delta - mean
-    covariance = np.einsum("l,lij->ij", weights, [t.covariance for t in tried])
-    covariance += np.einsum("l,li,lj->ij", weights, spread, spread)
-    return replace(best, pose=se3.perturb(best.pose, mean, model.centroid), covariance=covariance)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from fusion import joint, posterior
 from fusion.answer import Estimate
 from fusion.estimation import estimate
+from fusion.rigs import solve_modes
 from fusion.stages import as_prior, blind, check_senses, hand_from_object, numb
 from fusion.trace import Trace
 from fusion.tracking_answer import TrackedEstimate, TrackSettings, as_tracked
@@ -263,7 +264,7 @@ class Tracker:
         hand = looked.hand_view if len(felt.rows) else None
         rows = felt.rows if hand is not None else felt.rows.moved(correction)
         problem = joint.JointProblem.of(self.model, frame, looked, seen, rows, prior, hand, replace(s.first, joint=how))
-        solved = joint.solve_modes(problem, [start])[0]
+        solved = solve_modes(problem, [start])[0]
         if not known and len(seen) and hand is not None:
             self._rigs.append(solved.level)
         return solved

@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion.joint import FIXED, POSE, SCALE, XI, JointProblem, JointSettings, robust, solve_modes
+from fusion.joint import FIXED, POSE, SCALE, XI, JointProblem, JointSettings
+from fusion.joint_algebra import robust
+from fusion.rigs import solve_modes
 from scenes import evidence, poses
 from scenes.alignment import Prior
 from scenes.alignment.kernels import _robust
@@ -96,7 +98,7 @@ def test_the_gradient_is_that_of_the_cost(drill, seed, camera):
     rng = np.random.default_rng(seed)
     problem, pose = made_problem(drill, rng, camera)
     problem.solve(pose, 1.0)  # sets the whitening of a level
-    unknown = np.zeros(FIXED + len(problem._inducing))
+    unknown = np.zeros(FIXED + len(problem._bias))
     _, gradient, normal = problem._system(pose, unknown)
     numeric = numeric_gradient(problem, pose, unknown, steps_of(problem, unknown))
     scale = np.sqrt(np.diag(normal)) + 1e-6
@@ -110,7 +112,7 @@ def test_the_gradient_holds_away_from_zero_corrections(drill, seed):
     rng = np.random.default_rng(seed)
     problem, pose = made_problem(drill, rng)
     problem.solve(pose, 1.0)
-    unknown = np.zeros(FIXED + len(problem._inducing))
+    unknown = np.zeros(FIXED + len(problem._bias))
     unknown[SCALE], unknown[FIXED:], unknown[XI] = 0.01, 0.01 * rng.normal(size=len(unknown) - FIXED), 0.02
     _, gradient, normal = problem._system(pose, unknown)
     numeric = numeric_gradient(problem, pose, unknown, steps_of(problem, unknown))
@@ -123,14 +125,14 @@ def test_the_hands_block_is_that_of_its_pixels(exact_frame, drill):
     problem, _ = frame_problem(exact_frame, drill)
     problem.solve(exact_frame.camera_from_object_truth, 1.0)
     rng = np.random.default_rng(0)
-    unknown = 0.3 * rng.normal(size=FIXED + len(problem._inducing))
+    unknown = 0.3 * rng.normal(size=FIXED + len(problem._bias))
     cost, gradient, normal = problem._hand_terms(unknown)
     view = problem.hand
     xi = problem._white_xi @ unknown[XI]
     ray = view.points / view.points[:, 2:]
     moved = (
         -problem._white[SCALE] * unknown[SCALE] * view.points
-        - (problem._basis(view.points) @ (problem._white[FIXED:] * unknown[FIXED:]))[:, None] * ray
+        - (problem._bias.basis(view.points) @ (problem._white[FIXED:] * unknown[FIXED:]))[:, None] * ray
     )
     turn = (xi - view.xi)[:3]
     shift = np.cross(turn, view.points - view.centre) + (xi - view.xi)[3:]
@@ -174,7 +176,7 @@ def test_known_shared_errors_are_found_from_exact_data(exact_frame, drill, seed)
     start = poses.perturb(truth, [0.01, -0.01, 0.01, 0.001, 0.001, -0.001], drill.centroid)
     # at the believed size of the shared errors, which is the size they were drawn with
     result = problem.solve(problem.solve(start, 1.0).pose, 1.0)
-    unknown = np.zeros(FIXED + len(problem._inducing))
+    unknown = np.zeros(FIXED + len(problem._bias))
     unknown[XI] = np.linalg.solve(problem._white_xi, result.xi)
     unknown[SCALE] = result.scale / problem._white[SCALE]
     normal = problem._system(result.pose, unknown)[2]
@@ -195,7 +197,7 @@ def test_solving_lowers_the_cost_and_keeps_the_pose_rigid(drill, rng):
     problem, pose = made_problem(drill, rng)
     start = poses.perturb(pose, [0.05, -0.03, 0.02, 0.004, 0.003, -0.004], drill.centroid)
     result = problem.solve(start, 1.0)
-    unknown = np.zeros(FIXED + len(problem._inducing))
+    unknown = np.zeros(FIXED + len(problem._bias))
     assert result.cost < problem._system(start, unknown)[0]
     poses.check_pose(result.pose)
     assert np.linalg.norm(poses.difference(result.pose, pose, drill.centroid)[3:]) < 0.003
