@@ -261,7 +261,7 @@ class Tracker:
         s = self.settings
         known = len(self._rigs) >= s.level_frames
         how = replace(s.joint, rigs=(self._usual_rig(),)) if known else s.joint
-        hand = looked.hand_view if len(felt.rows) else None
+        hand = looked.hand_view
         rows = felt.rows if hand is not None else felt.rows.moved(correction)
         problem = joint.JointProblem.of(self.model, frame, looked, seen, rows, prior, hand, replace(s.first, joint=how))
         solved = solve_modes(problem, [start])[0]
