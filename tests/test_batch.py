@@ -208,14 +208,21 @@ def test_batch_resumes(folder, tmp_path, capfd):
 def test_interrupted_it_ends_at_once_and_leaves_nothing_running(folder, tmp_path):
     command = [sys.executable, "-m", "fusion.cli.main", "batch", str(folder), "--out", str(tmp_path / "o")]
     run = subprocess.Popen([*command, "--workers", "2"], cwd=ROOT, stderr=subprocess.PIPE, start_new_session=True)
-    time.sleep(4.0)
+    for _ in range(600):  # until the workers are asked for
+        if (tmp_path / "o").exists():
+            break
+        time.sleep(0.1)
+    time.sleep(1.0)
     run.send_signal(signal.SIGINT)
-    _, err = run.communicate(timeout=60)
+    _, err = run.communicate(timeout=120)
     assert run.returncode == 130
     assert err.decode().count("\n") <= 1
     assert b"Traceback" not in err
-    time.sleep(0.5)
-    left = subprocess.run(["pgrep", "-g", str(run.pid)], capture_output=True, text=True, check=False).stdout.split()
+    for _ in range(200):  # the last of them may still be on their way out
+        left = subprocess.run(["pgrep", "-g", str(run.pid)], capture_output=True, text=True, check=False).stdout.split()
+        if not left:
+            break
+        time.sleep(0.1)
     assert left == []
 
 

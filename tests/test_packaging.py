@@ -1,6 +1,7 @@
 """What is shipped: the wheel holds the pages and the typing marks; the citation names the version."""
 
 import re
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -13,7 +14,12 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.mark.slow
 def test_the_wheel_holds_pages_and_typing_marks(tmp_path):
-    pip = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--quiet", "--wheel-dir", str(tmp_path), str(ROOT)]
+    source = tmp_path / "source"  # building leaves folders behind
+    for room in ("scenes", "vision", "touch", "fusion"):
+        shutil.copytree(ROOT / room, source / room, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source / name)
+    pip = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--quiet", "--wheel-dir", str(tmp_path), str(source)]
     subprocess.run(pip, check=True, capture_output=True)
     wheel = next(tmp_path.glob("palpate-*.whl"))
     names = set(zipfile.ZipFile(wheel).namelist())
