@@ -70,7 +70,7 @@ class Viewer:
 
     def _build_gui(self) -> None:
         gui, last = self.server.gui, len(self.capture) - 1
-        self.slider = gui.add_slider("Frame", 0, max(1, last), 1, 0, disabled=last == 0)
+        self.slider: Any = gui.add_slider("Frame", 0, max(1, last), 1, 0, disabled=last == 0)
         self.playing = gui.add_checkbox("Play", False, disabled=last == 0)
         self.words = gui.add_markdown("")
         self.toggles = {layer: gui.add_checkbox(layer.capitalize(), layer != "truth") for layer in LAYERS}
