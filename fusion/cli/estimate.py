@@ -18,6 +18,9 @@ from fusion.cli.options import (
     write_run,
 )
 
+# Frames whose reasons are printed; result.json has all of them.
+MOST_REMARKS = 5
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
@@ -60,8 +63,17 @@ def run(args: argparse.Namespace) -> int:
     written = write_run(args, capture, model, frames, answers, errors)
     heads = ("frame", "verdict", "ADD-S mm", "rot °", "trans mm", "cloud mm", "contacts mm", "time ms", "not known")
     show_table(heads, rows)
+    for line in _remarks(answers):
+        say(line)
     say(written)
     return 1 if any(answer.verdict == "lost" for answer in answers) else 0
+
+
+def _remarks(answers) -> list[str]:  # type: ignore[no-untyped-def]  # naming the type would import it
+    """Why frames are not ok and what is doubtful about them: the table has no room for it."""
+    told = [a for a in answers if a.verdict != "ok" or len(a.notes) > 1]  # the first note is the verdict's reason
+    lines = [f"frame {a.frame}: {a.verdict}: {'; '.join(a.notes)}" for a in told[:MOST_REMARKS]]
+    return [*lines, f"and {len(told) - MOST_REMARKS} more frames"] if len(told) > MOST_REMARKS else lines
 
 
 def _row(answer, errors, agreement) -> list[str]:  # type: ignore[no-untyped-def]  # naming the types would import them
