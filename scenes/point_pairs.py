@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
@@ -41,6 +40,8 @@ class PairSettings:
     slope_scale: float = 0.25
     # Pairs of contacts looked up, the farthest apart first.
     pairs: int = 12
+    # Contacts that pairs are made of: all of them would be 5e9 pairs of 1e5 contacts.
+    most_contacts: int = 300
 
 
 class PairTable:
@@ -82,14 +83,17 @@ class PairTable:
         """
         known = np.flatnonzero(contacts.has_normal)
         p, n = contacts.points, contacts.normals
-        pairs = [(i, j) for i, j in combinations(known, 2)]
-        lengths = {pair: float(np.linalg.norm(p[pair[0]] - p[pair[1]])) for pair in pairs}
-        pairs = [pair for pair in pairs if lengths[pair] > self.settings.shortest * self.radius]
-        pairs = sorted(pairs, key=lambda pair: -lengths[pair])[: self.settings.pairs]
-        if not pairs:
+        # pairs grow with the square of the contacts: of very many, evenly chosen ones do
+        most = self.settings.most_contacts
+        known = known if len(known) <= most else known[np.linspace(0, len(known) - 1, most).astype(int)]
+        one, other = np.triu_indices(len(known), 1)
+        lengths = np.linalg.norm(p[known[one]] - p[known[other]], axis=1)
+        apart = np.flatnonzero(lengths > self.settings.shortest * self.radius)
+        longest = apart[np.argsort(-lengths[apart], kind="stable")[: self.settings.pairs]]
+        if not len(longest):
             return np.zeros((0, 3, 3)), np.zeros((0, 3))
-        i, j = np.array(pairs).T
-        return self.matching(p, n, i, j, max(1, count // len(pairs)))
+        i, j = known[one[longest]], known[other[longest]]
+        return self.matching(p, n, i, j, max(1, count // len(longest)))
 
     def matching(
         self, points: Array, normals: Array, first: NDArray[np.int64], second: NDArray[np.int64], each: int

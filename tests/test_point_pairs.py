@@ -72,3 +72,12 @@ def test_without_normals_or_room_there_are_none(table):
 def test_the_table_is_kept_as_long_as_the_object():
     model = library.make("l_block")
     assert pair_table(model) is pair_table(model)
+
+
+def test_a_hundred_thousand_contacts_are_not_paired_all():
+    model = library.make("l_block")
+    table = PairTable(model)
+    many = Contacts(*model.sample_surface(100_000, seed=0))
+    rotations, origins = table.hypotheses(many, 200)  # 5e9 pairs would fill the memory
+    assert 100 < len(rotations) == len(origins) <= 200
+    assert np.isfinite(rotations).all()
