@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fusion.cli.options import add_object, load_object, positive, say, write_json
+
+if TYPE_CHECKING:
+    from fusion.answer import Estimate
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"port: expected a number up to 65535, got {args.port}")
     capture = read_capture(args.capture)
     model = load_object(args.object, args.unit) if args.object else capture.model
-    answers = []
+    answers: list[Estimate] = []
     if args.result is not None:
         path = find_result(args.result)
         if path is None:
