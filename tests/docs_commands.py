@@ -65,10 +65,17 @@ def lines_of(block: Block) -> list[str]:
 
 
 def commands(page: Path, program: str = "palpate") -> list[list[str]]:
-    """The arguments of each call of `program` in the page's sh blocks; comments gone, continued lines joined."""
+    """The arguments of each call of `program` that begins a line of the page's sh blocks; comments gone, continued
+    lines joined, what the shell does with its output left out.
+    """
     typed = [line for block in all_blocks(page) if block.language == "sh" for line in lines_of(block)]
-    words = [shlex.split(line, comments=True) for line in typed]
-    return [line[1:] for line in words if line and line[0] == program]
+    found = []
+    for line in typed:
+        words = shlex.split(line, comments=True)
+        if words[0] == program:
+            end = next((i for i, word in enumerate(words) if word in (">", "|", "&&", ";")), len(words))
+            found.append(words[1:end])
+    return found
 
 
 def files(page: Path) -> dict[str, str]:
