@@ -86,11 +86,14 @@ class _Caster:
             from scenes._open3d import open3d
 
             core = open3d().core
-            self.scene = open3d().t.geometry.RaycastingScene(nthreads=thread_count())
-            self.scene.add_triangles(
+            scene = open3d().t.geometry.RaycastingScene(nthreads=thread_count())
+            scene.add_triangles(
                 core.Tensor((self.vertices - self.centre).astype(np.float32)),
                 core.Tensor(self.faces.astype(np.uint32)),
             )
+            # the first ray makes its tree; only then may other threads see it: frames of a sequence share a renderer
+            scene.cast_rays(core.Tensor(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0]], dtype=np.float32)))
+            self.scene = scene
         return self.scene
 
     def __getstate__(self) -> dict[str, Any]:

@@ -16,7 +16,7 @@ _UPRIGHT = 0.999
 # Most cells along the longest side of the grid that sorts out what is far away.
 _CELLS = 64
 # Rays that vote on inside and outside: one may run through an edge.
-_RAYS = 3
+_RAYS = np.array([[0.5377, 0.7213, 0.4366], [-0.6124, 0.3391, 0.7141], [0.2267, -0.8315, 0.5072]])
 
 
 class Surface:
@@ -92,11 +92,20 @@ class Surface:
         inside = side < 0
         slanted = ~near & (np.abs(side) < _UPRIGHT * length)
         if slanted.any():
-            query = o3d.core.Tensor(local[slanted].astype(np.float32))
-            inside[slanted] = self._scene.compute_occupancy(query, nsamples=_RAYS).numpy() > 0.5
+            inside[slanted] = self._is_inside(local[slanted])
         distance = np.where(inside, -length, length)
         gradient = np.where(near[:, None], normal, offset / np.where(near, 1.0, distance)[:, None])
         return np.where(near, side, distance), gradient, foot + self._middle
+
+    def _is_inside(self, local: Array) -> NDArray[np.bool_]:
+        """(n,) whether points (n, 3) about the middle are inside: most of three rays cross the surface an odd number of
+        times. The rays are always the same; Open3D's own vote draws them anew at every call.
+        """
+        o3d = open3d()
+        points = np.repeat(local, len(_RAYS), axis=0)
+        rays = np.concatenate([points, np.tile(_RAYS, (len(local), 1))], axis=1).astype(np.float32)
+        crossings = self._scene.count_intersections(o3d.core.Tensor(rays)).numpy()
+        return np.asarray((crossings % 2).reshape(len(local), len(_RAYS)).sum(axis=1) * 2 > len(_RAYS))
 
     def cast(self, origins: Array, directions: Array) -> Array:
         """Ray parameter t (n,) of the first hit, inf for none: origins (n, 3) + t directions (n, 3)."""

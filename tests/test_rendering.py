@@ -8,7 +8,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scenes import poses
+from scenes import library, poses
 from scenes.cameras import Camera
 from scenes.errors import InputError
 from scenes.rendering import Renderer, region_rays, shade
@@ -186,3 +186,18 @@ def test_shading_is_lambert():
     expected[rendering.ids < 0] = [24, 26, 30]
     image = shade(rendering, {"box": (10, 200, 120)}, light=light)
     assert np.abs(image.astype(int) - expected.astype(np.uint8)).max() <= 1  # rounding of equal sums
+
+
+def test_threads_that_share_a_new_renderer_see_the_same():
+    """Frames of a sequence are made in parallel; the first to look builds what the others then use."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    model = library.make("bust")
+    camera = Camera(285.0, 285.0, 159.5, 119.5, 320, 240)
+    pose = {"object": poses.make_pose(translation=[0.0, 0.0, 0.5])}
+    with ThreadPoolExecutor(8) as pool:
+        for _ in range(5):
+            renderer = Renderer({"object": (model.vertices, model.faces)})
+            seen = list(pool.map(lambda _, one=renderer: one.render(camera, pose).depth, range(8)))
+            assert all((depth == seen[0]).all() for depth in seen)
+            assert (seen[0] > 0).any()
