@@ -19,11 +19,10 @@ README = ROOT / "README.md"
 PAGES = [README, *sorted(DOCS.glob("*.md"))]
 # Pages whose blocks are run below, and those that another test runs or whose recordings and minutes no test has: of
 # these every command is held against the parser.
-RUN_HERE = {"tutorial.md", "faq.md", "README.md"}
+RUN_HERE = {"tutorial.md", "faq.md", "README.md", "commands.md"}
 ONLY_PARSED = {
     "formats.md": "test_formats_docs.py runs it on recordings that it makes",
     "benchmarks.md": "benches take minutes to hours, and some need recorded contact sets",
-    "commands.md": "the viewer serves until it is stopped, and completions go to the home folder",
     "scenes.md": "one block, which downloads",
 }
 
@@ -40,6 +39,19 @@ def test_the_tutorial_ends_at_the_object(tmp_path, monkeypatch):
 def test_mistakes_are_told_as_the_page_says(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     docs_commands.run(DOCS / "faq.md", tmp_path)
+
+
+@pytest.mark.slow
+def test_every_command_has_an_example_that_works(tmp_path, monkeypatch):
+    """In their order; the folder of meshes to tell apart is the reader's."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "meshes").mkdir()
+    for name in ("drill", "mug", "hammer"):
+        model = library.make(name)
+        write_ply(tmp_path / f"meshes/{name}.ply", model.vertices, model.faces)
+    docs_commands.run(DOCS / "commands.md", tmp_path)
+    assert (tmp_path / "out/all/index.html").is_file()
+    assert (tmp_path / "drill.ply").is_file()
 
 
 def test_the_front_page(tmp_path, monkeypatch):
