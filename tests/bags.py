@@ -10,13 +10,16 @@ from typing import Any
 
 import cv2
 import numpy as np
+from commands import run
 
 from scenes import poses
+from scenes.captures import Capture, read_capture
 
 KINDS = ("ros1", "sqlite3", "mcap")
 WIDTH, HEIGHT = 64, 48
 MATRIX = np.array([[80.0, 0.0, 31.25], [0.0, 82.5, 23.75], [0.0, 0.0, 1.0]])
 SECOND = 1_000_000_000
+MS = SECOND // 1000
 START = 1_700_000_000 * SECOND
 
 TYPES = {
@@ -202,3 +205,26 @@ def compressed_metres(metres: np.ndarray, furthest=10.0, quantum=100.0) -> bytes
 def write_map(path: Path, topics: dict[str, Any], **rest: Any) -> Path:
     path.write_text(json.dumps({"format": "palpate-topics", "version": 1, "topics": topics, **rest}))
     return path
+
+
+PLAIN = {"/depth": {"role": "depth"}, "/depth/info": {"role": "camera_info"}}
+
+
+def plain(kind: str, count: int = 3) -> Messages:
+    """Depth images 100 ms apart and their camera, nothing else: what PLAIN maps."""
+    out = Messages(kind)
+    for i in range(count):
+        stamp = START + 100 * MS * i
+        out.image("/depth", stamp, np.full((HEIGHT, WIDTH), 500 + i, dtype=np.uint16), "16UC1")
+        out.camera_info("/depth/info", stamp)
+    return out
+
+
+def converted(folder: Path, out: Messages, topics: dict[str, Any] | None = None, **rest: Any) -> tuple[Capture, Any]:
+    """The capture of the messages and what --json says; everything is written into `folder`."""
+    folder.mkdir(exist_ok=True)
+    bag = out.write(folder / "bag")
+    made = write_map(folder / "topics.json", topics or PLAIN, **rest)
+    argv = ("convert", bag, folder / "c", "--topics", made, "--object", "box", "--json", folder / "j.json")
+    assert run(*argv) == 0
+    return read_capture(folder / "c"), json.loads((folder / "j.json").read_text())

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import refused
 from test_compare import plain_view
 
 from fusion.cli.main import build_parser, main
@@ -43,17 +44,6 @@ def contacts(tmp_path_factory) -> Path:
     turn = poses.exp([0.3, -0.2, 0.9, 0.2, 0.1, -0.3])
     write_off(path, poses.apply(turn, points), normals=normals @ turn[:3, :3].T)
     return path
-
-
-def refused(capsys, *argv: object) -> str:
-    """Run a command that must fail: exit code 2, one line on stderr, nothing else."""
-    assert main([str(a) for a in argv]) == 2
-    out, err = capsys.readouterr()
-    assert err.startswith("palpate: ")
-    assert err.count("\n") == 1, err
-    assert "Traceback" not in err
-    assert out == ""
-    return err
 
 
 def test_estimate_then_evaluate(capture, tmp_path, capsys):

@@ -10,9 +10,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from commands import refused, run
 from test_captures import CAMERA, some_frame
 
-from fusion.cli.main import main
 from scenes import poses
 from scenes.captures import read_capture, write_capture
 from scenes.formats.ply import write_ply
@@ -83,19 +83,6 @@ class Dataset:
 @pytest.fixture
 def data(tmp_path):
     return Dataset(tmp_path / "set")
-
-
-def run(*argv: object) -> int:
-    return main([str(a) for a in argv])
-
-
-def refused(capsys, *argv: object) -> str:
-    assert run(*argv) == 2
-    out, err = capsys.readouterr()
-    assert err.startswith("palpate: ")
-    assert err.count("\n") == 1, err
-    assert out == ""
-    return err
 
 
 @pytest.mark.parametrize("instance", [0, 1])

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from commands import refused, run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_compare import plain_view
-from test_formats_bop import refused, run
 
 from scenes import poses
 from scenes.captures import write_capture

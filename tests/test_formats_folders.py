@@ -7,7 +7,7 @@ import json
 import cv2
 import numpy as np
 import pytest
-from test_formats_bop import refused, run
+from commands import refused, run
 
 from scenes import poses
 from scenes.captures import read_capture

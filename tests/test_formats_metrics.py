@@ -11,7 +11,7 @@ import json
 import numpy as np
 import pytest
 from bop_reference import DELTA, MODELS, SCENE, TAUS, reference, write_dataset
-from test_formats_bop import run
+from commands import run
 
 from fusion import metrics
 from scenes.captures import read_capture
