@@ -221,11 +221,11 @@ def say(text: str) -> None:
 
 def announce_compiling() -> None:
     """On a machine's first run, say what the next half minute is spent on (standard error, so results stay clean)."""
-    from scenes.alignment import kernels
+    from scenes.alignment.solver_kernels import align_poses
 
     # numba keeps an index beside the module, or in the user's cache folder when it may not write there
-    stats = kernels.align_poses._cache  # type: ignore[attr-defined]
-    if not any(Path(stats.cache_path).glob("kernels.align_poses-*.nbi")):
+    stats = align_poses._cache  # type: ignore[attr-defined]
+    if not any(Path(stats.cache_path).glob("solver_kernels.align_poses-*.nbi")):
         sys.stderr.write("compiling the kernels, once on this machine: some 20 s\n")
         sys.stderr.flush()
 

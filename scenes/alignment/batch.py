@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes import poses as se3
-from scenes.alignment import kernels
+from scenes.alignment import kernels, solver_kernels
 from scenes.errors import InputError
 from scenes.evidence import COLUMNS, Evidence
 from scenes.objects import ObjectModel
@@ -121,7 +121,7 @@ def align(
     out_costs, hessians, used = np.zeros(count), np.zeros((count, 6, 6)), np.zeros(count, dtype=np.int64)
 
     def work(part: slice) -> None:
-        kernels.align_poses(  # type: ignore[call-arg]
+        solver_kernels.align_poses(  # type: ignore[call-arg]
             *scene,
             settings.blur,
             settings.blur_normal,

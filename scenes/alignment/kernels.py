@@ -1,7 +1,6 @@
-"""The compiled heart: value, gradient and Gauss-Newton terms of a table of evidence, and Levenberg-Marquardt on it.
+"""The compiled heart: value, gradient and Gauss-Newton terms of a table of evidence at a pose.
 
-One pose is worked by one thread from start to end, so sums have one order and bits do not depend on the number of
-threads. A pose is (R, m): rotation and the object's centroid m in the evidence's frame; the perturbation is
+A pose is (R, m): rotation and the object's centroid m in the evidence's frame; the perturbation is
 R <- exp(theta) R, m <- m + tau (poses.perturb). With y = p - m, q = R^T y + centroid, G = R grad d(q):
 
     dr/dtheta = (G x y) / sigma,   dr/dtau = -G / sigma
@@ -20,82 +19,16 @@ import math
 import numba
 import numpy as np
 
+from scenes.alignment.prior_kernels import prior_terms
 from scenes.lattice import distance_at, normal_at, seen_distance_at
 
-# Levenberg-Marquardt: start, factors and limits of the damping (relative to the Hessian's own diagonal).
-DAMPING_START = 1e-3
-DAMPING_DOWN = 0.25
-DAMPING_UP = 6.0
-DAMPING_MAX = 1e8
 # Where the lattice's smoothed gradient is shorter than this (medial axis, thin edges) the model has no one normal:
 # the gradient is then divided by this instead of its length, so that the cost stays continuous and stays a cost.
 SHORTEST_GRADIENT = 0.15
 
 
 @numba.njit(cache=True, nogil=True)
-def _log_rotation(r, out):
-    """Rotation vector of r (3, 3) into out (3,), through the quaternion."""
-    trace = r[0, 0] + r[1, 1] + r[2, 2]
-    if trace >= r[0, 0] and trace >= r[1, 1] and trace >= r[2, 2]:
-        w = 1.0 + trace
-        x = r[2, 1] - r[1, 2]
-        y = r[0, 2] - r[2, 0]
-        z = r[1, 0] - r[0, 1]
-    elif r[0, 0] >= r[1, 1] and r[0, 0] >= r[2, 2]:
-        w = r[2, 1] - r[1, 2]
-        x = 1.0 + r[0, 0] - r[1, 1] - r[2, 2]
-        y = r[1, 0] + r[0, 1]
-        z = r[2, 0] + r[0, 2]
-    elif r[1, 1] >= r[2, 2]:
-        w = r[0, 2] - r[2, 0]
-        x = r[1, 0] + r[0, 1]
-        y = 1.0 + r[1, 1] - r[0, 0] - r[2, 2]
-        z = r[2, 1] + r[1, 2]
-    else:
-        w = r[1, 0] - r[0, 1]
-        x = r[2, 0] + r[0, 2]
-        y = r[2, 1] + r[1, 2]
-        z = 1.0 + r[2, 2] - r[0, 0] - r[1, 1]
-    if w < 0.0:
-        w, x, y, z = -w, -x, -y, -z
-    length = math.sqrt(x * x + y * y + z * z)
-    factor = 2.0 / w if length < 1e-12 * abs(w) else 2.0 * math.atan2(length, w) / length
-    out[0] = factor * x
-    out[1] = factor * y
-    out[2] = factor * z
-
-
-@numba.njit(cache=True, nogil=True)
-def _exp_times(theta, r, out):
-    """Out = exp(theta) r."""
-    square = theta[0] * theta[0] + theta[1] * theta[1] + theta[2] * theta[2]
-    angle = math.sqrt(square)
-    if square < 1e-8:
-        a = 1.0 - square / 6.0
-        b = 0.5 - square / 24.0
-    else:
-        a = math.sin(angle) / angle
-        s = math.sin(0.5 * angle) / angle
-        b = 2.0 * s * s
-    x, y, z = theta[0], theta[1], theta[2]
-    e00 = 1.0 - b * (y * y + z * z)
-    e01 = b * x * y - a * z
-    e02 = b * x * z + a * y
-    e10 = b * x * y + a * z
-    e11 = 1.0 - b * (x * x + z * z)
-    e12 = b * y * z - a * x
-    e20 = b * x * z - a * y
-    e21 = b * y * z + a * x
-    e22 = 1.0 - b * (x * x + y * y)
-    for j in range(3):
-        p, q, s = r[0, j], r[1, j], r[2, j]
-        out[0, j] = e00 * p + e01 * q + e02 * s
-        out[1, j] = e10 * p + e11 * q + e12 * s
-        out[2, j] = e20 * p + e21 * q + e22 * s
-
-
-@numba.njit(cache=True, nogil=True)
-def _robust(s, gate, huber):
+def robust(s, gate, huber):
     """Loss rho(s) and its derivative, the probability that the row is the object's (see scenes.evidence).
 
     With huber > 0 (sigmas) residuals beyond it count linearly, the loss for noise of unknown shape.
@@ -139,7 +72,7 @@ def cost_terms(
     """Cost (negative log posterior up to a constant) at a pose; fills hessian (6, 6) and gradient (6,) when `need`.
 
     rows (n, 13): see scenes.evidence. blur (m), blur_normal (rad): added to the sigmas in quadrature, for coarse
-    stages. huber: see _robust, 0 = off. bend: share of a point's sigma that counts as not knowing where on a bent
+    stages. huber: see robust, 0 = off. bend: share of a point's sigma that counts as not knowing where on a bent
     surface its normal was felt; that widening is taken as constant in the derivatives.
     information (6, 6) of the prior about (prior_rotation, prior_middle); zeros when there is none.
     scratch (10, 3): working room.
@@ -207,7 +140,7 @@ def cost_terms(
             ey = (rows[n, 4] - ay) * inverse_normal
             ez = (rows[n, 5] - az) * inverse_normal
             s += ex * ex + ey * ey + ez * ez + 2.0 * math.log(wide / narrow)
-        rho, belongs = _robust(s, gate, huber)
+        rho, belongs = robust(s, gate, huber)
         weight = rows[n, 8]
         total += 0.5 * weight * rho
         w = weight * belongs
@@ -262,243 +195,12 @@ def cost_terms(
                     gradient[k] += wj * e
                     for j in range(k + 1):
                         hessian[k, j] += wj * jac[j]
-    total += _prior_terms(rotation, middle, prior_rotation, prior_middle, information, need, hessian, gradient, scratch)
+    total += prior_terms(rotation, middle, prior_rotation, prior_middle, information, need, hessian, gradient, scratch)
     if need:
         for i in range(6):
             for j in range(i):
                 hessian[j, i] = hessian[i, j]
     return total
-
-
-@numba.njit(cache=True, nogil=True)
-def _prior_terms(rotation, middle, prior_rotation, prior_middle, information, need, hessian, gradient, scratch):
-    """Half the squared Mahalanobis distance to the prior; its derivative uses the inverse left Jacobian of SO(3)."""
-    any_information = 0.0
-    for i in range(6):
-        any_information += information[i, i]
-    if any_information == 0.0:
-        return 0.0
-    relative = scratch[1:4]
-    for i in range(3):
-        for j in range(3):
-            relative[i, j] = (
-                rotation[i, 0] * prior_rotation[j, 0]
-                + rotation[i, 1] * prior_rotation[j, 1]
-                + rotation[i, 2] * prior_rotation[j, 2]
-            )
-    delta = scratch[7:9].reshape(6)
-    phi = scratch[0]
-    _log_rotation(relative, phi)
-    for i in range(3):
-        delta[i] = phi[i]
-        delta[3 + i] = middle[i] - prior_middle[i]
-    total = 0.0
-    for i in range(6):
-        for j in range(6):
-            total += 0.5 * delta[i] * information[i, j] * delta[j]
-    if not need:
-        return total
-    square = phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2]
-    angle = math.sqrt(square)
-    if square < 1e-6:
-        k = 1.0 / 12.0
-    else:
-        half = 0.5 * angle
-        # (1 - half cot half) / angle^2; at angle = pi the cotangent is 0
-        k = (1.0 - half * math.cos(half) / math.sin(half)) / square
-    jac = np.zeros((6, 6))
-    for i in range(3):
-        jac[3 + i, 3 + i] = 1.0
-        jac[i, i] = 1.0 - k * square
-        for j in range(3):
-            jac[i, j] += k * phi[i] * phi[j]
-    jac[0, 1] += 0.5 * phi[2]
-    jac[0, 2] -= 0.5 * phi[1]
-    jac[1, 0] -= 0.5 * phi[2]
-    jac[1, 2] += 0.5 * phi[0]
-    jac[2, 0] += 0.5 * phi[1]
-    jac[2, 1] -= 0.5 * phi[0]
-    for a in range(6):
-        for i in range(6):
-            along = 0.0
-            for j in range(6):
-                along += information[i, j] * delta[j]
-            gradient[a] += jac[i, a] * along
-        for b in range(a + 1):
-            total_h = 0.0
-            for i in range(6):
-                for j in range(6):
-                    total_h += jac[i, a] * information[i, j] * jac[j, b]
-            hessian[a, b] += total_h
-    return total
-
-
-@numba.njit(cache=True, nogil=True)
-def _solve(hessian, gradient, damping, floor, factor, step):
-    """Step = -(H + damping diag(H) + floor)^-1 gradient by Cholesky; False when not positive definite."""
-    for i in range(6):
-        for j in range(i + 1):
-            total = hessian[i, j]
-            if i == j:
-                total += damping * hessian[i, i] + floor[i]
-            for k in range(j):
-                total -= factor[i, k] * factor[j, k]
-            if i == j:
-                if not total > 1e-12 * (hessian[i, i] + floor[i]):
-                    return False
-                factor[i, i] = math.sqrt(total)
-            else:
-                factor[i, j] = total / factor[j, j]
-    for i in range(6):
-        total = -gradient[i]
-        for k in range(i):
-            total -= factor[i, k] * step[k]
-        step[i] = total / factor[i, i]
-    for i in range(5, -1, -1):
-        total = step[i]
-        for k in range(i + 1, 6):
-            total -= factor[k, i] * step[k]
-        step[i] = total / factor[i, i]
-    return True
-
-
-@numba.njit(cache=True, nogil=True)
-def align_poses(
-    values,
-    origin,
-    spacing,
-    centroid,
-    rows,
-    blur,
-    blur_normal,
-    huber,
-    bend,
-    prior_rotation,
-    prior_middle,
-    information,
-    iterations,
-    tolerance_angle,
-    tolerance_distance,
-    radius,
-    longest_angle,
-    longest_distance,
-    rotations,
-    middles,
-    costs,
-    hessians,
-    used,
-):
-    """Levenberg-Marquardt on poses, in place: rotations (b, 3, 3), middles (b, 3) -> costs (b,), hessians (b, 6, 6).
-
-    Stops at `iterations` tried steps, or when a step turns less than tolerance_angle (rad) and moves less than
-    tolerance_distance (m). Steps are shortened to longest_angle and longest_distance. radius (m) of the object scales
-    the floor of the damping, so that directions without information stay put. A step that raises the cost is undone.
-    """
-    scratch = np.zeros((10, 3))
-    hessian = np.zeros((6, 6))
-    gradient = np.zeros(6)
-    new_hessian = np.zeros((6, 6))
-    new_gradient = np.zeros(6)
-    factor = np.zeros((6, 6))
-    step = np.zeros(6)
-    floor = np.zeros(6)
-    rotation = np.zeros((3, 3))
-    middle = np.zeros(3)
-    for b in range(rotations.shape[0]):
-        cost = cost_terms(
-            values,
-            origin,
-            spacing,
-            centroid,
-            rows,
-            blur,
-            blur_normal,
-            huber,
-            bend,
-            rotations[b],
-            middles[b],
-            prior_rotation,
-            prior_middle,
-            information,
-            True,
-            hessian,
-            gradient,
-            scratch,
-        )
-        damping = DAMPING_START
-        count = 0
-        while count < iterations:
-            count += 1
-            largest = 0.0
-            for i in range(3):
-                largest = max(largest, hessian[i, i] / (radius * radius), hessian[3 + i, 3 + i])
-            if largest <= 0.0:
-                break  # no row has anything to say here
-            for i in range(3):
-                floor[i] = 1e-9 * largest * radius * radius
-                floor[3 + i] = 1e-9 * largest
-            if not _solve(hessian, gradient, damping, floor, factor, step):
-                damping = max(damping, 1e-6) * DAMPING_UP
-                if damping > DAMPING_MAX:
-                    break
-                continue
-            angle = math.sqrt(step[0] * step[0] + step[1] * step[1] + step[2] * step[2])
-            distance = math.sqrt(step[3] * step[3] + step[4] * step[4] + step[5] * step[5])
-            shorten = 1.0
-            if angle > longest_angle:
-                shorten = longest_angle / angle
-            if distance * shorten > longest_distance:
-                shorten = longest_distance / distance
-            for i in range(6):
-                step[i] *= shorten
-            _exp_times(step, rotations[b], rotation)
-            for i in range(3):
-                middle[i] = middles[b, i] + step[3 + i]
-            new_cost = cost_terms(
-                values,
-                origin,
-                spacing,
-                centroid,
-                rows,
-                blur,
-                blur_normal,
-                huber,
-                bend,
-                rotation,
-                middle,
-                prior_rotation,
-                prior_middle,
-                information,
-                True,
-                new_hessian,
-                new_gradient,
-                scratch,
-            )
-            if new_cost <= cost:
-                gain = cost - new_cost
-                cost = new_cost
-                for i in range(3):
-                    middles[b, i] = middle[i]
-                    for j in range(3):
-                        rotations[b, i, j] = rotation[i, j]
-                for i in range(6):
-                    gradient[i] = new_gradient[i]
-                    for j in range(6):
-                        hessian[i, j] = new_hessian[i, j]
-                damping = max(damping * DAMPING_DOWN, 1e-9)
-                if angle * shorten < tolerance_angle and distance * shorten < tolerance_distance:
-                    break
-                if gain < 1e-10 * (1.0 + cost) and shorten == 1.0 and damping < 1e-2:
-                    break
-            else:
-                damping *= DAMPING_UP
-                if damping > DAMPING_MAX or (angle < tolerance_angle and distance < tolerance_distance):
-                    break
-        costs[b] = cost
-        used[b] = count
-        for i in range(6):
-            for j in range(6):
-                hessians[b, i, j] = hessian[i, j]
 
 
 @numba.njit(cache=True, nogil=True)

@@ -12,7 +12,7 @@ import pytest
 from fusion import estimate
 from fusion.benchmarks.stability_cases_values import view
 from scenes import library
-from scenes.alignment import kernels
+from scenes.alignment import kernels, solver_kernels
 from scenes.evidence import COLUMNS
 from scenes.frames import Contacts, Frame
 from touch.localize import localize
@@ -24,8 +24,8 @@ class Work:
 
     def __init__(self, monkeypatch):
         self.rows = 0
-        for name in ("align_poses", "cost_poses"):
-            monkeypatch.setattr(kernels, name, self._counting(getattr(kernels, name)))
+        for module, name in ((solver_kernels, "align_poses"), (kernels, "cost_poses")):
+            monkeypatch.setattr(module, name, self._counting(getattr(module, name)))
 
     def _counting(self, kernel):
         def counted(*arguments):

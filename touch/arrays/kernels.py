@@ -11,8 +11,8 @@ import math
 import numba
 import numpy as np
 
-from scenes.alignment.kernels import _exp_times
 from scenes.lattice import value_at
+from scenes.rotation_kernels import exp_times
 
 
 @numba.njit(cache=True, nogil=True)
@@ -186,7 +186,7 @@ def place(x, start, middle, centroid, rotations, translations):
     """poses.perturb for one pose: x (6,) from a start (3, 3) whose centroid (3,) is at `middle` (3,); fills rotations
     (1, 3, 3) and translations (1, 3).
     """
-    _exp_times(x, start, rotations[0])
+    exp_times(x, start, rotations[0])
     r = rotations[0]
     for i in range(3):
         moved = r[i, 0] * centroid[0] + r[i, 1] * centroid[1] + r[i, 2] * centroid[2]

@@ -13,8 +13,8 @@ import math
 import numba
 import numpy as np
 
-from scenes.alignment.kernels import _exp_times, _log_rotation
 from scenes.lattice import distance_at, value_at
+from scenes.rotation_kernels import exp_times, log_rotation
 
 # The lattice's gradient is shorter than one on the medial axis: no surface point is farther than distance / this.
 SHORTEST_GRADIENT = 0.3
@@ -112,7 +112,7 @@ def unscented_update(
                 theta[i] = reach * factor[i, c]
             # a lower factor: the last three columns only move
             if c < 3:
-                _exp_times(theta, rotation, turned)
+                exp_times(theta, rotation, turned)
             _predicted(
                 values,
                 origin,
@@ -169,7 +169,7 @@ def unscented_update(
 @numba.njit(cache=True, nogil=True)
 def _move(rotation, middle, delta, room):
     """Perturb one pose in place by delta (6,)."""
-    _exp_times(delta, rotation, room)
+    exp_times(delta, rotation, room)
     for i in range(3):
         middle[i] += delta[3 + i]
         for j in range(3):
@@ -300,7 +300,7 @@ def mixture_density(rotations, middles, covariances, log_weights, at_rotations, 
                         + at_rotations[j, a, 1] * rotations[i, b, 1]
                         + at_rotations[j, a, 2] * rotations[i, b, 2]
                     )
-            _log_rotation(relative, delta)
+            log_rotation(relative, delta)
             for a in range(3):
                 delta[3 + a] = at_middles[j, a] - middles[i, a]
             value = logs[i]

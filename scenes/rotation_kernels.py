@@ -1,0 +1,72 @@
+"""Compiled rotations: the vector of a turn, and a turn applied to a matrix. Radians.
+
+What is compiled is kept on disk by the date of its own file: after a change here, delete the `__pycache__` of callers.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+
+
+@numba.njit(cache=True, nogil=True)
+def log_rotation(r, out):
+    """Rotation vector of r (3, 3) into out (3,), through the quaternion."""
+    trace = r[0, 0] + r[1, 1] + r[2, 2]
+    if trace >= r[0, 0] and trace >= r[1, 1] and trace >= r[2, 2]:
+        w = 1.0 + trace
+        x = r[2, 1] - r[1, 2]
+        y = r[0, 2] - r[2, 0]
+        z = r[1, 0] - r[0, 1]
+    elif r[0, 0] >= r[1, 1] and r[0, 0] >= r[2, 2]:
+        w = r[2, 1] - r[1, 2]
+        x = 1.0 + r[0, 0] - r[1, 1] - r[2, 2]
+        y = r[1, 0] + r[0, 1]
+        z = r[2, 0] + r[0, 2]
+    elif r[1, 1] >= r[2, 2]:
+        w = r[0, 2] - r[2, 0]
+        x = r[1, 0] + r[0, 1]
+        y = 1.0 + r[1, 1] - r[0, 0] - r[2, 2]
+        z = r[2, 1] + r[1, 2]
+    else:
+        w = r[1, 0] - r[0, 1]
+        x = r[2, 0] + r[0, 2]
+        y = r[2, 1] + r[1, 2]
+        z = 1.0 + r[2, 2] - r[0, 0] - r[1, 1]
+    if w < 0.0:
+        w, x, y, z = -w, -x, -y, -z
+    length = math.sqrt(x * x + y * y + z * z)
+    factor = 2.0 / w if length < 1e-12 * abs(w) else 2.0 * math.atan2(length, w) / length
+    out[0] = factor * x
+    out[1] = factor * y
+    out[2] = factor * z
+
+
+@numba.njit(cache=True, nogil=True)
+def exp_times(theta, r, out):
+    """Out = exp(theta) r."""
+    square = theta[0] * theta[0] + theta[1] * theta[1] + theta[2] * theta[2]
+    angle = math.sqrt(square)
+    if square < 1e-8:
+        a = 1.0 - square / 6.0
+        b = 0.5 - square / 24.0
+    else:
+        a = math.sin(angle) / angle
+        s = math.sin(0.5 * angle) / angle
+        b = 2.0 * s * s
+    x, y, z = theta[0], theta[1], theta[2]
+    e00 = 1.0 - b * (y * y + z * z)
+    e01 = b * x * y - a * z
+    e02 = b * x * z + a * y
+    e10 = b * x * y + a * z
+    e11 = 1.0 - b * (x * x + z * z)
+    e12 = b * y * z - a * x
+    e20 = b * x * z - a * y
+    e21 = b * y * z + a * x
+    e22 = 1.0 - b * (x * x + y * y)
+    for j in range(3):
+        p, q, s = r[0, j], r[1, j], r[2, j]
+        out[0, j] = e00 * p + e01 * q + e02 * s
+        out[1, j] = e10 * p + e11 * q + e12 * s
+        out[2, j] = e20 * p + e21 * q + e22 * s
