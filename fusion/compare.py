@@ -2,8 +2,8 @@
 
 Methods: `icp` on the usual crop around the start, `icp_segmented` on the points that our segmentation leaves to the
 object, `icp_touch` on these and the contacts, weighed up as in weighted ICP for vision and touch, `vision` and `touch`
-alone, `fused`. Times of ICP include finding its points; building a distance lattice and
-compiling are done once before anything is timed.
+alone, `fused`. Times of ICP include finding its points; building a distance lattice and compiling are done once before
+anything is timed.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from vision.segmentation import all_points, crop_points, object_points
 Array = NDArray[np.float64]
 
 METHODS = ("icp", "icp_segmented", "icp_touch", "vision", "touch", "fused")
-# Share of the contacts in the points of `icp_touch`: the best of 10, 30 and 50 % on other captures (see docs).
+# Share of the contacts in the points of `icp_touch`: the best of 10, 30 and 50 % on other captures.
 CONTACT_SHARE = 0.1
 SENSES = {"vision": ("vision",), "touch": ("touch",), "fused": ("vision", "touch")}
 

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from fusion.depth_bias import DepthBias
 from fusion.joint_algebra import cross, marginal, robust
+from fusion.joint_settings import JointSettings
 from scenes import alignment
 from scenes import evidence as tables
 from scenes import poses as se3
@@ -49,49 +50,6 @@ Array = NDArray[np.float64]
 
 POSE, XI, SCALE = slice(0, 6), slice(6, 12), 12
 FIXED = 13
-
-
-@dataclass(frozen=True)
-class Rig:
-    """A size of shared errors that may be the case.
-
-    level: factor on what calibration, depth scale and bias are believed to be off by. share: how usual it is. weight:
-    of a pixel. Neighbours share what nothing here describes: fingers whose joints are off, flying pixels, the side of
-    a thin wall. Counted as independent, answers of a usual rig were twice as sure as they should have been; where
-    nothing else is shared, neither is that.
-    """
-
-    level: float
-    share: float
-    weight: float
-
-
-@dataclass(frozen=True)
-class JointSettings:
-    """The joint solution."""
-
-    # Gauss-Newton steps: the start is the minimum of a system that differs by millimetres.
-    steps: int = 8
-    # A step that promises less than this (nats) is not taken: beyond it rows change sides, not the pose.
-    worth: float = 0.02
-    # Rigs that are tried: factors on the believed sizes of calibration, scale and bias errors, how usual each is before
-    # anything is seen, and the weight of a pixel in it. A rig without shared errors, a usual one, a poor one; with one
-    # in between, at 0.2 or 0.4, frames that show little of the hand took it too often, and were too sure.
-    rigs: tuple[Rig, ...] = (Rig(0.03, 0.1, 0.6), Rig(1.0, 0.8, 0.22), Rig(2.0, 0.1, 0.22))
-    # Share of a contact's sigma by which its normal may have been felt elsewhere on a bent surface (AlignSettings).
-    bend: float = 1.0
-    # Modes that are solved (the rest of the posterior is negligible), and candidates for choosing the level.
-    modes: int = 5
-    # Pixels between inducing points of the bias, in correlation lengths, and the most of them.
-    spacing: float = 1.2
-    most_inducing: int = 80
-    # Independent error of the hand's surface (m): joint errors move whole links; and how many of its pixels share it.
-    hand_sigma: float = 0.001
-    hand_sharing: float = 6.0
-    # What a mesh and its lattice leave out of a real object, metres.
-    model_sigma: float = 0.0004
-    # Least cosine of the incidence of a pixel: cameras read nothing of surfaces steeper than 80 degrees.
-    least_cosine: float = 0.17
 
 
 @dataclass(frozen=True)
@@ -184,7 +142,7 @@ class JointProblem:
         if self.camera is not None:
             independent = self.depth.independent_sigma(rows[:, 2])
             self._sigma = np.where(self._on, np.hypot(independent, self.settings.model_sigma), rows[:, SIGMA])
-            self._weigh(min(rig.weight for rig in self.settings.rigs))
+            self._weigh(self.settings.least_weight)
         else:
             self._sigma, self._weight = rows[:, SIGMA], rows[:, WEIGHT]
         self._hand_blocks(hand_points)
@@ -216,7 +174,7 @@ class JointProblem:
 
         weight: of a pixel; the least of all rigs' when not told, so that log evidences of levels can be compared.
         """
-        self._weigh(min(rig.weight for rig in self.settings.rigs) if weight is None else weight)
+        self._weigh(self.settings.least_weight if weight is None else weight)
         size = FIXED + len(self._bias)
         middle = pose[:3, :3] @ self.model.centroid + pose[:3, 3]
         self._centre = self.hand.centre if self.hand is not None else middle

@@ -26,8 +26,6 @@ from scenes.objects import ObjectModel
 
 Array = NDArray[np.float64]
 
-ALIGNMENT_PARTS = ("poses", "costs", "hessians", "iterations")
-
 
 @dataclass(frozen=True)
 class PlanSettings:
@@ -127,8 +125,7 @@ def _with_valleys(
     chosen = distinct_first(model, replace(rough, costs=likely), settings.refined)
     chosen = chosen[likely[chosen] < likely[chosen[0]] + mode_settings.cost_margin]
     more, _ = _refined(model, rows, rough.poses[chosen], prior, rank)
-    both = [np.concatenate([getattr(a, name) for a in (found, more)]) for name in ALIGNMENT_PARTS]
-    return Alignment(*both)
+    return found.joined(more)
 
 
 def valley_steps(

@@ -29,7 +29,7 @@ def solve_modes(problem: JointProblem, starts: list[Array]) -> list[JointResult]
     weights = np.exp(score - score.max())
     best = int(np.argmax(score))
     rig = settings.rigs[best]
-    if rig.weight > min(other.weight for other in settings.rigs):
+    if rig.weight > settings.least_weight:
         return [
             problem.solve(start, rig.level, rig.weight) for start in [tried[best].pose, *starts[1 : settings.modes]]
         ]
@@ -38,7 +38,7 @@ def solve_modes(problem: JointProblem, starts: list[Array]) -> list[JointResult]
 
 
 def _averaged(model: ObjectModel, tried: list[JointResult], weights: Array, best: JointResult) -> JointResult:
-    """The levels' mixture about `best`: levels that ended in another minimum do not count."""
+    """The rigs' mixture about `best`: those that ended in another minimum do not count."""
     delta = np.array([se3.difference(t.pose, best.pose, model.centroid) for t in tried])
     moved = np.linalg.norm(delta[:, :3], axis=1) * model.radius + np.linalg.norm(delta[:, 3:], axis=1)
     weights = np.where(moved < 0.2 * model.radius, weights, 0.0)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from fusion import joint, posterior
 from fusion.answer import Estimate
 from fusion.estimation import estimate
+from fusion.joint_settings import Rig
 from fusion.rigs import solve_modes
 from fusion.stages import as_prior, blind, check_senses, hand_from_object, numb
 from fusion.trace import Trace
@@ -269,7 +270,7 @@ class Tracker:
             self._rigs.append(solved.level)
         return solved
 
-    def _usual_rig(self) -> joint.Rig:
+    def _usual_rig(self) -> Rig:
         """The rig that most of the first frames were taken for, the lesser of two."""
         usual = sorted(self._rigs)[(len(self._rigs) - 1) // 2]
         return next(rig for rig in self.settings.joint.rigs if rig.level == usual)

@@ -67,6 +67,12 @@ class Surface:
         out[known] = covered[tuple(index[known].astype(np.int64).T)]
         return out
 
+    def is_within(self, points: Array, distance: float) -> NDArray[np.bool_]:
+        """(n,) whether points (n, 3) are nearer than `distance` (m) to the surface, on either side."""
+        near = self.may_be_within(points, distance)
+        near[near] = np.abs(self.closest(points[near])[0]) < distance
+        return near
+
     def closest(self, points: Array) -> tuple[Array, Array, Array]:
         """For points (n, 3): signed distance (n,), its unit gradient (n, 3), and the closest points (n, 3).
 

@@ -49,7 +49,7 @@ class HandView:
 
     xi (6,): the correction found, poses.perturb of the identity about centre (3,) camera frame. points (n, 3): pixels
     that agree, camera frame; residual (n,) m: their distances to the aligned hand; directions (n, 3): the gradients of
-    those; trust (n,): robust weights in 0..1. surface: the hand's mesh in the hand frame.
+    those. surface: the hand's mesh in the hand frame.
     """
 
     measured: Array
@@ -59,17 +59,13 @@ class HandView:
     points: Array
     residual: Array
     directions: Array
-    trust: Array
     surface: Surface
 
     def nearer(self, points: Array, distance: float) -> NDArray[np.bool_]:
         """(n,) whether camera-frame points (n, 3) are nearer than `distance` (m) to the aligned hand, or inside it
         that deep.
         """
-        local = se3.apply(se3.inverse(self.aligned), points)
-        near = self.surface.may_be_within(local, distance)
-        near[near] = np.abs(self.surface.closest(local[near])[0]) < distance
-        return near
+        return self.surface.is_within(se3.apply(se3.inverse(self.aligned), points), distance)
 
     def gap(self, points: Array) -> float:
         """Least distance (m) between camera-frame points (n, 3), n at least 1, and the aligned hand."""
@@ -116,36 +112,48 @@ def view_hand(
         return None
     vertices, faces, _ = frame.hand.mesh(frame.joints)
     surface = Surface(vertices, faces)
-    hand_from_camera = se3.inverse(measured)
-    local = se3.apply(hand_from_camera, pixels.points)
-    near = surface.may_be_within(local, 2 * settings.gates[0])
-    near[near] = np.abs(surface.closest(local[near])[0]) < 2 * settings.gates[0]
+    near = surface.is_within(se3.apply(se3.inverse(measured), pixels.points), 2 * settings.gates[0])
     points = pixels.points[near]
     if len(points) < settings.fewest:
-        return HandView(
-            measured, measured, measured[:3, 3], np.zeros(6), points[:0], np.zeros(0), points[:0], np.zeros(0), surface
-        )
+        return HandView(measured, measured, measured[:3, 3], np.zeros(6), points[:0], np.zeros(0), points[:0], surface)
     points = points[:: max(1, len(points) // settings.most)]
     share = max(1.0, near.sum() / len(points))
     centre = points.mean(axis=0)
+    pixel = pixels.area * share
+    return fit_hand(surface, measured, np.zeros(6), centre, points, pixel, depth_model, calibration, settings.gates)
+
+
+def fit_hand(
+    surface: Surface,
+    measured: Array,
+    xi: Array,
+    centre: Array,
+    points: Array,
+    pixel: float,
+    depth_model: DepthModel,
+    calibration: CalibrationModel,
+    gates: tuple[float, ...],
+) -> HandView:
+    """Gauss-Newton on the hand's pixels from the correction xi (6,) about centre (3,), a step for each gate (m).
+
+    points (n, 3) camera frame; pixel: what each stands for, in pixels of the image: neighbours share their bias.
+    """
     prior = prior_information(calibration, centre)
-    sigma = np.sqrt(depth_model.independent_sigma(points[:, 2]) ** 2 + depth_model.bias_sigma**2)
-    patch = max(1.0, depth_model.sharing_length**2 / (pixels.area * share))
-    weight = sigma**2 / (sigma**2 + (patch - 1) * depth_model.bias_sigma**2)
-    xi, aligned = np.zeros(6), measured
-    for gate in settings.gates:
+    bias = depth_model.bias_sigma**2
+    patch = max(1.0, depth_model.sharing_length**2 / pixel)
+    weight = 1.0 / (depth_model.independent_sigma(points[:, 2]) ** 2 + patch * bias)
+    for gate in gates:
+        aligned = se3.perturb(np.eye(4), xi, centre) @ measured
         distance, direction, robust = hand_terms(surface, aligned, points, gate)
-        row_weight = weight * robust / sigma**2
+        row_weight = weight * robust
         # the hand moves, the points stay: the distance falls by g . (omega x (p - c) + v)
         jac = -np.concatenate([np.cross(points - centre, direction), direction], axis=1)
         hessian = (jac * row_weight[:, None]).T @ jac + prior
         xi = xi - np.linalg.solve(hessian, jac.T @ (row_weight * distance) + prior @ xi)
-        aligned = se3.perturb(np.eye(4), xi, centre) @ measured
-    distance, direction, robust = hand_terms(surface, aligned, points, settings.gates[-1])
+    aligned = se3.perturb(np.eye(4), xi, centre) @ measured
+    distance, direction, robust = hand_terms(surface, aligned, points, gates[-1])
     agree = robust > 0
-    return HandView(
-        measured, aligned, centre, xi, points[agree], distance[agree], direction[agree], robust[agree], surface
-    )
+    return HandView(measured, aligned, centre, xi, points[agree], distance[agree], direction[agree], surface)
 
 
 def hand_terms(surface: Surface, camera_from_hand: Array, points: Array, gate: float) -> tuple[Array, Array, Array]:

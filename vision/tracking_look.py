@@ -22,8 +22,7 @@ from vision.hand_view import (
     HandView,
     HandViewSettings,
     camera_from_hand,
-    hand_terms,
-    prior_information,
+    fit_hand,
     view_hand,
 )
 from vision.segmentation import SegmentationSettings, Segments, segment
@@ -140,30 +139,15 @@ class Looker:
         """Gauss-Newton on the hand's pixels as in `view_hand`, from the last correction (4, 4) camera_from_camera."""
         aligned = correction @ measured
         pixels = self._hand_pixels(frame, aligned)
-        distance, direction, robust = hand_terms(surface, aligned, pixels.points, self.settings.gates[0])
-        keep = np.flatnonzero(robust > 0)
-        step = max(1, len(keep) // self.settings.most_aligned)
-        keep = keep[::step]
-        points, distance, direction, robust = pixels.points[keep], distance[keep], direction[keep], robust[keep]
+        keep = surface.is_within(se3.apply(se3.inverse(aligned), pixels.points), self.settings.gates[0])
+        step = max(1, int(keep.sum()) // self.settings.most_aligned)
+        points = pixels.points[keep][::step]
         centre = points.mean(axis=0) if len(points) else aligned[:3, 3]
         xi = se3.difference(correction, np.eye(4), centre)
         if len(points) < HandViewSettings().fewest:
-            return HandView(measured, aligned, centre, xi, points[:0], np.zeros(0), points[:0], np.zeros(0), surface)
-        prior = prior_information(self.calibration, centre)
-        sigma2 = self.depth.independent_sigma(points[:, 2]) ** 2 + self.depth.bias_sigma**2
-        patch = max(1.0, self.depth.sharing_length**2 / (pixels.area * step))
-        weight = 1.0 / (sigma2 + (patch - 1) * self.depth.bias_sigma**2)
-        for gate in self.settings.gates:
-            row_weight = weight * robust
-            jac = -np.concatenate([np.cross(points - centre, direction), direction], axis=1)
-            hessian = (jac * row_weight[:, None]).T @ jac + prior
-            xi = xi - np.linalg.solve(hessian, jac.T @ (row_weight * distance) + prior @ xi)
-            aligned = se3.perturb(np.eye(4), xi, centre) @ measured
-            distance, direction, robust = hand_terms(surface, aligned, points, gate)
-        agree = robust > 0
-        return HandView(
-            measured, aligned, centre, xi, points[agree], distance[agree], direction[agree], robust[agree], surface
-        )
+            return HandView(measured, aligned, centre, xi, points[:0], np.zeros(0), points[:0], surface)
+        pixel, gates = pixels.area * step, self.settings.gates
+        return fit_hand(surface, measured, xi, centre, points, pixel, self.depth, self.calibration, gates)
 
     def _hand_pixels(self, frame: Frame, aligned: Array) -> Pixels:
         """Pixels of the box around the hand's mesh at `aligned` (4, 4) camera_from_hand."""

@@ -69,6 +69,15 @@ class Alignment:
         """The chosen poses."""
         return Alignment(self.poses[index], self.costs[index], self.hessians[index], self.iterations[index])
 
+    def joined(self, other: Alignment) -> Alignment:
+        """These poses, then the other's."""
+        return Alignment(
+            np.concatenate([self.poses, other.poses]),
+            np.concatenate([self.costs, other.costs]),
+            np.concatenate([self.hessians, other.hessians]),
+            np.concatenate([self.iterations, other.iterations]),
+        )
+
 
 def _split(model: ObjectModel, poses: Array) -> tuple[Array, Array]:
     poses = np.asarray(poses, dtype=np.float64).reshape(-1, 4, 4)
