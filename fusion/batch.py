@@ -16,7 +16,7 @@ import tempfile
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -199,6 +199,18 @@ def start_worker() -> None:
             ctypes.CDLL(None).prctl(1, signal.SIGTERM)
 
 
+@contextmanager
+def interrupt_held() -> Iterator[None]:
+    """Ctrl-C waits until the end. A worker that starts meanwhile inherits that and never hears it: what it imports
+    before `start_worker` would end in a traceback of its own.
+    """
+    held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, held)
+
+
 class Backend(Protocol):
     """Where the work is done. workers: jobs that are handed out at a time."""
 
@@ -294,7 +306,8 @@ def run_jobs(
             while queue and len(running) < (1 if alone else backend.workers):
                 job = queue.popleft()
                 try:
-                    running[executor.submit(work, job)] = job
+                    with interrupt_held():
+                        running[executor.submit(work, job)] = job
                 except BrokenExecutor:
                     queue.appendleft(job)  # it never began
                     broken = True

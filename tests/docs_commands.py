@@ -142,7 +142,8 @@ def _run_python(block: Block, where: str, names: dict[str, Any], expected: str) 
 
 
 def _run_line(line: str, folder: Path, where: str) -> str:
-    from fusion.cli.main import build_parser, main
+    from fusion.cli.main import main
+    from fusion.cli.parser import build_parser
 
     wanted = _EXIT_CODE.search(line)
     words = shlex.split(line, comments=True)

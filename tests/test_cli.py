@@ -14,8 +14,9 @@ import pytest
 from commands import refused
 from test_compare import plain_view
 
-from fusion.cli.main import build_parser, main
+from fusion.cli.main import main
 from fusion.cli.options import length_and_angle, share
+from fusion.cli.parser import build_parser
 from scenes import poses
 from scenes.captures import read_capture, write_capture
 from scenes.formats.bop import read_poses
@@ -274,10 +275,14 @@ def test_bad_captures(tmp_path, capsys):
 
 
 def test_help_is_quick_to_load_and_the_pipe_may_close():
-    code = "import sys, fusion.cli.main as m; m.build_parser(); print(*sys.modules)"
+    code = "import sys, fusion.cli.parser as p; p.build_parser(); print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     heavy = {"numpy", "scipy", "numba", "open3d", "trimesh", "cv2", "rich", "plotly"} & set(loaded.split())
     assert heavy == set()
+    # what is loaded before `main` runs cannot turn Ctrl-C into a line
+    code = "import sys, fusion.cli.main; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert {"fusion.cli.parser", "fusion.cli.options"} & set(loaded.split()) == set()
     piped = f"set -o pipefail; {sys.executable} -m fusion.cli.main --help | true"
     done = subprocess.run(["bash", "-c", piped], cwd=ROOT, capture_output=True, text=True, check=False)
     assert "Traceback" not in done.stderr

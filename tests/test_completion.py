@@ -6,7 +6,8 @@ import subprocess
 import pytest
 
 from fusion.cli.completion import SHELLS, bash, described, fish, zsh
-from fusion.cli.main import COMMANDS, build_parser, main
+from fusion.cli.main import main
+from fusion.cli.parser import COMMANDS, build_parser
 
 
 @pytest.mark.parametrize("make", [bash, zsh, fish])

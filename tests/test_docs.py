@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from docs_commands import ROOT, matches
 
-from fusion.cli.main import build_parser
+from fusion.cli.parser import build_parser
 from scenes import library
 from scenes.formats.ply import write_ply
 from scenes.synthesis import synthesize

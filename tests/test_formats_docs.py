@@ -140,7 +140,7 @@ def test_every_command_of_the_page_works(place, monkeypatch, capsys):
 
 def test_the_page_names_every_format_and_option():
     from fusion.cli.convert import SOURCES, TARGETS
-    from fusion.cli.main import build_parser
+    from fusion.cli.parser import build_parser
     from scenes.formats.ros_map import FRAMES, KEYS, REQUIRABLE, ROLES
 
     text = PAGE.read_text(encoding="utf-8")

@@ -16,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the script to standard output."""
-    from fusion.cli.main import build_parser
+    from fusion.cli.parser import build_parser
 
     commands = described(build_parser())
     write_json(args.json, {"shell": args.shell, "commands": sorted(commands)})

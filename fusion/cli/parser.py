@@ -1,0 +1,74 @@
+"""The parser of `palpate`: every command with its options."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import NoReturn
+
+from fusion.cli import (
+    batch,
+    bench,
+    compare,
+    completion,
+    convert,
+    demo,
+    estimate,
+    evaluate,
+    grasp,
+    identify,
+    localize,
+    model,
+    synth,
+    track,
+    validate,
+    view,
+)
+from fusion.cli.options import add_common
+from scenes.errors import InputError
+
+COMMANDS = (
+    *(demo, synth, validate, estimate, track, compare, evaluate, localize, identify),
+    *(grasp, model, batch, view, convert, bench, completion),
+)
+
+
+class Parser(argparse.ArgumentParser):
+    """argparse that raises instead of printing its usage: a mistake costs one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise InputError with the command's name and the complaint."""
+        raise InputError(f"{message} (see {self.prog} --help)")
+
+
+class _Version(argparse.Action):
+    """--version: looked up only when asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from importlib import metadata
+
+        try:
+            version = metadata.version("palpate")
+        except metadata.PackageNotFoundError:
+            version = "0 (not installed)"
+        sys.stdout.write(f"palpate {version}\n")
+        parser.exit()
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of all commands."""
+    parser = Parser(
+        prog="palpate",
+        description="Where is the object in the hand? 6-DOF pose from a half-blind RGB-D camera and touch.",
+        epilog="Exit codes: 0 done, 1 the answer is lost or invalid, 2 bad use or input. PALPATE_THREADS sets threads.",
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for module in COMMANDS:
+        name = module.__name__.rpartition(".")[2]
+        summary = (module.__doc__ or "").strip().splitlines()[0]
+        command = commands.add_parser(name, help=summary, description=summary)
+        module.add_arguments(command)
+        add_common(command)
+        command.set_defaults(run=module.run)
+    return parser
