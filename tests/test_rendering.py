@@ -1,6 +1,7 @@
 """Rendering against exact geometry: back-projected pixels lie on the surface, occlusion counts are right."""
 
 import pickle
+import time
 
 import numpy as np
 import pytest
@@ -188,10 +189,18 @@ def test_shading_is_lambert():
     assert np.abs(image.astype(int) - expected.astype(np.uint8)).max() <= 1  # rounding of equal sums
 
 
-def test_threads_that_share_a_new_renderer_see_the_same():
-    """Frames of a sequence are made in parallel; the first to look builds what the others then use."""
+def test_threads_that_share_a_new_renderer_see_the_same(monkeypatch):
+    """Frames of a sequence are made in parallel; the first to look builds what the others then use, here slowly."""
     from concurrent.futures import ThreadPoolExecutor
 
+    import open3d
+
+    class Slow(open3d.t.geometry.RaycastingScene):
+        def add_triangles(self, *mesh):
+            time.sleep(0.05)
+            return super().add_triangles(*mesh)
+
+    monkeypatch.setattr(open3d.t.geometry, "RaycastingScene", Slow)
     model = library.make("bust")
     camera = Camera(285.0, 285.0, 159.5, 119.5, 320, 240)
     pose = {"object": poses.make_pose(translation=[0.0, 0.0, 0.5])}
