@@ -9,8 +9,10 @@ from hypothesis import settings
 
 from scenes import library
 
-# compiled kernels take seconds at their first call, so an example has no deadline
-settings.register_profile("palpate", deadline=None, max_examples=40)
+# Compiled kernels take seconds at their first call, so an example has no deadline. The same examples every time: a run
+# says what changed. `--hypothesis-profile explore` draws others.
+settings.register_profile("palpate", deadline=None, max_examples=40, derandomize=True)
+settings.register_profile("explore", deadline=None, max_examples=400)
 settings.load_profile("palpate")
 
 DATA = Path(os.environ.get("PALPATE_DATA", Path(__file__).resolve().parents[1].parent / "shared" / "data"))

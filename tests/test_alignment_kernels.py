@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from scenes import evidence, library, poses
 from scenes.alignment import AlignSettings, Prior, align, costs, terms
-from scenes.alignment.kernels import SHORTEST_GRADIENT, robust
+from scenes.alignment.kernels import SHORTEST_GRADIENT
+from scenes.alignment.row_kernels import loss_floor, robust
 from scenes.evidence import NO_GATE, TOUCH, VISION
 from scenes.rotation_kernels import exp_times, log_rotation
 
@@ -305,19 +306,22 @@ def test_the_hessian_is_the_true_one_where_residuals_vanish(mug):
 
 @given(st.floats(0, 1e4), st.floats(0.1, 50.0), st.sampled_from([0.0, 0.3, 2.0]))
 def test_the_derivative_of_the_loss_is_the_probability(square, gate, huber):
-    loss, belongs = robust(square, gate, huber)
+    floor = loss_floor(gate)
+    loss, belongs = robust(square, gate, floor, huber)
     assert 0 <= belongs <= 1
     assert 0 <= loss <= square + 1e-9
     step = 1e-6 * max(square, 1e-2)
     if abs(square - huber**2) > 2 * step and square > step:
-        numeric = (robust(square + step, gate, huber)[0] - robust(square - step, gate, huber)[0]) / (2 * step)
+        numeric = (robust(square + step, gate, floor, huber)[0] - robust(square - step, gate, floor, huber)[0]) / (
+            2 * step
+        )
         assert numeric == pytest.approx(belongs, abs=1e-5)
 
 
 @pytest.mark.parametrize("gate", [3.0, 9.0, NO_GATE])
 def test_the_loss_has_no_seams(gate):
     square = np.linspace(0, 400, 200_001)
-    loss = np.array([robust(s, gate, 0.0) for s in square])
+    loss = np.array([robust(s, gate, loss_floor(gate), 0.0) for s in square])
     assert np.isfinite(loss).all()
     assert np.abs(np.diff(loss[:, 0])).max() < 0.0021
     assert (np.diff(loss[:, 0]) >= -1e-12).all()

@@ -12,7 +12,8 @@ from fusion.joint_algebra import robust
 from fusion.rigs import solve_modes
 from scenes import evidence, poses
 from scenes.alignment import Prior
-from scenes.alignment.kernels import robust as compiled_robust
+from scenes.alignment.row_kernels import loss_floor
+from scenes.alignment.row_kernels import robust as compiled_robust
 from scenes.cameras import Camera
 from scenes.evidence import NO_GATE, TOUCH, VISION
 from touch.contacts import feel
@@ -29,7 +30,7 @@ def test_the_loss_is_the_kernels(square, gate):
     if gate == 0.0:  # the kernel leaves such rows out
         assert loss[0] == belongs[0] == 0.0
         return
-    theirs = compiled_robust(square, gate, 0.0)
+    theirs = compiled_robust(square, gate, loss_floor(gate), 0.0)
     assert loss[0] == pytest.approx(theirs[0], rel=1e-9, abs=1e-9)
     assert belongs[0] == pytest.approx(theirs[1], rel=1e-9, abs=1e-12)
 

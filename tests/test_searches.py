@@ -57,9 +57,9 @@ def twin_update(model, point, sigma, alpha, kappa, beta, pose, covariance):
         local = poses.apply(poses.inverse(one), point[None])
         field = model.field
         local = np.clip(local, field.origin, field.origin + field.spacing * (np.array(field.values.shape) - 1))
-        for _ in range(2):
+        for _ in range(4):
             d, g = field.distance_and_gradient(local)
-            local = local - d[:, None] * g / max(float((g * g).sum()), kernels.SHORTEST_GRADIENT**2)
+            local = local - d[:, None] * g / max(float(np.linalg.norm(g)), kernels.SHORTEST_GRADIENT)
             if abs(d[0]) < field.spacing:
                 break
         predicted.append(poses.apply(one, local)[0])

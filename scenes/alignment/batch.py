@@ -197,7 +197,7 @@ def terms(
     rotations, middles = _split(model, pose)
     scene, prior_parts = _scene(model, evidence, prior)
     hessian, gradient = np.zeros((6, 6)), np.zeros(6)
-    cost = kernels.cost_terms(  # type: ignore[call-arg]
+    cost = kernels.terms_at(  # type: ignore[call-arg]
         *scene,
         settings.blur,
         settings.blur_normal,
@@ -206,9 +206,7 @@ def terms(
         rotations[0],
         middles[0],
         *prior_parts,
-        True,
         hessian,
         gradient,
-        np.zeros((10, 3)),
     )
     return float(cost), gradient, hessian

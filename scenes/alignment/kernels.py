@@ -20,32 +20,12 @@ import numba
 import numpy as np
 
 from scenes.alignment.prior_kernels import prior_terms
+from scenes.alignment.row_kernels import FLOOR_ABOVE, FLOOR_BELOW, INVERSE, NARROW, prepare, robust
 from scenes.lattice import distance_at, normal_at, seen_distance_at
 
 # Where the lattice's smoothed gradient is shorter than this (medial axis, thin edges) the model has no one normal:
 # the gradient is then divided by this instead of its length, so that the cost stays continuous and stays a cost.
 SHORTEST_GRADIENT = 0.15
-
-
-@numba.njit(cache=True, nogil=True)
-def robust(s, gate, huber):
-    """Loss rho(s) and its derivative, the probability that the row is the object's (see scenes.evidence).
-
-    With huber > 0 (sigmas) residuals beyond it count linearly, the loss for noise of unknown shape.
-    """
-    if huber > 0.0:
-        if s <= huber * huber:
-            return s, 1.0
-        root = math.sqrt(s)
-        return 2.0 * huber * root - huber * huber, huber / root
-    over = 0.5 * (s - gate * gate)
-    if over < -40.0:
-        return s, 1.0
-    floor = math.log1p(math.exp(-0.5 * gate * gate))
-    if over > 40.0:
-        return gate * gate + 2.0 * floor, 0.0
-    e = math.exp(over)
-    return s - 2.0 * math.log1p(e) + 2.0 * floor, 1.0 / (1.0 + e)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -55,8 +35,6 @@ def cost_terms(
     spacing,
     centroid,
     rows,
-    blur,
-    blur_normal,
     huber,
     bend,
     rotation,
@@ -71,9 +49,8 @@ def cost_terms(
 ):
     """Cost (negative log posterior up to a constant) at a pose; fills hessian (6, 6) and gradient (6,) when `need`.
 
-    rows (n, 13): see scenes.evidence. blur (m), blur_normal (rad): added to the sigmas in quadrature, for coarse
-    stages. huber: see robust, 0 = off. bend: share of a point's sigma that counts as not knowing where on a bent
-    surface its normal was felt; that widening is taken as constant in the derivatives.
+    rows (n, PREPARED): see row_kernels.prepare. huber: see robust, 0 = off. bend: share of a point's sigma that counts
+    as not knowing where on a bent surface its normal was felt; that widening is taken as constant in the derivatives.
     information (6, 6) of the prior about (prior_rotation, prior_middle); zeros when there is none.
     scratch (10, 3): working room.
     """
@@ -90,6 +67,9 @@ def cost_terms(
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
     r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    g0 = g1 = g2 = g3 = g4 = g5 = 0.0
+    h00 = h10 = h11 = h20 = h21 = h22 = h30 = h31 = h32 = h33 = 0.0
+    h40 = h41 = h42 = h43 = h44 = h50 = h51 = h52 = h53 = h54 = h55 = 0.0
     for n in range(rows.shape[0]):
         yx = rows[n, 0] - middle[0]
         yy = rows[n, 1] - middle[1]
@@ -97,8 +77,8 @@ def cost_terms(
         qx = r00 * yx + r10 * yy + r20 * yz + centroid[0]
         qy = r01 * yx + r11 * yy + r21 * yz + centroid[1]
         qz = r02 * yx + r12 * yy + r22 * yz + centroid[2]
-        sigma_normal = rows[n, 7]
-        with_normal = sigma_normal > 0.0
+        narrow = rows[n, NARROW]
+        with_normal = narrow > 0.0
         d, gx, gy, gz = distance_at(values, origin, spacing, qx, qy, qz)
         # where the normal is looked up: at the point, or where that was led back to
         fx, fy, fz = qx, qy, qz
@@ -112,10 +92,10 @@ def cost_terms(
                 d, gx, gy, gz = seen_distance_at(values, origin, spacing, qx, qy, qz, vx, vy, vz)
                 fx, fy, fz = qx - d * gx, qy - d * gy, qz - d * gz
         d -= rows[n, 11]
-        gate = rows[n, 9] if d > 0.0 else rows[n, 10]
+        gate, floor = (rows[n, 9], rows[n, FLOOR_ABOVE]) if d > 0.0 else (rows[n, 10], rows[n, FLOOR_BELOW])
         if gate == 0.0:
             continue
-        inverse = 1.0 / math.sqrt(rows[n, 6] * rows[n, 6] + blur * blur)
+        inverse = rows[n, INVERSE]
         r = d * inverse
         s = r * r
         ax = ay = az = ex = ey = ez = length = inverse_normal = 0.0
@@ -130,7 +110,6 @@ def cost_terms(
                 along = ux * h[0, j] + uy * h[1, j] + uz * h[2, j]
                 turning += h[0, j] * h[0, j] + h[1, j] * h[1, j] + h[2, j] * h[2, j] - along * along
             turning *= 0.5 * bend * bend / (length * length)
-            narrow = sigma_normal * sigma_normal + blur_normal * blur_normal
             wide = narrow + rows[n, 6] * rows[n, 6] * max(turning, 0.0)
             inverse_normal = 1.0 / math.sqrt(wide)
             ax = r00 * ux + r01 * uy + r02 * uz
@@ -140,7 +119,7 @@ def cost_terms(
             ey = (rows[n, 4] - ay) * inverse_normal
             ez = (rows[n, 5] - az) * inverse_normal
             s += ex * ex + ey * ey + ez * ez + 2.0 * math.log(wide / narrow)
-        rho, belongs = robust(s, gate, huber)
+        rho, belongs = robust(s, gate, floor, huber)
         weight = rows[n, 8]
         total += 0.5 * weight * rho
         w = weight * belongs
@@ -149,17 +128,38 @@ def cost_terms(
         vx = (r00 * gx + r01 * gy + r02 * gz) * inverse
         vy = (r10 * gx + r11 * gy + r12 * gz) * inverse
         vz = (r20 * gx + r21 * gy + r22 * gz) * inverse
-        jac[0] = vy * yz - vz * yy
-        jac[1] = vz * yx - vx * yz
-        jac[2] = vx * yy - vy * yx
-        jac[3] = -vx
-        jac[4] = -vy
-        jac[5] = -vz
-        for i in range(6):
-            wj = w * jac[i]
-            gradient[i] += wj * r
-            for j in range(i + 1):
-                hessian[i, j] += wj * jac[j]
+        # in registers, not in the arrays: this is most of what an aligner does
+        j0 = vy * yz - vz * yy
+        j1 = vz * yx - vx * yz
+        j2 = vx * yy - vy * yx
+        w0, w1, w2, w3, w4, w5 = w * j0, w * j1, w * j2, -w * vx, -w * vy, -w * vz
+        g0 += w0 * r
+        g1 += w1 * r
+        g2 += w2 * r
+        g3 += w3 * r
+        g4 += w4 * r
+        g5 += w5 * r
+        h00 += w0 * j0
+        h10 += w1 * j0
+        h11 += w1 * j1
+        h20 += w2 * j0
+        h21 += w2 * j1
+        h22 += w2 * j2
+        h30 += w3 * j0
+        h31 += w3 * j1
+        h32 += w3 * j2
+        h33 -= w3 * vx
+        h40 += w4 * j0
+        h41 += w4 * j1
+        h42 += w4 * j2
+        h43 -= w4 * vx
+        h44 -= w4 * vy
+        h50 += w5 * j0
+        h51 += w5 * j1
+        h52 += w5 * j2
+        h53 -= w5 * vx
+        h54 -= w5 * vy
+        h55 -= w5 * vz
         if with_normal:
             # m = R (I - uu^T) H R^T / |g|, first in object axes; a gradient below the shortest is not of unit length
             ux, uy, uz = g[0] / length, g[1] / length, g[2] / length
@@ -195,6 +195,20 @@ def cost_terms(
                     gradient[k] += wj * e
                     for j in range(k + 1):
                         hessian[k, j] += wj * jac[j]
+    if need:
+        for i, sum_g in enumerate((g0, g1, g2, g3, g4, g5)):
+            gradient[i] += sum_g
+        sums = (
+            (h00, 0.0, 0.0, 0.0, 0.0, 0.0),
+            (h10, h11, 0.0, 0.0, 0.0, 0.0),
+            (h20, h21, h22, 0.0, 0.0, 0.0),
+            (h30, h31, h32, h33, 0.0, 0.0),
+            (h40, h41, h42, h43, h44, 0.0),
+            (h50, h51, h52, h53, h54, h55),
+        )
+        for i in range(6):
+            for j in range(i + 1):
+                hessian[i, j] += sums[i][j]
     total += prior_terms(rotation, middle, prior_rotation, prior_middle, information, need, hessian, gradient, scratch)
     if need:
         for i in range(6):
@@ -221,19 +235,18 @@ def cost_poses(
     middles,
     costs,
 ):
-    """Costs (b,) of poses, without derivatives."""
+    """Costs (b,) of poses, without derivatives; rows (n, 13) of scenes.evidence, blurs in m and rad."""
     scratch = np.zeros((10, 3))
     hessian = np.zeros((6, 6))
     gradient = np.zeros(6)
+    prepared = prepare(rows, blur, blur_normal)
     for b in range(rotations.shape[0]):
         costs[b] = cost_terms(
             values,
             origin,
             spacing,
             centroid,
-            rows,
-            blur,
-            blur_normal,
+            prepared,
             huber,
             bend,
             rotations[b],
@@ -246,3 +259,43 @@ def cost_poses(
             gradient,
             scratch,
         )
+
+
+@numba.njit(cache=True, nogil=True)
+def terms_at(
+    values,
+    origin,
+    spacing,
+    centroid,
+    rows,
+    blur,
+    blur_normal,
+    huber,
+    bend,
+    rotation,
+    middle,
+    prior_rotation,
+    prior_middle,
+    information,
+    hessian,
+    gradient,
+):
+    """Cost at one pose; fills hessian (6, 6) and gradient (6,); rows (n, 13) of scenes.evidence, blurs in m and rad."""
+    return cost_terms(
+        values,
+        origin,
+        spacing,
+        centroid,
+        prepare(rows, blur, blur_normal),
+        huber,
+        bend,
+        rotation,
+        middle,
+        prior_rotation,
+        prior_middle,
+        information,
+        True,
+        hessian,
+        gradient,
+        np.zeros((10, 3)),
+    )

@@ -11,6 +11,7 @@ import numba
 import numpy as np
 
 from scenes.alignment.kernels import cost_terms
+from scenes.alignment.row_kernels import prepare
 from scenes.rotation_kernels import exp_times
 
 # Levenberg-Marquardt: start, factors and limits of the damping (relative to the Hessian's own diagonal).
@@ -91,15 +92,14 @@ def align_poses(
     floor = np.zeros(6)
     rotation = np.zeros((3, 3))
     middle = np.zeros(3)
+    prepared = prepare(rows, blur, blur_normal)
     for b in range(rotations.shape[0]):
         cost = cost_terms(
             values,
             origin,
             spacing,
             centroid,
-            rows,
-            blur,
-            blur_normal,
+            prepared,
             huber,
             bend,
             rotations[b],
@@ -146,9 +146,7 @@ def align_poses(
                 origin,
                 spacing,
                 centroid,
-                rows,
-                blur,
-                blur_normal,
+                prepared,
                 huber,
                 bend,
                 rotation,

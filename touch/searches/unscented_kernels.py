@@ -22,15 +22,17 @@ SHORTEST_GRADIENT = 0.3
 
 @numba.njit(cache=True, nogil=True)
 def closest_point(values, origin, spacing, x, y, z):
-    """A surface point nearest to (x, y, z), object frame: at most two Newton steps on the lattice, from its box."""
+    """A surface point near (x, y, z), object frame, the nearest but on a medial axis: steps of the distance itself down
+    the lattice's gradient, from its box.
+    """
     shape = values.shape
     x = min(max(x, origin[0]), origin[0] + spacing * (shape[0] - 1))
     y = min(max(y, origin[1]), origin[1] + spacing * (shape[1] - 1))
     z = min(max(z, origin[2]), origin[2] + spacing * (shape[2] - 1))
-    for _ in range(2):
+    for _ in range(4):
         d, gx, gy, gz = distance_at(values, origin, spacing, x, y, z)
-        square = max(gx * gx + gy * gy + gz * gz, SHORTEST_GRADIENT * SHORTEST_GRADIENT)
-        step = d / square
+        # where faces meet the gradient is their mean and short: a Newton step would leap past the surface
+        step = d / max(math.sqrt(gx * gx + gy * gy + gz * gz), SHORTEST_GRADIENT)
         x -= step * gx
         y -= step * gy
         z -= step * gz
