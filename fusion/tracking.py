@@ -22,10 +22,11 @@ from fusion.answer import Estimate
 from fusion.estimation import estimate
 from fusion.joint_settings import Rig
 from fusion.rigs import solve_modes
+from fusion.slip import SlipWatch, Watched
 from fusion.stages import as_prior, blind, check_senses, hand_from_object, numb
 from fusion.trace import Trace
-from fusion.tracking_answer import TrackedEstimate, TrackSettings, as_tracked
-from fusion.tracking_filter import Belief, Measurement, SlipTest, block, update
+from fusion.tracking_answer import TrackedEstimate, TrackSettings, as_carried, as_tracked
+from fusion.tracking_filter import Belief, Measurement, moved_modes, update
 from fusion.tracking_motion import HandMotion, HandState, calibration_drift
 from scenes import evidence as tables
 from scenes import poses as se3
@@ -35,6 +36,7 @@ from scenes.evidence import Evidence
 from scenes.frames import Frame
 from scenes.objects import ObjectModel
 from scenes.threads import one_blas_thread
+from touch.arrays.readings import readings_of
 from touch.contacts import Felt, feel
 from vision.segmentation import Segments, free_space_rows, surface_rows
 from vision.sight import Sight
@@ -85,9 +87,7 @@ class Tracker:
         self._looker = Looker(model, self.settings.look, first.segmentation, first.depth, first.calibration)
         self._hand_motion = HandMotion(model, self.settings.hand)
         self._velocity = ConstantVelocity(model.centroid, self.settings.velocity)
-        # the same test twice: against an object that goes along with the fingers, and against one that is still
-        self._slip = SlipTest(model, first.depth.bias_length, self.settings.slip)
-        self._still = SlipTest(model, first.depth.bias_length, self.settings.slip)
+        self._watch = SlipWatch(model, first.depth.bias_length, self.settings.slip)
         self._forget()
 
     def _forget(self) -> None:
@@ -129,8 +129,8 @@ class Tracker:
         contacts = feel(self._felt_frame(frame), self.settings.first.contact_gate).contacts
         self._hand = HandState.of(frame, contacts)
         self._velocity.restart(frame.index, answer.pose)
-        self._slip.restart(None, None)
-        self._still.restart(None, None)
+        self._watch.let_go()
+        self._watch.feel(readings_of(self._felt_frame(frame)))
 
     def _recover(self, frame: Frame, lost: TrackedEstimate) -> TrackedEstimate:
         """Look for the object around the prediction, now and then everywhere."""
@@ -195,10 +195,13 @@ class Tracker:
         if self._hand is None or now is None:
             pose, noise = self._velocity.predict(frame.index)
             motion = pose @ se3.inverse(belief.pose)
-            self._slip.restart(None, None)  # nothing holds it that could lose it
-            self._still.restart(None, None)
+            self._watch.restart()  # nothing holds it that could lose it
             moved = replace(belief.moved(motion), pose=pose)
-            return Belief(pose, moved.own + noise, moved.shared), self._moved_modes(motion), "at its last velocity"
+            return (
+                Belief(pose, moved.own + noise, moved.shared),
+                moved_modes(self._modes, motion),
+                "at its last velocity",
+            )
         motion = now.camera_from_hand @ se3.inverse(self._hand.camera_from_hand)
         hold = se3.inverse(self._hand.camera_from_hand) @ belief.pose
         expected = self._hand_motion.in_hand(self._hand, frame, hold, max(1, abs(steps)))
@@ -209,19 +212,14 @@ class Tracker:
             self._hand.camera_from_hand, now.camera_from_hand, centre, self.settings.first.calibration
         )
         delta, noise = expected.motion, expected.noise + drift
-        self._slip.predict(motion, delta, expected.sticking + drift, expected.sliding)
-        self._still.predict(motion, np.zeros(6), expected.still + drift)
+        self._watch.predict(motion, expected, drift)
         whole = se3.perturb(motion @ belief.pose, delta, self.model.centroid) @ se3.inverse(belief.pose)
         why = (
             "with the palm"
             if not delta.any()
             else f"with palm and fingertips, {1e3 * np.linalg.norm(delta[3:]):.2f} mm"
         )
-        return moved.shifted(delta, noise, self.model.centroid), self._moved_modes(whole), why
-
-    def _moved_modes(self, motion: Array) -> tuple[Mode, ...]:
-        turn = block(motion[:3, :3])
-        return tuple(replace(m, pose=motion @ m.pose, covariance=turn @ m.covariance @ turn.T) for m in self._modes)
+        return moved.shifted(delta, noise, self.model.centroid), moved_modes(self._modes, whole), why
 
     def _felt_frame(self, frame: Frame) -> Frame:
         return frame if "touch" in self._senses else numb(frame)
@@ -306,21 +304,19 @@ class Tracker:
         with trace.stage("judge", True, "") as stage:
             pixel = None if frame.camera is None else frame.camera.project(measured.pose[None, :3, 3])[0][0]
             pixel = pixel if pixel is not None and np.isfinite(pixel).all() else None  # behind the camera
-            belief = (
-                Belief(measured.pose, measured.own, measured.shared) if switched else update(model, predicted, measured)
-            )
-            slip = moves = False
+            alone = Belief(measured.pose, measured.own, measured.shared)
+            belief = alone if switched else update(model, predicted, measured)
+            late = frame.index < self._index
+            watched = Watched() if late else self._watch.feel(readings_of(self._felt_frame(frame)))
             if switched:
-                self._slip.restart(None, None)
-                self._still.restart(None, None)
+                self._watch.restart()
             elif self._hand is not None:
-                slip = self._slip.step(measured, belief, pixel)
-                moves = self._still.step(measured, belief, pixel) or slip
-            if slip:  # follow it: what was believed of the hold is worth no more than how far it was off
+                watched = self._watch.step(measured, belief, pixel, watched)
+            if watched.slip and not switched:  # what was believed of the hold is worth no more than how far it was off
                 step = se3.difference(measured.pose, predicted.pose, model.centroid)
                 wide = replace(predicted, own=predicted.own + np.outer(step, step))
                 belief = update(model, wide, measured)
-                self._slip.restart(belief, pixel)
+                self._watch.follow(belief, pixel)
             pose = model.symmetries.nearest(belief.pose, predicted.pose)
             belief = replace(belief, pose=pose)
             modes = (Mode(pose, found[0].weight, found[0].cost, belief.covariance), *found[1:])
@@ -331,10 +327,10 @@ class Tracker:
             leap = se3.difference(measured.pose, predicted.pose, model.centroid)
             if word != "lost" and self._strays(share, len(looked.pixels)):
                 word, why = "lost", f"{share:.0%} of the pixels explained, {self._usual:.0%} before"
-            if word != "lost" and not switched and self._leaps(leap):
+            if word != "lost" and not switched and s.leaps(leap):
                 word, why = "lost", f"{1e3 * np.linalg.norm(leap[3:]):.0f} mm from the prediction"
-            if slip:
-                why = f"slips in the hand; {why}"
+            if watched.slip:
+                why = f"slips in the hand ({watched.by}); {why}"
             stage.note(len(seen) + len(felt.rows), why)
         how = "lost" if word == "lost" else "tracked"
         if how == "tracked":
@@ -355,22 +351,15 @@ class Tracker:
             dropped=looked.dropped,
             start=predicted.pose,
             how=how,
-            slip=slip,
-            slip_statistic=self._slip.statistic,
-            moved_in_hand=moves,
+            slip=watched.slip,
+            slip_statistic=watched.statistic,
+            moved_in_hand=watched.moved,
         )
 
     def _strays(self, share: float, pixels: int) -> bool:
         if self._usual is None or pixels < self.settings.fewest_pixels or not np.isfinite(share):
             return False
         return bool(share < self.settings.least_of_usual * self._usual)
-
-    def _leaps(self, step: Array) -> bool:
-        """Farther from the prediction (6,) than few steps are to be trusted: another place was found by chance."""
-        s = self.settings
-        return bool(
-            np.linalg.norm(step[:3]) > s.leap * s.loose_angle or np.linalg.norm(step[3:]) > s.leap * s.loose_distance
-        )
 
     def _accept(self, frame: Frame, felt: Felt, belief: Belief, modes: tuple[Mode, ...], share: float) -> None:
         """Keep what this frame taught; a late frame's lesson is moved on to the present."""
@@ -382,12 +371,8 @@ class Tracker:
             if self._hand is None or hand is None:
                 return
             motion = self._hand.camera_from_hand @ se3.inverse(hand.camera_from_hand)
-            self._belief, turn = belief.moved(motion), block(motion[:3, :3])
-            self._modes = tuple(
-                replace(m, pose=motion @ m.pose, covariance=turn @ m.covariance @ turn.T) for m in modes
-            )
-            for test in (self._slip, self._still):
-                test.predict(motion, np.zeros(6), np.zeros((6, 6)))
+            self._belief, self._modes = belief.moved(motion), moved_modes(modes, motion)
+            self._watch.carry(motion)
             return
         self._belief, self._modes, self._index, self._hand = belief, modes[: self.settings.modes], frame.index, hand
         self._velocity.update(frame.index, belief.pose)
@@ -397,29 +382,12 @@ class Tracker:
         s = self.settings
         if frame.index > self._index:
             self._unseen += frame.index - self._index
-            modes = self._moved_modes(predicted.pose @ se3.inverse(self._modes[0].pose)) if self._modes else ()
+            modes = moved_modes(self._modes, predicted.pose @ se3.inverse(self._modes[0].pose)) if self._modes else ()
             self._belief, self._modes, self._index = predicted, modes, frame.index
             self._hand = HandState.of(frame, felt.contacts)
             self._velocity.coast(frame.index)
         held = self._hand is not None and self._unseen <= s.coast
-        covariance = predicted.covariance
-        why = "nothing sensed in this frame: " + (
-            "moved with the hand" if self._hand is not None else "at its last velocity"
-        )
-        return TrackedEstimate(
-            frame=frame.index,
-            pose=predicted.pose,
-            covariance=covariance,
-            modes=(Mode(predicted.pose, 1.0, 0.0, covariance),),
-            verdict="ambiguous" if held else "lost",
-            unobservable=posterior.unobservable(self.model, predicted.pose, covariance, s.first.verdict),
-            hand_from_object=hand_from_object(frame, predicted.pose, np.eye(4)),
-            visible_fraction=0.0,
-            trace=trace.stages,
-            notes=(why,),
-            start=predicted.pose,
-            how="carried",
-        )
+        return as_carried(self.model, frame, predicted, trace.stages, held, self._hand is not None, s)
 
 
 def _shift(correction: Array, pose: Array) -> float:

@@ -6,14 +6,20 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fusion import joint
-from fusion.answer import Estimate
-from fusion.stages import EstimateSettings
-from fusion.tracking_filter import SlipSettings
+from fusion import joint, posterior
+from fusion.answer import Estimate, Mode, Stage
+from fusion.slip import WatchSettings
+from fusion.stages import EstimateSettings, hand_from_object
+from fusion.tracking_filter import Belief
 from fusion.tracking_motion import HandMotionSettings
+from scenes.frames import Frame
+from scenes.objects import ObjectModel
 from vision.tracking import VelocitySettings
 from vision.tracking_look import LookSettings
+
+Array = NDArray[np.float64]
 
 # Pixels count half of what they do in one frame: frames share the edges of fingers that are taken for the object.
 RIGS = tuple(replace(rig, weight=0.5 * rig.weight) for rig in joint.JointSettings().rigs)
@@ -27,7 +33,7 @@ class TrackSettings:
     look: LookSettings = field(default_factory=LookSettings)
     velocity: VelocitySettings = field(default_factory=VelocitySettings)
     hand: HandMotionSettings = field(default_factory=HandMotionSettings)
-    slip: SlipSettings = field(default_factory=SlipSettings)
+    slip: WatchSettings = field(default_factory=WatchSettings)
     # Object pixels of a frame, and blur (m) of the first of two passes: as wide as a slip in one frame.
     pixels: int = 250
     blur: float = 0.003
@@ -69,6 +75,11 @@ class TrackSettings:
     left_angle: float = float(np.deg2rad(0.15))
     left_distance: float = 0.001
 
+    def leaps(self, step: Array) -> bool:
+        """Farther from the prediction (6,) than few steps are to be trusted: another place was found by chance."""
+        turn, move = np.linalg.norm(step[:3]), np.linalg.norm(step[3:])
+        return bool(turn > self.leap * self.loose_angle or move > self.leap * self.loose_distance)
+
 
 @dataclass(frozen=True)
 class TrackedEstimate(Estimate):
@@ -97,3 +108,34 @@ def as_tracked(answer: Estimate, how: str) -> TrackedEstimate:
     """An estimate as a member of a track."""
     own = {name: getattr(answer, name) for name in Estimate.__dataclass_fields__}
     return TrackedEstimate(**own, how=how)
+
+
+def as_carried(
+    model: ObjectModel,
+    frame: Frame,
+    predicted: Belief,
+    trace: tuple[Stage, ...],
+    held: bool,
+    by_hand: bool,
+    settings: TrackSettings,
+) -> TrackedEstimate:
+    """The answer of a frame in which nothing was sensed: where the prediction has the object.
+
+    held: it may still be believed; by_hand: the hand has carried it there, otherwise its last velocity.
+    """
+    covariance = predicted.covariance
+    why = "nothing sensed in this frame: " + ("moved with the hand" if by_hand else "at its last velocity")
+    return TrackedEstimate(
+        frame=frame.index,
+        pose=predicted.pose,
+        covariance=covariance,
+        modes=(Mode(predicted.pose, 1.0, 0.0, covariance),),
+        verdict="ambiguous" if held else "lost",
+        unobservable=posterior.unobservable(model, predicted.pose, covariance, settings.first.verdict),
+        hand_from_object=hand_from_object(frame, predicted.pose, np.eye(4)),
+        visible_fraction=0.0,
+        trace=trace,
+        notes=(why,),
+        start=predicted.pose,
+        how="carried",
+    )

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes import poses as se3
+from scenes.alignment.modes import Mode
 from scenes.objects import ObjectModel
 
 Array = NDArray[np.float64]
@@ -65,6 +66,12 @@ def block(rotation: Array) -> Array:
     out = np.zeros((6, 6))
     out[:3, :3] = out[3:, 3:] = rotation
     return out
+
+
+def moved_modes(modes: tuple[Mode, ...], motion: Array) -> tuple[Mode, ...]:
+    """Modes after a rigid motion (4, 4) of hand and object together."""
+    turn = block(motion[:3, :3])
+    return tuple(replace(m, pose=motion @ m.pose, covariance=turn @ m.covariance @ turn.T) for m in modes)
 
 
 def scales(model: ObjectModel) -> Array:
