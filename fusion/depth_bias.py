@@ -32,7 +32,10 @@ class DepthBias:
         length = depth.bias_length
         if camera is None or not len(points):
             return DepthBias(camera, np.zeros((0, 2)), np.zeros((0, 0)), length)
+        from scipy.spatial import cKDTree
+
         uv, _ = camera.project(points)
+        near = cKDTree(uv)
         low, high = uv.min(axis=0), uv.max(axis=0)
         step = spacing * length
         while True:
@@ -40,8 +43,7 @@ class DepthBias:
             if counts.prod() <= 4 * most:
                 axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts)]
                 grid = np.stack([x.ravel() for x in np.meshgrid(*axes)], axis=1)
-                gap = np.array([np.min(np.sum((uv - g) ** 2, axis=1)) for g in grid])
-                grid = grid[gap < step**2]
+                grid = grid[near.query(grid)[0] < step]
                 if len(grid) <= most:
                     break
             step *= 1.2

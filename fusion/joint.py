@@ -28,15 +28,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion import joint_kernels
 from fusion.depth_bias import DepthBias
-from fusion.joint_algebra import cross, marginal, robust
 from fusion.joint_settings import JointSettings
-from scenes import alignment
-from scenes import evidence as tables
 from scenes import poses as se3
-from scenes.alignment import Prior
+from scenes.alignment import Prior, row_kernels
 from scenes.cameras import Camera
-from scenes.evidence import FACING, GATE_ABOVE, GATE_BELOW, NORMAL, OFFSET, POINT, SIGMA, WEIGHT, Evidence
+from scenes.evidence import FACING, GATE_ABOVE, NORMAL, SIGMA, WEIGHT, Evidence
 from scenes.frames import Frame
 from scenes.objects import ObjectModel
 from vision.clouds import DepthModel
@@ -144,8 +142,18 @@ class JointProblem:
             self._sigma = np.where(self._on, np.hypot(independent, self.settings.model_sigma), rows[:, SIGMA])
             self._weigh(self.settings.least_weight)
         else:
-            self._sigma, self._weight = rows[:, SIGMA], rows[:, WEIGHT]
+            self._sigma, self._weight = rows[:, SIGMA].copy(), rows[:, WEIGHT].copy()
         self._hand_blocks(hand_points)
+        field, count = self.model.field, len(rows)
+        self._lattice = field.values, field.origin, float(field.spacing), self.model.centroid
+        self._floors = row_kernels.loss_floors(rows)
+        self._room = np.zeros(count, dtype=np.int64), np.zeros((count, 7)), *np.zeros((3, count))
+        self._felt_rows = row_kernels.prepare(np.ascontiguousarray(self.felt.rows), 0.0, 0.0)
+        if self.prior is not None:
+            believed = self.prior.pose
+            rotation = np.ascontiguousarray(believed[:3, :3])
+            middle = believed[:3, :3] @ self.model.centroid + believed[:3, 3]
+            self._prior_parts = rotation, middle, np.ascontiguousarray(self.prior.information, dtype=np.float64)
 
     def _weigh(self, weight: float) -> None:
         """Let every pixel count that much."""
@@ -161,7 +169,7 @@ class JointProblem:
         # All that agree count in full: weights that fall towards the gate would hide how large the bias is
         self._hand_weight = 1.0 / sigma**2 / self.settings.hand_sharing
         ray = points / points[:, 2:]
-        jac_xi = -np.concatenate([np.cross(points - self.hand.centre, g), g], axis=1)
+        jac_xi = -np.concatenate([se3.cross(points - self.hand.centre, g), g], axis=1)
         along = -np.sum(g * ray, axis=1)
         jac_bias = along[:, None] * self._bias.basis(points)
         jac = np.concatenate([jac_xi, (along * points[:, 2])[:, None], jac_bias], axis=1)
@@ -186,6 +194,7 @@ class JointProblem:
         self._white_xi = np.linalg.cholesky(covariance_xi) if self.has_robot else 1e-9 * np.eye(6)
         self._white[SCALE] = level * self.depth.scale_sigma if len(self.seen) and self.camera is not None else 1e-9
         self._white[FIXED:] = level * self.depth.bias_sigma
+        self._seen_white = self._seen_basis * self._white[FIXED:]
         unknown = np.zeros(size)
         if self.hand is not None:
             unknown[XI] = np.linalg.solve(self._white_xi, self.hand.xi)
@@ -214,7 +223,7 @@ class JointProblem:
                     break
             else:
                 damping = max(damping, 1e-5) * 10
-        covariance, log_det = marginal(normal + np.diag(width))
+        covariance, log_det = _marginal(normal + np.diag(width))
         return JointResult(
             here,
             covariance,
@@ -235,7 +244,7 @@ class JointProblem:
         """
         evidence = normal.copy()
         if self.prior is not None:
-            evidence[POSE, POSE] -= alignment.terms(self.model, tables.empty(), pose, self.prior)[2]
+            evidence[POSE, POSE] -= self._believed(pose)[2]
         believed = np.where(np.arange(len(normal)) < 6, width, 1.0)
         evidence[np.arange(6, len(normal)), np.arange(6, len(normal))] -= 1.0
         inverse = np.linalg.solve(evidence + np.diag(believed), np.eye(len(normal))[:, :6])
@@ -263,7 +272,7 @@ class JointProblem:
             gradient[6:] += g
             normal[6:, 6:] += h
         if self.prior is not None:
-            part, g, h = alignment.terms(self.model, tables.empty(), pose, self.prior)
+            part, g, h = self._believed(pose)
             cost += part
             gradient[POSE] += g
             normal[POSE, POSE] += h
@@ -279,67 +288,80 @@ class JointProblem:
         if self.camera is None or not len(self.seen):
             return
         _, g = self._distances(pose, self.seen.points)
-        normals = g / np.maximum(np.linalg.norm(g, axis=1, keepdims=True), 1e-9)
-        self._normals = np.where(self._is_pixel[:, None], normals @ pose[:3, :3], 0.0)
-        cosine, _ = self._cosines(pose)
+        normals = g / np.maximum(np.sqrt(np.einsum("ij,ij->i", g, g)), 1e-9)[:, None]
+        self._normals = np.where(self._is_pixel[:, None], normals, 0.0)
+        cosine = -np.einsum("ij,ij->i", self._normals @ pose[:3, :3].T, self.seen.rows[:, NORMAL])
+        cosine = np.maximum(np.where(self._is_pixel, cosine, 1.0), self.settings.least_cosine)
         noise = self.depth.sloping_sigma(self.seen.rows[:, 2], cosine, self.camera.fx)
         slope = np.hypot(noise, self.settings.model_sigma / cosine) / self._sigma
         self._slope = np.where(self._is_pixel, slope, 1.0)
 
-    def _cosines(self, pose: Array) -> tuple[Array, Array]:
-        """Cosines (n,) of the pixels' incidence, 1 for rows that are no pixels of a surface, and their derivatives
-        (n, 3) by a turn of the object.
-        """
-        normals, rays = self._normals @ pose[:3, :3].T, self.seen.rows[:, NORMAL]
-        cosine = np.where(self._is_pixel, -np.sum(normals * rays, axis=1), 1.0)
-        steep = cosine < self.settings.least_cosine
-        turning = np.where((self._is_pixel & ~steep)[:, None], -cross(normals, rays), 0.0)
-        return np.where(steep, self.settings.least_cosine, cosine), turning
-
     def _distances(self, pose: Array, points: Array) -> tuple[Array, Array]:
-        """Signed distances (n,) of the points of the vision rows at a pose and gradients (n, 3), camera frame."""
+        """Signed distances (n,) of the points of the vision rows at a pose and gradients (n, 3), object frame."""
         rotation = pose[:3, :3]
         local = (points - (rotation @ self.model.centroid + pose[:3, 3])) @ rotation + self.model.centroid
-        distance, g = self.model.field.seen_distance_and_gradient(
+        return self.model.field.seen_distance_and_gradient(
             local, self.seen.rows[:, NORMAL] @ rotation, self.seen.rows[:, FACING] > 0
         )
-        return distance, g @ rotation.T
 
     def _vision(self, pose: Array, unknown: Array) -> tuple[float, Array, Array]:
-        rows = self.seen.rows
-        p = rows[:, POINT]
-        ray = p / p[:, 2:] if self.camera is not None else p
-        bias = self._seen_basis @ (self._white[FIXED:] * unknown[FIXED:])
-        moved = p - (self._white[SCALE] * unknown[SCALE]) * p - bias[:, None] * ray
-        y = moved - (pose[:3, :3] @ self.model.centroid + pose[:3, 3])
-        distance, g = self._distances(pose, moved)
-        distance = distance - rows[:, OFFSET]
-        gate = np.where(distance > 0, rows[:, GATE_ABOVE], rows[:, GATE_BELOW])
-        cosine, turning = self._cosines(pose)
-        distance, g = distance / cosine, g / cosine[:, None]
-        sigma = self._sigma * self._slope
-        loss, belongs = robust((distance / sigma) ** 2 + 2.0 * np.log(self._slope), gate)
-        # most free space is far from the object and says nothing
-        part = np.flatnonzero(self._weight * belongs > 1e-9)
-        distance, g, sigma = distance[part], g[part], sigma[part]
-        # the points move by -s p - b ray: chain through the distance's gradient
-        jac = np.zeros((len(part), len(unknown)))
-        jac[:, :3] = cross(g, y[part]) - (distance / cosine[part])[:, None] * turning[part]
-        jac[:, 3:6] = -g
-        jac[:, SCALE] = -np.sum(g * p[part], axis=1) * self._white[SCALE]
-        jac[:, FIXED:] = -np.sum(g * ray[part], axis=1)[:, None] * self._seen_basis[part] * self._white[FIXED:]
-        weighted = jac * ((self._weight * belongs)[part] / sigma**2)[:, None]
-        return 0.5 * float(self._weight @ loss), weighted.T @ distance, weighted.T @ jac
+        """Pixels and free space: their residuals by the kernel, their products by linear algebra."""
+        scale = float(self._white[SCALE])
+        index, jac_fixed, along, residual, information = self._room
+        cost, k = joint_kernels.vision_rows(
+            *self._lattice,
+            self.seen.rows,
+            self._floors,
+            self._is_pixel,
+            self._sigma,
+            self._weight,
+            self._normals,
+            self._slope,
+            self.settings.least_cosine,
+            self.camera is not None,
+            np.ascontiguousarray(pose[:3, :3]),
+            pose[:3, :3] @ self.model.centroid + pose[:3, 3],
+            scale * float(unknown[SCALE]),
+            self._seen_white @ unknown[FIXED:],
+            *self._room,
+        )
+        jac = np.zeros((k, len(unknown)))
+        jac[:, POSE] = jac_fixed[:k, :6]
+        jac[:, SCALE] = jac_fixed[:k, 6] * scale
+        jac[:, FIXED:] = along[:k, None] * self._seen_white[index[:k]]
+        weighted = jac * information[:k, None]
+        return float(cost), weighted.T @ residual[:k], weighted.T @ jac
 
     def _touch(self, pose: Array, unknown: Array) -> tuple[float, Array, Array]:
-        """Touch rows through the compiled kernel: moving all contacts by xi is moving the object by -xi."""
-        xi = self._white_xi @ unknown[XI]
-        moved = self.felt.moved(se3.perturb(np.eye(4), xi, self._centre))
-        cost, g, h = alignment.terms(self.model, moved, pose, settings=alignment.AlignSettings(bend=self.settings.bend))
+        """Contacts and the space that links fill, as the robot reports them and xi moves them."""
+        middle = pose[:3, :3] @ self.model.centroid + pose[:3, 3]
+        hessian, gradient = np.zeros((6, 6)), np.zeros(6)
+        cost = joint_kernels.touch_rows(
+            *self._lattice,
+            self._felt_rows,
+            self.settings.bend,
+            np.ascontiguousarray(pose[:3, :3]),
+            middle,
+            self._white_xi @ unknown[XI],
+            self._centre,
+            np.zeros((6, 6)),
+            hessian,
+            gradient,
+            np.zeros((10, 3)),
+        )
         lever = np.eye(6)
-        lever[3:, :3] = -se3.skew(pose[:3, :3] @ self.model.centroid + pose[:3, 3] - self._centre)
+        lever[3:, :3] = -se3.skew(middle - self._centre)
         chain = np.concatenate([np.eye(6), -lever @ self._white_xi], axis=1)
-        return cost, chain.T @ g, chain.T @ h @ chain
+        return float(cost), chain.T @ gradient, chain.T @ hessian @ chain
+
+    def _believed(self, pose: Array) -> tuple[float, Array, Array]:
+        """The prior on the pose."""
+        assert self.prior is not None
+        hessian, gradient = np.zeros((6, 6)), np.zeros(6)
+        middle = pose[:3, :3] @ self.model.centroid + pose[:3, 3]
+        rotation = np.ascontiguousarray(pose[:3, :3])
+        cost = joint_kernels.prior_row(rotation, middle, *self._prior_parts, hessian, gradient)
+        return float(cost), gradient, hessian
 
     def _hand_terms(self, unknown: Array) -> tuple[float, Array, Array]:
         """The hand's pixels: quadratic in the unknowns, whitened once per level."""
@@ -363,3 +385,14 @@ class JointProblem:
         gradient[:6] = self._white_xi.T @ gradient[:6]
         normal *= scale * scale[:, None]
         self._hand_white = (constant, gradient * scale, normal)
+
+
+def _marginal(normal: Array) -> tuple[Array, float]:
+    """(6, 6) covariance of the pose with all else marginalised, and the log-determinant of the whole system."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = normal * scale * scale[:, None]
+    # unit diagonal: a billionth more keeps the factor of a singular system finite, and changes no digit of another
+    factor = np.linalg.cholesky(scaled + 1e-9 * np.eye(len(normal)))
+    half = np.linalg.solve(factor, np.eye(len(normal))[:, :6])
+    covariance = (half.T @ half) * scale[:6] * scale[:6, None]
+    return covariance, float(2.0 * np.log(np.diag(factor)).sum() - 2.0 * np.log(scale).sum())

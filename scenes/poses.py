@@ -105,6 +105,14 @@ def skew(vector: Array) -> Array:
     return out
 
 
+def cross(a: Array, b: Array) -> Array:
+    """(n, 3) cross products of rows; NumPy's own takes many times as long on few of them."""
+    out = np.zeros(a.shape)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[:, i] = a[:, j] * b[:, k] - a[:, k] * b[:, j]
+    return out
+
+
 def exp_rotation(vector: ArrayLike) -> Array:
     """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), radians (Rodrigues)."""
     vector = np.asarray(vector, dtype=np.float64)

@@ -2,16 +2,16 @@
 
 from dataclasses import replace
 
+import joint_twin
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion.joint import FIXED, POSE, SCALE, XI, JointProblem, JointSettings
-from fusion.joint_algebra import robust
 from fusion.rigs import solve_modes
 from scenes import evidence, poses
-from scenes.alignment import Prior
+from scenes.alignment import Prior, terms
 from scenes.alignment.row_kernels import loss_floor
 from scenes.alignment.row_kernels import robust as compiled_robust
 from scenes.cameras import Camera
@@ -26,7 +26,7 @@ CAMERA = Camera(570.0, 570.0, 319.5, 239.5, 640, 480)
 
 @given(st.floats(0, 1e5), st.sampled_from([0.0, 0.5, 1.5, 2.5, 5.0, 8.9, 20.0, NO_GATE]))
 def test_the_loss_is_the_kernels(square, gate):
-    loss, belongs = robust(np.array([square]), np.array([gate]))
+    loss, belongs = joint_twin.robust(np.array([square]), np.array([gate]))
     if gate == 0.0:  # the kernel leaves such rows out
         assert loss[0] == belongs[0] == 0.0
         return
@@ -106,6 +106,24 @@ def test_the_gradient_is_that_of_the_cost(drill, seed, camera):
     assert np.abs((gradient - numeric) / scale).max() < 2e-3 * np.abs(gradient / scale).max()
     assert np.allclose(normal, normal.T, rtol=1e-9, atol=1e-9 * np.abs(normal).max())
     assert np.linalg.eigvalsh(normal / scale / scale[:, None]).min() > -1e-9
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("camera", [CAMERA, None])
+def test_the_kernels_agree_with_their_twins(drill, seed, camera):
+    rng = np.random.default_rng(seed)
+    problem, pose = made_problem(drill, rng, camera)
+    problem.solve(pose, 1.0)
+    unknown = np.zeros(FIXED + len(problem._bias))
+    unknown[SCALE], unknown[FIXED:], unknown[XI] = 0.01, 0.3 * rng.normal(size=len(unknown) - FIXED), 0.2
+    pose = poses.perturb(pose, 0.02 * rng.normal(size=6), drill.centroid)
+    for mine, twin in (
+        (problem._vision(pose, unknown), joint_twin.vision(problem, pose, unknown)),
+        (problem._touch(pose, unknown), joint_twin.touch(problem, pose, unknown)),
+        (problem._believed(pose), terms(drill, evidence.empty(), pose, problem.prior)),
+    ):
+        for one, other in zip(mine, twin):
+            np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-9 * np.abs(other).max())
 
 
 @pytest.mark.parametrize("seed", range(3))

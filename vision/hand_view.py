@@ -20,6 +20,10 @@ from vision.clouds import DepthModel, Pixels, Region
 Array = NDArray[np.float64]
 
 
+# One pixel of so many is looked at in the first passes of the hand's alignment.
+COARSE = 3
+
+
 @dataclass(frozen=True)
 class CalibrationModel:
     """How far the robot may be from where it says it is, seen from the camera."""
@@ -142,12 +146,15 @@ def fit_hand(
     bias = depth_model.bias_sigma**2
     patch = max(1.0, depth_model.sharing_length**2 / pixel)
     weight = 1.0 / (depth_model.independent_sigma(points[:, 2]) ** 2 + patch * bias)
-    for gate in gates:
+    for i, gate in enumerate(gates):
         aligned = se3.perturb(np.eye(4), xi, centre) @ measured
-        distance, direction, robust = hand_terms(surface, aligned, points, gate)
-        row_weight = weight * robust
+        # the first passes only bring the hand near: some of its pixels, each with the weight of those left out
+        step = COARSE if i < len(gates) - 2 else 1
+        some = points[::step]
+        distance, direction, robust = hand_terms(surface, aligned, some, gate)
+        row_weight = step * weight[::step] * robust
         # the hand moves, the points stay: the distance falls by g . (omega x (p - c) + v)
-        jac = -np.concatenate([np.cross(points - centre, direction), direction], axis=1)
+        jac = -np.concatenate([se3.cross(some - centre, direction), direction], axis=1)
         hessian = (jac * row_weight[:, None]).T @ jac + prior
         xi = xi - np.linalg.solve(hessian, jac.T @ (row_weight * distance) + prior @ xi)
     aligned = se3.perturb(np.eye(4), xi, centre) @ measured

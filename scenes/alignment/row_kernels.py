@@ -64,3 +64,13 @@ def prepare(rows, blur, blur_normal):
         out[n, FLOOR_ABOVE] = loss_floor(rows[n, GATE_ABOVE])
         out[n, FLOOR_BELOW] = loss_floor(rows[n, GATE_BELOW])
     return out
+
+
+@numba.njit(cache=True, nogil=True)
+def loss_floors(rows):
+    """(n, 2) loss_floor of a table's gates above and below."""
+    out = np.zeros((rows.shape[0], 2))
+    for n in range(rows.shape[0]):
+        out[n, 0] = loss_floor(rows[n, GATE_ABOVE])
+        out[n, 1] = loss_floor(rows[n, GATE_BELOW])
+    return out

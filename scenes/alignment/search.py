@@ -128,3 +128,25 @@ def distinct_first(model: ObjectModel, result: Alignment, keep: int) -> NDArray[
     ).astype(np.int64)
     _, first = np.unique(key[order], axis=0, return_index=True)
     return order[np.sort(first)][:keep]
+
+
+def leaders(model: ObjectModel, poses: Array, apart: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Poses (n, 4, 4) that stand for those near them, modulo symmetry: their indices (k,), and of each pose the one in
+    0..k-1 that stands for it.
+
+    apart: metres by which a point at the object's radius moves at least between two that stand for others. Of poses
+    nearer than that the first leads: give the best first.
+    """
+    chosen: list[int] = []
+    group = np.full(len(poses), -1, dtype=np.intp)
+    middles = poses[:, :3, :3] @ model.centroid + poses[:, :3, 3]
+    while (group < 0).any():
+        lead = int(np.argmax(group < 0))
+        pending = np.flatnonzero(group < 0)
+        alike = model.symmetries.nearest(poses[pending], poses[lead])
+        # the chord 2 sin(angle / 2) of the turn is its angle as far as near and far are told
+        chord = np.linalg.norm(alike[:, :3, :3] - poses[lead, :3, :3], axis=(1, 2)) / np.sqrt(2.0)
+        moved = chord * model.radius + np.linalg.norm(middles[pending] - middles[lead], axis=1)
+        group[pending[(moved < apart) | (pending == lead)]] = len(chosen)
+        chosen.append(lead)
+    return np.array(chosen, dtype=np.intp), group
