@@ -86,7 +86,7 @@ class Outcome:
 def find_captures(folder: Path) -> list[Path]:
     """The captures below a folder, sorted; a capture's own folders and hidden ones are not looked into."""
     if not folder.is_dir():
-        raise InputError(f"{folder}: expected a folder of captures, found {'a file' if folder.exists() else 'none'}")
+        raise InputError(f"{folder}: expected a folder of captures, found {'a file' if folder.exists() else 'nothing'}")
     found = []
     for place, folders, files in os.walk(folder):
         if "capture.json" in files:
@@ -94,7 +94,10 @@ def find_captures(folder: Path) -> list[Path]:
             folders.clear()
         folders[:] = sorted(name for name in folders if not name.startswith("."))
     if not found:
-        raise InputError(f"{folder}: expected captures (folders with capture.json) in it, found none")
+        from scenes.capture_settings import recording_hint
+
+        hint = recording_hint(folder)
+        raise InputError(f"{folder}: expected captures (folders with capture.json) in it, found none{hint}")
     return sorted(found)
 
 

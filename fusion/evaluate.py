@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 # VSD's tolerances as shares of the object's diameter, and the visibility tolerance (BOP Challenge 2020).
 VSD_TAUS = tuple(np.arange(0.05, 0.51, 0.05))
 VSD_DELTA = 0.015
+# Poses nearer to the camera than the truth by this factor are in metres (a factor of 1000), not wrong.
+METRES_FOR_MILLIMETRES = 200.0
 
 
 def evaluate(
@@ -40,11 +42,12 @@ def evaluate(
 
     Of several rows of one frame the best score counts; a frame with truth and no row is a miss (infinite error).
     covariances: by frame, (6, 6) about the centroid, for the NEES. Raises CaptureError when the capture has no ground
-    truth, InputError when a row is of a frame that it does not have.
+    truth, InputError when a row is of a frame that it does not have or translations tell of metres.
     """
     strangers = sorted({row.im_id for row in rows} - set(capture.frame_ids))
     if strangers:
         raise InputError(f"poses: expected frames of {capture.path}, got im_id {strangers[0]}, which it does not have")
+    _check_unit(rows, capture)
     best = {row.im_id: row for row in sorted(rows, key=lambda row: row.score)}
     judge = Judge(model or capture.model, settings)
     renderer = Renderer({"object": (judge.model.vertices, judge.model.faces)})
@@ -58,6 +61,18 @@ def evaluate(
     if not frames:
         raise CaptureError(f"{capture.path}: expected ground truth (scene_gt.json) to evaluate against, found none")
     return {"frames": frames, "summary": summary(frames, judge)}
+
+
+def _check_unit(rows: Sequence[PoseRow], capture: Capture) -> None:
+    """Raise InputError for translations that were written in metres, where a poses.csv has millimetres."""
+    truths = {number: capture.frame(number).camera_from_object_truth for number in {row.im_id for row in rows}}
+    pairs = [(row.pose[:3, 3], truth[:3, 3]) for row in rows if (truth := truths[row.im_id]) is not None]
+    ratios = [np.linalg.norm(said) / np.linalg.norm(true) for said, true in pairs if np.any(true)]
+    if ratios and np.median(ratios) < 1.0 / METRES_FOR_MILLIMETRES:
+        raise InputError(
+            f"poses: expected t in millimetres, got {1e3 * np.linalg.norm(pairs[0][0]):.3g} from the camera where the"
+            f" truth is {1e3 * np.linalg.norm(pairs[0][1]):.3g}: m read as mm?"
+        )
 
 
 def _frame_errors(

@@ -93,7 +93,8 @@ def read_result(path: str | Path) -> tuple[dict[str, Any], list[Estimate]]:
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: expected UTF-8 text, got other bytes") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{path}: expected a result.json as estimate writes it: {error!r}") from error
+        why = f"found no {error}" if isinstance(error, KeyError) else str(error)
+        raise InputError(f"{path}: expected a result.json as estimate writes it: {why}") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     return content, answers

@@ -63,6 +63,15 @@ def read_model(folder: Path, settings: Settings) -> ObjectModel:
     return ObjectModel(model.name, model.vertices, model.faces, symmetries, model.mended)
 
 
+def recording_hint(folder: Path) -> str:
+    """What to say of a folder that is no capture but looks like a recording of another format, or holds one."""
+    for depth in ("", "*/", "*/*/"):
+        found = next((path for name in RECORDINGS for path in sorted(folder.glob(depth + name))), None)
+        if found is not None:
+            return f": `palpate convert {found.parent} OUT` may make one of what looks like another format's recording"
+    return ""
+
+
 def read_settings(folder: Path, report: Report) -> Settings:
     """What capture.json says; raises CaptureError when there is none, reports each field that is not as it must be."""
     if not folder.is_dir():
@@ -71,9 +80,7 @@ def read_settings(folder: Path, report: Report) -> Settings:
         raise CaptureError(f"{folder}: expected the folder of a capture, found {found}{hint}")
     path = folder / "capture.json"
     if not path.is_file():
-        hint = ""
-        if any((folder / name).exists() for name in RECORDINGS):
-            hint = f": it looks like a recording of another format, which `palpate convert {folder} OUT` makes one of"
+        hint = recording_hint(folder)
         raise CaptureError(f"{folder}: expected a capture (a folder with capture.json), found no capture.json{hint}")
     content = bop.read_json(path, refuse)
     if not isinstance(content, dict) or content.get("format") != FORMAT:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from scenes.errors import CaptureError, InputError
+from scenes.errors import CaptureError, InputError, unknown
 from scenes.formats import bop, images, tables
 from scenes.formats.ply import write_ply
 from scenes.frames import Frame
@@ -37,14 +37,14 @@ def write_capture(
     """Write a capture and return its folder; frames are written as they come, so an iterator may be long.
 
     world: "camera" or "robot base". depth_scale: millimetres per count of the depth images (0.1 reaches 6.5 m), one for
-    all or by frame number. object_id: BOP's number of the object, from 0.
+    all or by the number of every frame that has a camera. object_id: BOP's number of the object, from 0.
     model_unit: unit of the mesh file, one of m, cm, mm, inch. with_mask: write the frames' masks where they have one.
     notes: kept in capture.json (how it was made). An older capture of the same name is replaced once the new one is
     complete; raises CaptureError for a folder that holds anything else, InputError for frames that do not fit.
     """
     folder = Path(folder)
     if model_unit not in METRES_PER_UNIT:
-        raise InputError(f"unit: expected one of {', '.join(METRES_PER_UNIT)}, got {model_unit!r}")
+        raise unknown("unit", model_unit, METRES_PER_UNIT)
     refuse_foreign_folder(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
     partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
@@ -152,6 +152,14 @@ class _Recorder:
         if rows:
             self.rows.setdefault(name, []).extend(rows)
 
+    def _scale(self, number: int) -> float:
+        """Millimetres per count of the frame's depth image."""
+        if not isinstance(self.depth_scale, Mapping):
+            return self.depth_scale
+        if number not in self.depth_scale:
+            raise InputError(f"frame {number}: expected a depth_scale of every frame with a camera, found none of this")
+        return self.depth_scale[number]
+
     def _frame(self, frame: Frame) -> None:
         number, key = f"{frame.index:06d}", str(frame.index)
         moved = not np.allclose(frame.camera_from_world, np.eye(4), atol=1e-9)
@@ -159,13 +167,13 @@ class _Recorder:
             raise InputError(f'frame {key}: expected camera_from_world to be the identity in a world of "camera"')
         if frame.depth is not None and frame.camera is None:
             raise InputError(f"frame {key}: expected a camera for the depth image")
-        scale = self.depth_scale.get(frame.index, 0.1) if isinstance(self.depth_scale, Mapping) else self.depth_scale
         if frame.camera is not None:
+            scale = self._scale(frame.index)
             size = (frame.camera.width, frame.camera.height)
             pose = frame.camera_from_world if self.world != "camera" else None
             self.cameras[key] = bop.camera_json(bop.SceneCamera(frame.camera.matrix, scale, pose, size))
-        if frame.depth is not None:
-            images.write_depth(self.folder / "depth" / f"{number}.png", frame.depth, scale)
+            if frame.depth is not None:
+                images.write_depth(self.folder / "depth" / f"{number}.png", frame.depth, scale)
         if frame.rgb is not None:
             images.write_rgb(self.folder / "rgb" / f"{number}.png", frame.rgb)
         if frame.mask is not None and self.with_mask:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 
 class PalpateError(Exception):
     """Root of every error raised on purpose; the command line turns it into one line and exit code 2."""
@@ -21,3 +23,14 @@ class InputError(PalpateError):
 
 class SystemLibraryError(PalpateError):
     """A shared library that a dependency needs is not installed on this machine."""
+
+
+def unknown(what: str, got: object, choices: Iterable[str], expected: str = "one of") -> InputError:
+    """The error for a name that is none of the choices: lists them, and says which is written alike."""
+    from difflib import get_close_matches
+
+    names = list(choices)
+    by_lower = {name.lower(): name for name in names}
+    near = get_close_matches(str(got).lower(), by_lower, n=1)
+    hint = f": did you mean {by_lower[near[0]]}?" if near else ""
+    return InputError(f"{what}: expected {expected} {', '.join(names)}, got {got!r}{hint}")

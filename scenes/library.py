@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes import poses, shapes
-from scenes.errors import InputError
+from scenes.errors import unknown
 from scenes.objects import ObjectModel
 from scenes.symmetries import Axis, Symmetries
 
@@ -33,7 +33,7 @@ def names() -> list[str]:
 def make(name: str) -> ObjectModel:
     """The named object; built once per process. Raises InputError, listing the names, for any other name."""
     if name not in _MAKERS:
-        raise InputError(f"object: expected one of {', '.join(names())}, got {name!r}")
+        raise unknown("object", name, names())
     (vertices, faces), symmetries = _MAKERS[name]()
     return ObjectModel.from_mesh(vertices, faces, name=name, symmetries=symmetries)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from scenes import poses
 from scenes.cameras import Camera
-from scenes.errors import InputError
+from scenes.errors import unknown
 from scenes.exact_closing import ExactClosing
 from scenes.frames import Contacts
 from scenes.grasping import Grasp, GraspSettings, has_force_closure
@@ -81,7 +81,7 @@ def plan_motion(
     """
     settings = settings or MotionSettings()
     if kind not in KINDS:
-        raise InputError(f"motion: expected one of {', '.join(KINDS)}, got {kind!r}")
+        raise unknown("motion", kind, KINDS)
     centre = poses.apply(camera_from_hand @ grasp.hand_from_object, model.centroid[None])[0]
     path = _path(kind, frames, centre, model.radius, camera, rng, settings)
     grasps: list[Grasp] = [grasp] * frames

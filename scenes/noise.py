@@ -25,7 +25,7 @@ from scenes.depth_noise import (
     quantised,
     smooth_field,
 )
-from scenes.errors import InputError
+from scenes.errors import unknown
 from scenes.frames import DEFAULT_SIGMA_NORMAL, DEFAULT_SIGMA_POINT, Contacts
 from scenes.rendering import Rendering
 
@@ -190,7 +190,7 @@ def preset(noise: str | NoisePreset) -> NoisePreset:
     if isinstance(noise, NoisePreset):
         return noise
     if noise not in PRESETS:
-        raise InputError(f"noise: expected one of {', '.join(PRESETS)}, got {noise!r}")
+        raise unknown("noise", noise, PRESETS)
     return PRESETS[noise]
 
 

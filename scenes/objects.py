@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from scenes import distance_field, mesh_repair
 from scenes.distance_field import DistanceField
-from scenes.errors import InputError, MeshError
+from scenes.errors import MeshError, unknown
 from scenes.formats.problems import UNREADABLE
 from scenes.surface import Surface
 from scenes.symmetries import Symmetries
@@ -58,7 +58,7 @@ class ObjectModel:
         """
         path = Path(path)
         if unit not in METRES_PER_UNIT:
-            raise InputError(f"unit: expected one of {', '.join(METRES_PER_UNIT)}, got {unit!r}")
+            raise unknown("unit", unit, METRES_PER_UNIT)
         if not path.is_file():
             raise MeshError(f"{path}: expected a mesh file, found none")
         vertices, faces = _read_mesh(path)

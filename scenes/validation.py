@@ -26,7 +26,9 @@ Array = NDArray[np.float64]
 SUSPICIOUS_RATIO = 5.0
 # A cloud may show the whole scene: only a size that no table-top has is suspicious then.
 LARGEST_SCENE_RATIO = 50.0
-# With fewer points the extent of a cloud says nothing about the size of what it shows.
+# Focal lengths (of the image's larger side) between a fisheye's and a telescope's; anything else is not in pixels.
+FOCAL_LENGTHS = (0.1, 50.0)
+# Fewer points may show a small part of what they are of.
 FEWEST_POINTS = 30
 
 
@@ -95,41 +97,51 @@ def check_scale(frame: Frame, model: ObjectModel) -> None:
 def scale_problem(frame: Frame, model: ObjectModel) -> str | None:
     """What makes one suspect a wrong unit in this frame, with both sizes; None when all agree.
 
-    Compared with the object's diameter: the extents of the contacts and of the cloud. Compared with the pose known
-    from ground truth or prior: the depths around the object's projection and the contacts' distance from it.
+    Compared with the image: the focal lengths. Compared with the object's diameter: the extents of the contacts and of
+    the cloud. Compared with the poses known from ground truth and prior: the depths around the object's projection and
+    the contacts' distance from it.
     """
+    camera = frame.camera
+    if camera is not None and frame.depth is not None:
+        side = max(frame.depth.shape)
+        if not all(FOCAL_LENGTHS[0] < focal / side < FOCAL_LENGTHS[1] for focal in (camera.fx, camera.fy)):
+            size = f"{frame.depth.shape[1]}x{frame.depth.shape[0]}"
+            return f"expected cam_K in pixels, got focal lengths of {camera.fx:.4g}, {camera.fy:.4g} for {size} pixels"
     diameter = model.diameter
     points = frame.contacts.points
     if len(points) > 1:
         extent = _extent(points)
         if extent > SUSPICIOUS_RATIO * diameter:
             return _says("contacts spread over", extent, "an object of", diameter)
-    if frame.cloud is not None and len(frame.cloud) >= FEWEST_POINTS:
-        extent = _extent(frame.cloud)
-        if not diameter / SUSPICIOUS_RATIO < extent < LARGEST_SCENE_RATIO * diameter:
+    if frame.cloud is not None and len(frame.cloud) > 1:
+        extent, few = _extent(frame.cloud), len(frame.cloud) < FEWEST_POINTS
+        if extent > LARGEST_SCENE_RATIO * diameter or (extent < diameter / SUSPICIOUS_RATIO and not few):
             return _says("a cloud that spreads over", extent, "an object of", diameter)
-    pose = frame.camera_from_object_truth if frame.camera_from_object_truth is not None else frame.prior
-    if pose is None:
-        return None
-    centre = poses.apply(pose, model.centroid[None])[0]
-    if len(points):
-        felt = poses.apply(frame.camera_from_world, points)
+    known = (("ground truth", frame.camera_from_object_truth), ("prior", frame.prior))
+    found = (_pose_problem(frame, pose, model, source) for source, pose in known if pose is not None)
+    return next((message for message in found if message is not None), None)
+
+
+def _pose_problem(frame: Frame, pose: Array, model: ObjectModel, source: str) -> str | None:
+    """What makes a pose (4, 4), by its source, of another unit than the contacts or the depth image."""
+    centre, diameter = poses.apply(pose, model.centroid[None])[0], model.diameter
+    if len(frame.contacts):
+        felt = poses.apply(frame.camera_from_world, frame.contacts.points)
         away = float(np.linalg.norm(felt - centre, axis=1).min())
         if away > SUSPICIOUS_RATIO * diameter:
-            return _says(
-                "contacts no nearer than", away, "the centre, by ground truth or prior, of an object of", diameter
-            )
+            return _says("contacts no nearer than", away, f"the centre, by the {source}, of an object of", diameter)
     seen = _depth_at(frame, centre, diameter)
     if seen is not None and max(seen / centre[2], centre[2] / seen) > SUSPICIOUS_RATIO:
-        return _says("depth readings about", seen, "an object, by ground truth or prior, at", float(centre[2]))
+        hint = "are depth_scale and the pose's unit right?"
+        return _says("depth readings about", seen, f"an object, by the {source}, at", float(centre[2]), hint)
     return None
 
 
-def _says(what: str, size: float, other: str, reference: float) -> str:
+def _says(what: str, size: float, other: str, reference: float, hint: str | None = None) -> str:
     ratio = size / reference
-    unit = next((u for u, low in (("mm", 200.0), ("cm", 4.0)) if max(ratio, 1 / ratio) > low), "")
-    hint = f": {unit} read as m?" if unit else ""
-    return f"expected sizes that agree, got {what} {size:.4g} m and {other} {reference:.4g} m{hint}"
+    unit = "mm" if max(ratio, 1 / ratio) > 200.0 else "cm"
+    hint = hint or f"{unit} read as m?"
+    return f"expected sizes that agree, got {what} {size:.4g} m and {other} {reference:.4g} m: {hint}"
 
 
 def _extent(points: Array) -> float:

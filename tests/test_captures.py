@@ -337,8 +337,33 @@ def test_wrong_units_are_suspected():
         check_scale(touched, model)
     for factor in (1e3, 1e2, 1e-2, 1e-3):
         assert "cloud" in (scale_problem(replace(frame, cloud=frame.cloud * factor), model) or "")
+    few = replace(frame, cloud=frame.cloud[:5])
+    assert scale_problem(few, model) is None
+    assert "mm read as m?" in (scale_problem(replace(few, cloud=few.cloud * 1e3), model) or "")
     deep = replace(frame, depth=frame.depth * 1e3)
     assert "depth readings about" in (scale_problem(deep, model) or "")
+    assert "is" not in (scale_problem(replace(frame, prior=frame.camera_from_object_truth), model) or "")
+    far = frame.camera_from_object_truth.copy()
+    far[:3, 3] *= 1e3
+    assert "the prior" in (scale_problem(replace(frame, prior=far), model) or "")  # beside a truth that is right
+
+
+@pytest.mark.parametrize("unit", [1 / 640, 6e-6 / 1e-3, 1e3], ids=["of the image's width", "millimetres", "thousands"])
+def test_focal_lengths_that_are_not_pixels_are_suspected(unit):
+    frame = some_frame(0)
+    for fx, fy in ((unit, unit), (1.0, unit)):
+        camera = replace(frame.camera, fx=frame.camera.fx * fx, fy=frame.camera.fy * fy)
+        assert "expected cam_K in pixels" in (scale_problem(replace(frame, camera=camera), make("box")) or "")
+
+
+def test_depth_scales_by_frame_are_complete(tmp_path):
+    frames = [some_frame(0), some_frame(1)]
+    write_capture(tmp_path / "c", frames, make("box"), depth_scale={0: 0.1, 1: 0.25})
+    cameras = json.loads((tmp_path / "c" / "scene_camera.json").read_text())
+    assert [cameras[key]["depth_scale"] for key in ("0", "1")] == [0.1, 0.25]
+    with pytest.raises(InputError, match="frame 1: expected a depth_scale of every frame"):
+        write_capture(tmp_path / "d", frames, make("box"), depth_scale={0: 0.1})
+    assert not (tmp_path / "d").exists()
 
 
 def test_cloud_files(tmp_path):

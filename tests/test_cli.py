@@ -209,7 +209,7 @@ def test_recorded_grasps_convert(tmp_path, name):
 def test_bad_use(capture, contacts, tmp_path, capsys):
     cases = [
         ((), "the following arguments are required: COMMAND"),
-        (("dance",), "invalid choice: 'dance'"),
+        (("dance",), "command: expected one of demo, "),
         (("estimate",), "the following arguments are required: CAPTURE"),
         (("estimate", capture, "--use", "smell"), "expected vision, touch or both, got smell"),
         (("estimate", capture, "--seed", "-1"), "expected a whole number from 0"),
@@ -235,6 +235,8 @@ def test_bad_use(capture, contacts, tmp_path, capsys):
         (("localize", contacts, "--object", "box", "--json", "/proc/none/x.json"), "/proc/none"),
         (("evaluate", tmp_path / "no.csv", capture), "expected a poses.csv"),
         (("evaluate", capture / "contacts.csv", capture), "expected the header scene_id"),
+        (("localize", capture / "contacts.csv", "--object", "box", "--frame", "7"), "expected a frame of 0, 1, got 7"),
+        (("localize", __file__, "--object", "box"), "ends in .csv, .off or .ply"),
         (("convert", tmp_path / "no", tmp_path / "c"), "found nothing"),
         (("convert", tmp_path, tmp_path / "c"), "found neither"),
         (("convert", contacts, tmp_path / "c.docx"), "expected files ending in"),
@@ -308,3 +310,57 @@ def test_quantities():
     assert length_and_angle("1,2") == pytest.approx((0.001, np.deg2rad(2)))
     assert length_and_angle("0.5cm, 0.1rad") == pytest.approx((0.005, 0.1))
     assert share("60%") == share("0.6") == 0.6
+
+
+def test_near_misses_are_named(tmp_path, capsys):
+    for argv, meant in (
+        (["synth", tmp_path / "c", "--object", "dril"], "drill"),
+        (["localize", tmp_path, "--object", "box", "--method", "Annealling"], "annealing"),
+        (["estimat", tmp_path], "estimate"),
+        (["bench", "tracing"], "tracking"),
+        (["convert", tmp_path, tmp_path / "o", "--from", "ycbineoats"], "ycbineoat"),
+        (["synth", tmp_path / "c", "--object", "box", "--noise", "labs"], "lab"),
+        (["localize", tmp_path, "--object", "quaternion"], None),
+    ):
+        line = refused(capsys, *argv)
+        assert ("did you mean" in line) == (meant is not None), line
+        assert meant is None or line.endswith(f"did you mean {meant}?\n")
+
+
+def test_where_it_cannot_be_written_is_said_before_the_work(capture, tmp_path, capsys):
+    file = tmp_path / "file"
+    file.write_text("mine")
+    (tmp_path / "folder.ply").mkdir()
+    for argv in (
+        ["estimate", capture, "--out", file],
+        ["estimate", capture, "--json", file / "x.json"],
+        ["track", capture, "--out", file / "deeper"],
+        ["grasp", capture, "--out", file],
+        ["batch", capture.parent, "--out", file],
+        ["demo", "--out", file],
+        ["model", capture, "-o", tmp_path / "folder.ply"],
+        ["convert", capture, file, "--to", "bop"],
+        ["convert", capture, file / "x.tum"],
+        ["convert", capture / "contacts.csv", tmp_path / "folder.ply"],
+    ):
+        line = refused(capsys, *argv)
+        assert (
+            "expected a folder to write to, found a file" in line or "expected a file to write, found a folder" in line
+        )
+    assert file.read_text() == "mine"
+
+
+def test_the_folder_of_a_recording_says_how_to_convert_it(capture, tmp_path, capsys):
+    assert main(["convert", str(capture), str(tmp_path / "set"), "--to", "bop"]) == 0
+    capsys.readouterr()
+    scene = tmp_path / "set" / "test" / "000000"
+    for argv in (
+        ["estimate", scene],
+        ["track", tmp_path / "set"],
+        ["batch", scene.parent],
+        ["batch", tmp_path / "set"],
+    ):
+        assert f"`palpate convert {scene} OUT`" in refused(capsys, *argv)
+    assert "expected a folder, or a file that ends in .glb or .tum" in refused(
+        capsys, "convert", capture, tmp_path / "x.glbb"
+    )

@@ -174,6 +174,10 @@ def test_evaluation(tmp_path):
     json.dumps(json_number(found), allow_nan=False)
     with pytest.raises(InputError, match="got im_id 9"):
         evaluate([PoseRow(0, 9, 1, 1.0, truth, 0.1)], capture)
+    metres = truth.copy()
+    metres[:3, 3] *= 1e-3
+    with pytest.raises(InputError, match=r"expected t in millimetres, got 0\.5 .* the truth is 500: m read as mm"):
+        evaluate([PoseRow(0, 0, 1, 1.0, metres, 0.1)], capture)
     blind = write_capture(tmp_path / "blind", [replace(frames[0], camera_from_object_truth=None)], make("drill"))
     with pytest.raises(CaptureError, match="expected ground truth"):
         evaluate(rows[:1], read_capture(blind))

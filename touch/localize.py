@@ -22,7 +22,7 @@ from scenes import poses as se3
 from scenes.alignment.batch import Alignment, AlignSettings, Prior, align, costs
 from scenes.alignment.modes import Mode, ModeSettings, covariance_of, distinct_modes
 from scenes.alignment.search import SearchStage, rotation_grid, search
-from scenes.errors import InputError
+from scenes.errors import InputError, unknown
 from scenes.evidence import Evidence
 from scenes.frames import Contacts
 from scenes.objects import ObjectModel
@@ -244,7 +244,7 @@ def localize(
     method: one of METHODS; settings are those of the default. Raises InputError for no contacts.
     """
     if method not in METHODS:
-        raise InputError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
+        raise unknown("method", method, METHODS)
     if len(contacts) == 0:
         raise InputError("localize: expected at least one contact, got none")
     if method == "multistart":

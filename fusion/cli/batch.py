@@ -13,6 +13,7 @@ from fusion.cli.options import (
     announce_compiling,
     names,
     number,
+    out_folder,
     positive,
     progress,
     say,
@@ -50,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     use = tuple(sorted(check_senses(args.use), reverse=True))
     prior_setter(args.prior, args.seed)  # a mistake in it is one line now, not one a capture
     paths = find_captures(args.folder)
-    out = args.out or Path("out") / args.folder.resolve().name
+    out = out_folder(args, args.folder.resolve().name)
     told = {"use": use, "prior": args.prior, "object": args.object, "unit": args.unit, "report": not args.no_report}
     jobs = []
     for path in paths:

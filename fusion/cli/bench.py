@@ -39,11 +39,11 @@ def run(args: argparse.Namespace) -> int:
     """Exit code 0 also when a demand is missed: the report says so."""
     from fusion import benchmarks
     from fusion.benchmarks.tables import BenchSettings, Table, show_report, show_table, write_report
-    from scenes.errors import InputError
+    from scenes.errors import unknown
 
     names = benchmarks.available()
     if args.name != "all" and args.name not in names:
-        raise InputError(f"bench: expected one of {', '.join([*names, 'all'])}, got {args.name!r}")
+        raise unknown("bench", args.name, [*names, "all"])
     shown: list[Table] = []
 
     def show(table: Table) -> None:

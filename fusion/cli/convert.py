@@ -6,7 +6,16 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion.cli.options import add_object, load_object, positive_number, say, whole, write_json
+from fusion.cli.options import (
+    add_object,
+    check_folder,
+    check_target,
+    load_object,
+    positive_number,
+    say,
+    whole,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from scenes.captures import Capture
@@ -75,13 +84,13 @@ def run(args: argparse.Namespace) -> int:
 
 def convert(args: argparse.Namespace) -> Converted:
     """Convert by what the source is and what the arguments ask for; raises PalpateError when no way is known."""
-    from scenes.errors import InputError
+    from scenes.errors import InputError, unknown
 
     for name, choices in (("kind", SOURCES), ("to", TARGETS)):
         asked = getattr(args, name)
         if asked is not None and asked not in choices:
             option = "--from" if name == "kind" else "--to"
-            raise InputError(f"{option}: expected one of {', '.join(choices)}, got {asked!r}")
+            raise unknown(option, asked, choices)
     source: Path = args.source
     if not source.exists():
         raise InputError(f"{source}: expected a recording, a capture or a file, found nothing")
@@ -225,12 +234,17 @@ def _intrinsics(args: argparse.Namespace) -> Any:
 
 def _export(args: argparse.Namespace) -> Converted:
     from scenes.captures import read_capture
+    from scenes.errors import InputError
     from scenes.formats import bop_scene, handover
     from scenes.formats.conversion import Converted
 
     capture = read_capture(args.source)
     endings = {".glb": "glb", ".tum": "tum"}
-    to = args.to or endings.get(args.out.suffix.lower(), "off")
+    ending = args.out.suffix.lower()
+    if args.to is None and ending[1:].isalpha() and ending not in endings:
+        raise InputError(f"{args.out}: expected a folder, or a file that ends in {' or '.join(endings)}; else say --to")
+    to = args.to or endings.get(ending, "off")
+    (check_folder if to in ("bop", "off") else check_target)(args.out)
     if to == "bop":
         return bop_scene.export(capture, args.out)
     if to == "off":
@@ -316,6 +330,7 @@ def _convert_file(source: Path, out: Path) -> Path:
     kinds = (source.suffix.lower(), out.suffix.lower())
     if kinds[0] not in TABLES or kinds[1] not in TABLES:
         raise InputError(f"convert: expected files ending in {', '.join(TABLES)}, got {source.name} to {out.name}")
+    check_target(out)
     data: Any
     if kinds[0] == ".off":
         data = read_off(source)
@@ -330,7 +345,6 @@ def _convert_file(source: Path, out: Path) -> Path:
         faces = _faces(source)
         if faces is not None:
             data = OffData(points, faces, colours)
-    out.parent.mkdir(parents=True, exist_ok=True)
     if kinds[1] == ".off":
         write_off(out, data.points, data.faces, data.colours, data.normals)
     elif kinds[1] == ".ply":

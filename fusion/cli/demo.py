@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.cli.options import announce_compiling, say, write_json
+from fusion.cli.options import announce_compiling, check_folder, say, write_json
 
 OBJECT = "drill"
 OCCLUSION = 0.8
@@ -26,6 +26,7 @@ def run(args: argparse.Namespace) -> int:
     from scenes.hand_generation import five_finger_hand
     from scenes.synthesis import synthesize
 
+    check_folder(args.out)
     model = library.make(OBJECT)
     announce_compiling()
     say(f"a {OBJECT} in a hand that hides {100 * OCCLUSION:.0f} % of it, noise like a {NOISE}'s")

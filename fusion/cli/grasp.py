@@ -14,6 +14,7 @@ from fusion.cli.options import (
     names,
     non_negative,
     number,
+    out_folder,
     positive,
     prior_setter,
     progress,
@@ -71,6 +72,7 @@ def run(args: argparse.Namespace) -> int:
     places = 0 if args.no_map else GraspSettings().places
     settings = GraspSettings(wrenches, args.normals, args.samples, places)
     capture, model, frames, answers = _answers(args)
+    out = out_folder(args, capture.name)
     grasps = [
         assess(model, answer, frame, args.seed, settings)
         for frame, answer in progress(zip(frames, answers), len(frames), "grasping")
@@ -83,7 +85,6 @@ def run(args: argparse.Namespace) -> int:
         "settings": {**asked, "normals": args.normals, "samples": args.samples, "seed": args.seed},
         "frames": [grasp.to_json() for grasp in grasps],
     }
-    out = args.out or Path("out") / capture.name
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "grasp.json", content)
     write_json(args.json, content)

@@ -54,12 +54,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when the last trial is lost."""
-    from scenes.errors import InputError
+    from scenes.errors import InputError, unknown
     from scenes.frames import Frame
     from scenes.validation import check_usable
 
     if args.method not in METHODS:
-        raise InputError(f"method: expected one of {', '.join(METHODS)}, got {args.method!r}")
+        raise unknown("method", args.method, METHODS)
     if args.cloud is not None and args.method != "multistart":
         raise InputError(f"method: expected multistart with --cloud, got {args.method!r}")
     contacts = read_contacts(args.contacts, args.frame)
@@ -110,6 +110,8 @@ def read_contacts(path: Path, frame: int | None = None) -> Contacts:
         if len(frames) > 1 and frame is None:
             raise InputError(f"{path}: expected contacts of one frame, got {len(frames)}: choose one with --frame")
         if frame is not None:
+            if frame not in frames:
+                raise InputError(f"{path}: expected a frame of {', '.join(map(str, frames)) or 'none'}, got {frame}")
             rows = rows.of_frame(frame)
         try:
             contacts = contacts_of(rows) if len(rows) else Contacts(np.zeros((0, 3)))
@@ -120,10 +122,12 @@ def read_contacts(path: Path, frame: int | None = None) -> Contacts:
 
         data = read_off(path)
         contacts = Contacts(data.points, data.normals)
-    else:
+    elif path.suffix.lower() == ".ply":
         from scenes.formats.ply import read_cloud
 
         contacts = Contacts(read_cloud(path)[0])
+    else:
+        raise CaptureError(f"{path}: expected contacts in a file that ends in .csv, .off or .ply")
     if len(contacts) == 0:
         raise CaptureError(f"{path}: expected at least one contact, found none")
     return contacts

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.cli.options import number, positive_number, say, show_table, write_json
+from fusion.cli.options import check_target, number, positive_number, say, show_table, write_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,6 +38,7 @@ def run(args: argparse.Namespace) -> int:
 
     if args.output.suffix.lower() != ".ply":
         raise InputError(f"output: expected a name that ends in .ply, got {args.output}")
+    check_target(args.output)
     given = args.poses or ["auto"]
     named = len(given) == 1 and given[0] in SOURCES
     for file in [] if named else given:

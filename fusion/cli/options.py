@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from scenes.errors import InputError
+from scenes.errors import InputError, unknown
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -139,7 +139,7 @@ def load_object(name: str, unit: str = "m") -> ObjectModel:
     if name in library.names() and not Path(name).is_file():
         return library.make(name)
     if not Path(name).exists():
-        raise InputError(f"object: expected a mesh file or one of {', '.join(library.names())}, got {name!r}")
+        raise unknown("object", name, library.names(), "a mesh file or one of")
     return ObjectModel.load(name, unit=unit)
 
 
@@ -238,14 +238,25 @@ def number(value: float | None, digits: int = 2) -> str:
 
 
 def check_target(path: Path | None) -> None:
-    """Make the folder of --json's file, or raise OSError: before the work, not after it."""
+    """Make the folder of a file to write, or raise OSError: before the work, not after it."""
     if path is None:
         return
+    check_folder(path.parent)
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, "expected a file to write, found a folder", str(path))
     if not os.access(path if path.exists() else path.parent, os.W_OK):
         raise PermissionError(errno.EACCES, "cannot be written", str(path))
+
+
+def check_folder(path: Path) -> Path:
+    """The folder, which may be new, when it can be written to; raises OSError: before the work, not after it."""
+    there = next(part for part in (path, *path.absolute().parents) if part.exists())
+    if not there.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, "expected a folder to write to, found a file", str(there))
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise PermissionError(errno.EACCES, "cannot be written to", str(there))
+    return path
 
 
 def write_json(path: Path | None, content: Any) -> None:
@@ -280,11 +291,16 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-report", action="store_true", help="skip report.html")
 
 
+def out_folder(args: argparse.Namespace, name: str) -> Path:
+    """Where a command writes: --out, else out/NAME; raises OSError where it cannot be."""
+    return check_folder(args.out or Path("out") / name)
+
+
 def write_run(args, capture, model, frames, answers, errors) -> str:  # type: ignore[no-untyped-def]  # heavy imports
     """Write poses.csv, result.json, report.html and --json of a run with the arguments of `add_run`; says what."""
     from fusion.results import result_json, write_results
 
-    out = args.out or Path("out") / capture.name
+    out = out_folder(args, capture.name)
     content = result_json(capture.name, model, frames, answers, errors)
     content["capture_path"] = str(capture.path.resolve())  # grasp and view read the recording again
     write_results(out, capture, answers, content)

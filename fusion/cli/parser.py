@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from typing import NoReturn
 
@@ -25,7 +26,7 @@ from fusion.cli import (
     view,
 )
 from fusion.cli.options import add_common
-from scenes.errors import InputError
+from scenes.errors import InputError, unknown
 
 COMMANDS = (
     *(demo, synth, validate, estimate, track, compare, evaluate, localize, identify),
@@ -38,6 +39,9 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raise InputError with the command's name and the complaint."""
+        wrong = re.fullmatch(r"argument ([^:]+): invalid choice: '(.*?)' \(choose from (.*)\)", message)
+        if wrong is not None:
+            raise unknown(wrong[1].lower(), wrong[2], re.findall(r"[\w-]+", wrong[3]))
         raise InputError(f"{message} (see {self.prog} --help)")
 
 

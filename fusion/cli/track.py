@@ -10,6 +10,7 @@ from fusion.cli.options import (
     announce_compiling,
     load_object,
     number,
+    out_folder,
     prior_setter,
     progress,
     say,
@@ -42,6 +43,7 @@ def run(args: argparse.Namespace) -> int:
 
     senses = tuple(sorted(check_senses(args.use), reverse=True))
     capture = read_capture(args.capture)
+    out_folder(args, capture.name)  # before the work, not after it
     model = load_object(args.object, args.unit) if args.object else capture.model
     prepare = prior_setter(args.prior, args.seed)
     judge, tracker = Judge(model), Tracker(model, use=senses, seed=args.seed)

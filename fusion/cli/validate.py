@@ -20,7 +20,8 @@ def run(args: argparse.Namespace) -> int:
     from scenes.validation import validate
 
     if not args.capture.is_dir():
-        raise CaptureError(f"{args.capture}: expected the folder of a capture, found none")
+        found = "a file" if args.capture.exists() else "nothing"
+        raise CaptureError(f"{args.capture}: expected the folder of a capture, found {found}")
     problems = validate(args.capture)
     frames = 0 if problems else len(Capture(args.capture))
     entries = [{"file": p.file, "frame": p.frame, "message": p.message} for p in problems]

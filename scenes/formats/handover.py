@@ -67,5 +67,6 @@ def export(capture: Capture, out: str | Path) -> list[Path]:
         write_off(folder / "model.off", capture.model.vertices, capture.model.faces)
         folders.append(folder)
     if not folders:
-        raise CaptureError(f"{capture.path}: expected a frame with a cloud to write as OFF, found none")
+        message = "expected a frame with a cloud to write as OFF, found none: --to chooses another format"
+        raise CaptureError(f"{capture.path}: {message}")
     return folders
