@@ -8,9 +8,21 @@ import pytest
 
 from fusion.benchmarks import all_benchmarks, pareto
 from fusion.benchmarks.all_benchmarks import run_all, summary
-from fusion.benchmarks.tables import BenchSettings, Claim, Column, Report, Spread, Table, plain
+from fusion.benchmarks.charts import draw
+from fusion.benchmarks.tables import (
+    BenchSettings,
+    Claim,
+    Column,
+    Quantile,
+    Report,
+    Spread,
+    Table,
+    plain,
+    text_of,
+)
 from fusion.cli.main import main
 from scenes.errors import InputError
+from scenes.threads import thread_count
 
 
 @pytest.fixture
@@ -68,13 +80,14 @@ def test_a_damaged_index_runs_all(ran, tmp_path, damage):
     assert run_all(["one"], BenchSettings(), tmp_path, clock=ran.clock)[0].state == "done"
 
 
-def test_a_quick_run_ends_in_time_and_keeps_what_was_shown(ran, tmp_path):
-    outcomes = run_all(["long", "one"], BenchSettings(quick=True), tmp_path, clock=ran.clock, seconds=20.0)
-    assert [one.state for one in outcomes] == ["stopped", "done"]
-    assert sum(one.seconds for one in outcomes) <= 20.0 + 2.0
-    assert json.loads((tmp_path / "long.json").read_text())["tables"][0]["title"] == "Shown"
-    run_all(["long"], BenchSettings(quick=True), tmp_path, clock=ran.clock)
-    assert ran.names[-1] == "long"  # what was stopped is run again
+def test_the_end_says_how_many_trials_and_how_long(ran, tmp_path):
+    outcomes = run_all(["long", "one"], BenchSettings(quick=True), tmp_path, clock=ran.clock)
+    rows = summary(outcomes).texts()
+    assert [row[:4] for row in rows] == [["long", "done", "1 trial", "100.0"], ["one", "done", "1 trial", "1.0"]]
+    report = json.loads((tmp_path / "long.json").read_text())
+    assert report["tables"][0]["title"] == "Shown"
+    assert {"seed", "command", "version", "machine"} <= set(report)
+    assert json.loads((tmp_path / "all.json").read_text())["benchmarks"]["long"]["trials"] == "1 trial"
 
 
 def test_one_that_cannot_run_does_not_stop_the_others(ran, tmp_path):
@@ -113,8 +126,42 @@ def test_the_frontier_is_what_nobody_beats():
         True,
         False,
     ]
-    low, high = pareto.bootstrap_median(np.arange(101.0))
-    assert 35 < low < 50 < high < 65
     point = pareto.Point("a", "1", np.ones(3), np.array([1.0, 2.0, 3.0]), np.array([True, True, False]))
-    assert pareto.table("t", [point], "near").texts()[0][:5] == ["a", "1", "3", "1.0", "2.00"]
-    assert "Cramér-Rao bound" in pareto.chart("t", [point], 0.1).series
+    assert pareto.table("t", [point], "near").texts()[0][:5] == ["a", "1", "3", "1.0", "2.000"]
+    chart = pareto.chart("t", [point], 0.1)
+    assert (chart.level, chart.front) == (0.1, [(1.0, 2.0)])
+    assert "Cramér-Rao bound" in draw([chart])
+
+
+def test_the_interval_of_a_median_holds_it():
+    median = Quantile.of(np.arange(101.0), 2.0)
+    assert median.value == 100.0
+    assert 70 < median.low < 100 < median.high < 130
+    assert plain(median) == {"median": 100.0, "n": 101, "interval_95": [median.low, median.high]}
+    assert plain(Quantile.of([1.0, np.nan], share=0.9))["quantile_90"] == 1.0
+    assert text_of(Quantile.of([])) == "–"
+
+
+def test_a_bound_is_the_median_of_the_errors_it_allows():
+    covariance = np.diag([1.0, 1.0, 1.0, 1e-6, 1e-6, 1e-6])  # 1 mm per axis
+    bound = pareto.least_error([covariance] * 20, lambda case, delta: np.linalg.norm(delta[:, 3:], axis=1))
+    assert bound == pytest.approx(1.538, rel=0.05)  # of a Gaussian in space
+
+
+def test_methods_are_measured_on_one_thread_and_warm():
+    seen = []
+
+    def solve(case, seed):
+        seen.append((case, thread_count()))
+        return case
+
+    before = thread_count()
+    methods = [pareto.Method("a", "1", solve), pareto.Method("a", "2", solve), pareto.Method("b", "1", solve)]
+    points = pareto.measure(
+        methods[:1], ["x", "x", "y"], lambda case: case, lambda case, answer: (2.0, True), 0, lambda i, n, w: i, "t"
+    )
+    assert seen == [("x", 1), ("x", 1), ("x", 1), ("y", 1), ("y", 1)]
+    assert thread_count() == before
+    assert points[0].error.tolist() == [2.0] * 3
+    assert [m.budget for m in pareto.swept(methods, quick=True)] == ["1", "1"]
+    assert pareto.swept(methods, quick=False) == methods

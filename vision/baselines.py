@@ -138,7 +138,11 @@ def _by_features(method: str, points: Array, model: ObjectModel, seed: int, sett
     o3d = open3d()
     registration = o3d.pipelines.registration
     voxel = float(np.clip(settings.voxel_share * model.diameter, *settings.voxel_limits))
-    target, target_features = _kept(model, ("fpfh", voxel, settings), lambda: _model_features(model, voxel, settings))
+    target, target_features = _kept(
+        model,
+        ("fpfh", voxel, settings.feature_radius, settings.model_points),
+        lambda: _model_features(model, voxel, settings),
+    )
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points)).voxel_down_sample(voxel)
     cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(settings.normal_radius * voxel, 30))
     cloud.orient_normals_towards_camera_location(np.zeros(3))
@@ -208,7 +212,8 @@ def _ppf(points: Array, model: ObjectModel, settings: BaselineSettings) -> Array
     o3d = open3d()
     # OpenCV's matcher loses digits away from 1: lengths in object diameters
     unit = model.diameter
-    detector, oriented = _kept(model, ("ppf", settings), lambda: _ppf_detector(model, settings))
+    prepared = ("ppf", settings.ppf_step, settings.ppf_distance, settings.model_points)
+    detector, oriented = _kept(model, prepared, lambda: _ppf_detector(model, settings))
     voxel = float(np.clip(settings.voxel_share * unit, *settings.voxel_limits))
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
     cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(settings.normal_radius * voxel, 30))

@@ -1,45 +1,32 @@
 """Every benchmark in one run that may be stopped and gone on with: what was done with the same settings is not redone.
 
-The folder gets each benchmark's own files, and `all.json` with what ran, how, on what machine and code, for how long. A
-quick run has a time for everything together; a benchmark that uses up its part of it is stopped between two cells, and
-what it had shown is kept.
+The folder gets each benchmark's own files, and `all.json` with what ran, how, on what machine and code, for how long.
+A quick run does less of everything (fewer trials, objects, budgets), and all of that: about five minutes on two cores.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
-import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from importlib import metadata
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from fusion.benchmarks import load
-from fusion.benchmarks.tables import BenchSettings, Column, Report, Table, machine, write_report
+from fusion.benchmarks.provenance import command_line, machine, source_version
+from fusion.benchmarks.tables import BenchSettings, Column, Report, Table, write_report
 from scenes.errors import PalpateError
 
-T = TypeVar("T")
-
 INDEX = "all.json"
-# Seconds of a quick run, all together; the last cell may run over.
-QUICK_SECONDS = 270.0
-# Parts of that time, 1 where nothing is said: those that have more to do even when in a hurry.
-PARTS = {"stability": 3.0, "vision": 2.0, "occlusion": 2.0, "peers": 2.0}
 # States of a benchmark in the index.
-DONE, STOPPED, FAILED = "done", "stopped", "could not run"
-
-
-class OutOfTime(Exception):
-    """A benchmark's part of the time is used up."""
+DONE, FAILED = "done", "could not run"
 
 
 @dataclass
 class Outcome:
-    """One benchmark of the run. state: see above; why: of one that was stopped or could not run; again: it was taken
-    from an earlier run.
+    """One benchmark of the run. state: see above; why: of one that could not run; again: it was taken from an earlier
+    run.
     """
 
     name: str
@@ -54,20 +41,6 @@ class Outcome:
         """How many of its demands were met."""
         claims = self.report.get("claims", [])
         return f"{sum(bool(c['met']) for c in claims)} of {len(claims)}" if claims else ""
-
-
-def source_version() -> str:
-    """Version of the package and a digest of its code: numbers of other code are not taken for those of this one."""
-    root = Path(__file__).resolve().parents[2]
-    digest = hashlib.sha256()
-    for room in ("scenes", "vision", "touch", "fusion"):
-        for path in sorted((root / room).rglob("*.py")):
-            digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
-    try:
-        version = metadata.version("palpate")
-    except metadata.PackageNotFoundError:
-        version = "0"
-    return f"{version}+{digest.hexdigest()[:12]}"
 
 
 def settings_key(settings: BenchSettings) -> dict[str, Any]:
@@ -86,38 +59,23 @@ def run_all(
     folder: Path,
     finished: Callable[[Outcome], None] = lambda outcome: None,
     clock: Callable[[], float] = time.monotonic,
-    seconds: float | None = None,
 ) -> list[Outcome]:
     """Run the named benchmarks one after the other into the folder; finished(outcome) is told of each.
 
-    seconds: for all of them together (default: QUICK_SECONDS of a quick run, else no limit); each benchmark gets its
-    part of what is left. Those whose entry in the folder's index has the same settings and code are read back.
+    Those whose entry in the folder's index has the same settings and code are read back.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    limit = seconds if seconds is not None else QUICK_SECONDS if settings.quick else None
-    version, begin = source_version(), clock()
+    version = source_version()
     outcomes: list[Outcome] = []
-    kept = {name: found for name in names if (found := _earlier(folder, name, settings, version)) is not None}
-    left = [name for name in names if name not in kept]
     for name in names:
-        if name in kept:
-            outcome = kept[name]
-        else:
-            part = None
-            if limit is not None:
-                share = PARTS.get(name, 1.0) / sum(PARTS.get(other, 1.0) for other in left)
-                part = share * max(0.0, limit - (clock() - begin))
-            left.remove(name)
-            outcome = _run_one(name, settings, folder, part, clock)
+        outcome = _earlier(folder, name, settings, version) or _run_one(name, settings, folder, clock)
         outcomes.append(outcome)
         _write_index(folder, outcomes, settings, version)
         finished(outcome)
     return outcomes
 
 
-def _run_one(
-    name: str, settings: BenchSettings, folder: Path, seconds: float | None, clock: Callable[[], float]
-) -> Outcome:
+def _run_one(name: str, settings: BenchSettings, folder: Path, clock: Callable[[], float]) -> Outcome:
     shown: list[Table] = []
     begin = clock()
 
@@ -125,35 +83,14 @@ def _run_one(
         shown.append(table)
         settings.show(table)
 
-    limited = replace(
-        settings,
-        folder=folder,
-        show=show,
-        progress=settings.progress if seconds is None else _until(begin + seconds, settings.progress, clock),
-    )
     state, why = DONE, ""
     try:
-        report = load(name).run(limited)
-    except OutOfTime:
-        state, why = STOPPED, f"its {seconds:.0f} s were used up"
-        report = Report(name, f"stopped: {why}", "unfinished", settings.seed, list(shown))
+        report = load(name).run(replace(settings, folder=folder, show=show))
     except (PalpateError, OSError) as error:
         state, why = FAILED, " ".join(str(error).split())
         report = Report(name, f"could not run: {why}", "none", settings.seed, list(shown))
     write_report(report, folder)
     return Outcome(name, state, clock() - begin, why, report=report.to_json())
-
-
-def _until(deadline: float, progress: Callable[..., Iterator[Any]], clock: Callable[[], float]) -> Callable[..., Any]:
-    """The progress, but that it raises OutOfTime instead of handing out a cell after the deadline."""
-
-    def limited(items: Iterable[T], total: int, what: str) -> Iterator[T]:
-        for item in progress(items, total, what):
-            if clock() > deadline:
-                raise OutOfTime
-            yield item
-
-    return limited
 
 
 def _earlier(folder: Path, name: str, settings: BenchSettings, version: str) -> Outcome | None:
@@ -179,26 +116,25 @@ def _write_index(folder: Path, outcomes: list[Outcome], settings: BenchSettings,
             "state": outcome.state,
             "why": outcome.why,
             "seconds": round(outcome.seconds, 3),
+            "trials": outcome.report.get("trials", ""),
             "settings": settings_key(settings),
             "version": version,
             "file": f"{outcome.name}.json",
             "demands_met": outcome.demands,
         }
-    command = " ".join(["palpate", *sys.argv[1:]])
-    content = {"command": command, "machine": machine(), "version": version, "benchmarks": benchmarks}
+    content = {"command": command_line(), "machine": machine(), "version": version, "benchmarks": benchmarks}
     partial = path.with_suffix(".tmp")
     partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     partial.replace(path)
 
 
 def summary(outcomes: Sequence[Outcome]) -> Table:
-    """One row a benchmark: what became of it, its time, its demands."""
-    table = Table(
-        "All benchmarks", [Column("benchmark"), Column("state"), Column("s", 1), Column("demands met"), Column("note")]
-    )
+    """One row a benchmark: what became of it, of how many trials, its time, its demands."""
+    columns = [Column("benchmark"), Column("state"), Column("trials"), Column("s", 1), Column("demands met")]
+    table = Table("All benchmarks", columns)
     for one in outcomes:
         state = f"{one.state} before" if one.again else one.state
-        table.add(one.name, state, one.seconds, one.demands or None, one.why)
+        table.add(one.name, state, one.why or one.report.get("trials", ""), one.seconds, one.demands or None)
     total = sum(one.seconds for one in outcomes if not one.again)
     table.note = f"{total:.0f} s; a benchmark that is done with the same settings and code is not run again."
     return table

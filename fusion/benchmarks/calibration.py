@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from fusion.benchmarks.charts import Chart
 from fusion.benchmarks.occlusion import Scene, frames_of
-from fusion.benchmarks.tables import BenchSettings, Claim, Column, Rate, Report, Table
+from fusion.benchmarks.tables import BenchSettings, Claim, Column, Quantile, Rate, Report, Table
 from scenes.threads import VARIABLE, thread_count
 
 Array = NDArray[np.float64]
@@ -51,8 +51,8 @@ class Answered:
 def run(settings: BenchSettings) -> Report:
     """Tables by preset and hidden share, by verdict, and by sense; the reliability curve."""
     trials = settings.count(13, quick=1)
-    objects = settings.objects or (OBJECTS[:3] if settings.quick else OBJECTS)
-    cells = [(name, noise, level) for noise in NOISES for level in LEVELS for name in objects]
+    objects = settings.objects or tuple(settings.some(OBJECTS, 1))
+    cells = [(name, noise, level) for noise in NOISES for level in settings.some(LEVELS, 3) for name in objects]
     report = Report(
         "calibration",
         "Is an answer as sure as it is right? Starts 16 degrees and 33 mm off, no mask, a hand of known joints",
@@ -118,7 +118,7 @@ def _row(found: list[Answered]) -> list[object]:
     wrong = [a.verdict == "ok" and a.add_s > WRONG for a in found]
     return [
         len(found),
-        1e3 * float(np.median([a.add_s for a in found])),
+        Quantile.of([a.add_s for a in found], 1e3),
         Rate.of([a.add_s < WRONG for a in found]),
         float(np.mean(ratio)),
         _trimmed(ratio),

@@ -6,17 +6,26 @@ import html
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise, zip_longest
 from typing import Any
 
-COLOURS = ("#2c9c5a", "#3b7dd8", "#e08a2e", "#b0413e", "#7a5ea8", "#5f6b7a", "#c2a83e", "#3aa6a6", "#d06aa0")
+COLOURS = (
+    *("#2c9c5a", "#3b7dd8", "#e08a2e", "#b0413e", "#7a5ea8", "#5f6b7a", "#c2a83e", "#3aa6a6", "#d06aa0"),
+    *("#8c6d46", "#6fae2f", "#1f4e79"),
+)
 # Pixels of one chart, and of its margins.
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 720, 340, 64, 190, 34, 46
-STYLE = "text{font:12px system-ui,sans-serif;fill:currentColor}.h{font-weight:600}.g{stroke:currentColor;opacity:.15}"
+STYLE = (
+    "text{font:12px system-ui,sans-serif;fill:currentColor}.h{font-weight:600}.g{stroke:currentColor;opacity:.15}"
+    ".d{stroke:currentColor;stroke-dasharray:2 3;opacity:.6;fill:none}.b{stroke:currentColor;stroke-dasharray:7 4}"
+)
 
 
 @dataclass(frozen=True)
 class Chart:
-    """series: name -> points (x, y); those that are not finite (or not positive on a logarithmic axis) are left out."""
+    """series: name -> points (x, y); those that are not finite (or not positive on a logarithmic axis) are left out.
+    front: points that a dashed staircase joins; level: y of a dashed line, the Cramér-Rao bound.
+    """
 
     title: str
     x: str
@@ -24,11 +33,16 @@ class Chart:
     series: Mapping[str, Sequence[tuple[float, float]]]
     log_x: bool = False
     log_y: bool = False
+    front: Sequence[tuple[float, float]] = ()
+    level: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
         series = {name: [list(point) for point in points] for name, points in self.series.items()}
-        return {"title": self.title, "x": self.x, "y": self.y, "series": series}
+        named: dict[str, Any] = {"title": self.title, "x": self.x, "y": self.y, "series": series}
+        if self.front:
+            named["front"] = [list(point) for point in self.front]
+        return named if self.level is None else {**named, "cramer_rao": self.level}
 
 
 @dataclass(frozen=True)
@@ -89,7 +103,8 @@ def _chart(chart: Chart) -> str:
     kept = {name: [p for p in points if _shown(p, chart)] for name, points in chart.series.items()}
     every = [p for points in kept.values() for p in points]
     x = _Axis.over([p[0] for p in every], chart.log_x, LEFT, WIDTH - RIGHT)
-    y = _Axis.over([p[1] for p in every], chart.log_y, HEIGHT - BOTTOM, TOP)
+    level = [] if chart.level is None or not _shown((1.0, chart.level), chart) else [chart.level]
+    y = _Axis.over([p[1] for p in every] + level, chart.log_y, HEIGHT - BOTTOM, TOP)
     parts = [f'<text class="h" x="{LEFT}" y="18">{html.escape(chart.title)}</text>']
     for tick in x.ticks():
         at = x.at(tick)
@@ -99,6 +114,19 @@ def _chart(chart: Chart) -> str:
         at = y.at(tick)
         parts.append(f'<line class="g" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{at:.1f}" y2="{at:.1f}"/>')
         parts.append(f'<text x="{LEFT - 6}" y="{at + 4:.1f}" text-anchor="end">{tick:.4g}</text>')
+    steps = [(b[0], a[1]) for a, b in pairwise([p for p in chart.front if _shown(p, chart)])]
+    corners = [c for p, s in zip_longest([p for p in chart.front if _shown(p, chart)], steps) for c in (p, s) if c]
+    if corners:
+        line = " ".join(f"{x.at(a):.1f},{y.at(b):.1f}" for a, b in corners)
+        parts.append(f'<polyline class="d" points="{line}"/>')
+    legend = TOP + 8 + 18 * len(kept)
+    for value in level:
+        place = f'y1="{y.at(value):.1f}" y2="{y.at(value):.1f}"'
+        parts.append(f'<line class="b" x1="{LEFT}" x2="{WIDTH - RIGHT}" {place}/>')
+        parts.append(
+            f'<line class="b" x1="{WIDTH - RIGHT + 14}" x2="{WIDTH - RIGHT + 26}" y1="{legend}" y2="{legend}"/>'
+        )
+        parts.append(f'<text x="{WIDTH - RIGHT + 32}" y="{legend + 4}">Cramér-Rao bound</text>')
     for i, (name, points) in enumerate(kept.items()):
         colour = COLOURS[i % len(COLOURS)]
         places = [(x.at(a), y.at(b)) for a, b in points]

@@ -24,7 +24,7 @@ USUAL = "0.9 mm, 5°"
 
 def run(settings: BenchSettings) -> Report:
     """Two tables and their demands."""
-    count = settings.count(100, 10)
+    count = settings.count(100, 4)
     report = Report(
         "robustness", "Contacts that lie, and contacts that cannot tell", f"{count} trials a cell", settings.seed
     )
@@ -36,7 +36,7 @@ def run(settings: BenchSettings) -> Report:
     )
     sure_and_wrong = []
     told = []
-    for name in OBJECTS:
+    for name in settings.some(OBJECTS, 1):
         model = library.make(name)
         for share in settings.progress(SHARES, len(SHARES), f"{name}, false contacts"):
             right, sure = _spoiled(model, share, count, settings.seed)
@@ -53,7 +53,7 @@ def run(settings: BenchSettings) -> Report:
         " Found: < 1 cm, < 15°.",
     )
     shares = []
-    few = settings.count(20, 5)
+    few = settings.count(20, 2)
     for case, expected, trials in _cases(few, settings.seed):
         said = np.array([verdict == "ok" for verdict, _ in trials])
         found = np.array([close for _, close in trials])

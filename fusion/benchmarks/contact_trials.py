@@ -81,6 +81,13 @@ def trials(
         yield Trial(truth, felt, se3.displaced(truth, *START, model.centroid, rng))
 
 
+def start_prior(start: Array) -> Prior:
+    """The start (4, 4) as a Gaussian whose mean error is T1's."""
+    # mean length of three standard normal numbers
+    mean = 2.0 * np.sqrt(2.0 / np.pi)
+    return Prior.isotropic(start, START[0] / mean, START[1] / mean)
+
+
 def errors(model: ObjectModel, pose: Array, truth: Array) -> tuple[float, float]:
     """Rotation (rad) and displacement of the centroid (m), modulo the object's symmetries."""
     delta = se3.difference(model.symmetries.nearest(pose, truth), truth, model.centroid)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.benchmarks.occlusion import OBJECTS, SCENES, frames_of
-from fusion.benchmarks.tables import BenchSettings, Claim, Column, Rate, Report, Table, own_seed
+from fusion.benchmarks.tables import BenchSettings, Claim, Column, Quantile, Rate, Report, Table, own_seed
 from scenes import poses as se3
 from scenes.frames import Contacts, Frame
 
@@ -112,7 +112,7 @@ def run(settings: BenchSettings) -> Report:
     from scenes import library
 
     trials = settings.count(2, quick=1)
-    objects = settings.objects or (OBJECTS[:2] if settings.quick else OBJECTS)
+    objects = settings.objects or tuple(settings.some(OBJECTS, 1))
     lab = next(scene for scene in SCENES if scene.noise == "lab" and scene.occluder == "hand")
     report = Report(
         "faults",
@@ -157,8 +157,8 @@ def run(settings: BenchSettings) -> Report:
             fault.title,
             len(rows),
             Rate.of(error < WRONG),
-            1e3 * float(np.median(error)),
-            1e3 * float(np.quantile(error, 0.9)),
+            Quantile.of(error, 1e3),
+            Quantile.of(error, 1e3, 0.9),
             " / ".join(str(sum(row[1] == word for row in rows)) for word in ("ok", "ambiguous", "lost")),
             Rate.of([row[1] == "ok" and row[0] > WRONG for row in rows]),
             Rate.of(named) if named else None,

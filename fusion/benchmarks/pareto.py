@@ -1,26 +1,45 @@
-"""Time against error with every method's budget swept: which points nobody beats in both, as a table and a chart."""
+"""Time against error with every method's budget swept: which points nobody beats in both, as a table and a chart.
+
+Time is the processor's, all methods on one thread, of a warm call: what a method prepares once an object, and what is
+compiled, is done before, for everybody.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fusion.benchmarks.charts import Chart
-from fusion.benchmarks.tables import Column, Rate, Table
+from fusion.benchmarks.one_thread import one_thread
+from fusion.benchmarks.tables import Column, Quantile, Rate, Table
 
 Array = NDArray[np.float64]
+C = TypeVar("C")
+A = TypeVar("A")
 
-# Resamplings of a bootstrap interval.
-RESAMPLED = 2000
+# Draws of a Gaussian error whose median a bound is.
+DRAWS = 200
+
+
+@dataclass(frozen=True)
+class Method(Generic[C, A]):
+    """A method at one budget: solve(case, seed) -> its answer. most: a slow one does the first so many cases only."""
+
+    name: str
+    budget: str
+    solve: Callable[[C, int], A]
+    most: int | None = None
 
 
 @dataclass(frozen=True)
 class Point:
-    """One method at one budget over n trials: milliseconds (n,), errors (n,) mm, successes (n,)."""
+    """One method at one budget over n trials: processor ms (n,), errors (n,) mm, successes (n,)."""
 
     method: str
     budget: str
@@ -34,15 +53,54 @@ class Point:
         return float(np.median(self.ms)), float(np.median(self.error))
 
 
-def bootstrap_median(values: ArrayLike, seed: int = 0) -> tuple[float, float]:
-    """95 % interval of the median by resampling (Efron 1979); NaN without finite values."""
-    array = np.asarray(values, dtype=np.float64)
-    array = array[np.isfinite(array)]
-    if not len(array):
-        return math.nan, math.nan
-    draws = np.random.default_rng(seed).integers(len(array), size=(RESAMPLED, len(array)))
-    low, high = np.quantile(np.median(array[draws], axis=1), [0.025, 0.975])
-    return float(low), float(high)
+def measure(
+    methods: Sequence[Method[C, A]],
+    cases: Sequence[C],
+    key: Callable[[C], str],
+    judge: Callable[[C, A], tuple[float, bool]],
+    seed: int,
+    progress: Callable[..., Iterator[Any]],
+    what: str,
+) -> list[Point]:
+    """Every method on every case, on one thread; judge(case, answer) -> error (mm), success.
+
+    The first case of each key (its object) is done twice, to compile and to prepare what is made once an object.
+    """
+    points = []
+    with one_thread():
+        for method in progress(methods, len(methods), what):
+            prepared: set[str] = set()
+            ms, judged = [], []
+            for case in cases[: method.most]:
+                if key(case) not in prepared:
+                    prepared.add(key(case))
+                    method.solve(case, seed)
+                begin = time.process_time()
+                answer = method.solve(case, seed)
+                ms.append(1e3 * (time.process_time() - begin))
+                judged.append(judge(case, answer))
+            error, success = zip(*judged, strict=True)
+            points.append(Point(method.name, method.budget, np.array(ms), np.array(error), np.array(success)))
+    return points
+
+
+def swept(methods: Sequence[Method[C, A]], quick: bool) -> Sequence[Method[C, A]]:
+    """All of them; when in a hurry the first budget of each method."""
+    return list({method.name: method for method in reversed(methods)}.values())[::-1] if quick else methods
+
+
+def least_error(covariances: Sequence[ArrayLike], measured: Callable[[int, Array], Array]) -> float:
+    """Median error (mm) of Gaussian errors with the least covariances (6, 6) there can be, one a case: Cramér-Rao.
+
+    measured(case, delta (d, 6)) -> the error (m) (d,) that displacements (rotation vector, displacement) make.
+    """
+    rng = np.random.default_rng(0)
+    errors = []
+    for number, covariance in enumerate(covariances):
+        values, vectors = np.linalg.eigh(np.asarray(covariance, dtype=np.float64))
+        delta = (rng.normal(size=(DRAWS, 6)) * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+        errors.append(measured(number, delta))
+    return float(1e3 * np.median(np.concatenate(errors)))
 
 
 def frontier(places: Sequence[tuple[float, float]]) -> list[bool]:
@@ -62,8 +120,8 @@ def table(title: str, points: Sequence[Point], success: str, note: str = "") -> 
             Column("method"),
             Column("budget"),
             Column("trials", 0),
-            Column("ms", 1),
-            Column("median error mm"),
+            Column("processor ms", 1),
+            Column("median error mm", 3),
             Column("95 %"),
             Column(success),
             Column("95 % "),
@@ -74,13 +132,14 @@ def table(title: str, points: Sequence[Point], success: str, note: str = "") -> 
     best = frontier([point.place for point in points])
     for point, is_best in zip(points, best, strict=True):
         rate = Rate.of(point.success)
-        low, high = bootstrap_median(point.error)
+        error = Quantile.of(point.error)
         found.add(
             point.method,
             point.budget,
             len(point.error),
-            *point.place,
-            f"{low:.2f}-{high:.2f}",
+            Quantile.of(point.ms),
+            error,
+            f"{error.low:.2f}-{error.high:.2f}",
             rate,
             "{:.0f}-{:.0f} %".format(*(100 * x for x in rate.interval)),
             "*" if is_best else "",
@@ -89,13 +148,15 @@ def table(title: str, points: Sequence[Point], success: str, note: str = "") -> 
 
 
 def chart(title: str, points: Sequence[Point], bound: float | None = None) -> Chart:
-    """Median error against median time, a line a method from its smallest budget to its largest, and the Cramer-Rao
-    bound (mm) as a level line.
+    """Median error against median time, a line a method from its smallest budget to its largest, the front of points
+    that nobody beats, and the Cramér-Rao bound (mm) as a level line.
     """
     series: dict[str, list[tuple[float, float]]] = {}
     for point in points:
         series.setdefault(point.method, []).append(point.place)
-    if bound is not None and math.isfinite(bound):
-        times = [place[0] for places in series.values() for place in places]
-        series["Cramér-Rao bound"] = [(min(times), bound), (max(times), bound)]
-    return Chart(title, "median time, ms", "median error, mm", series, log_x=True, log_y=True)
+    best = frontier([point.place for point in points])
+    front = sorted(point.place for point, is_best in zip(points, best, strict=True) if is_best)
+    level = bound if bound is not None and math.isfinite(bound) else None
+    return Chart(
+        title, "median processor time, ms", "median error, mm", series, log_x=True, log_y=True, front=front, level=level
+    )

@@ -7,7 +7,6 @@ and 33 mm off. Errors are ADD-S (mm), a success is one below 5 mm.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.benchmarks.pareto import Point
+from fusion.benchmarks.pareto import Method, Point, least_error, measure, swept
 from scenes import evidence, library
 from scenes import poses as se3
 from scenes._open3d import open3d
@@ -30,12 +29,17 @@ from vision.registration import IcpSettings, icp
 
 Array = NDArray[np.float64]
 Register = Callable[[Frame, Array, ObjectModel, int], Array]
+Peer = Method["View", Array]
 
-OBJECTS = ("drill", "mug", "hammer", "bust", "l_block", "bottle")
+OBJECTS = ("drill", "mug", "hammer", "bottle")
 HIDDEN = (0.0, 0.3, 0.6)
 CAMERA = Camera(615.0, 615.0, 319.5, 239.5, 640, 480)
 START = (float(np.deg2rad(16.0)), 0.033)
 SUCCESS_MM = 5.0
+# Views of a method that takes seconds: one of every object at every hidden share.
+SLOW = len(OBJECTS) * len(HIDDEN)
+# Our pixels, and starts near a given one; 500 and 320 are usual.
+BUDGETS = ((60, 38), (120, 77), (250, 160), (500, 320), (1000, 640))
 
 
 @dataclass(frozen=True)
@@ -45,16 +49,6 @@ class View:
     model: ObjectModel
     frame: Frame
     points: Array
-
-
-@dataclass(frozen=True)
-class Peer:
-    """A method at one budget. with_start: whether it begins at the frame's prior."""
-
-    method: str
-    budget: str
-    with_start: bool
-    register: Register
 
 
 def views(count: int, seed: int) -> Iterator[View]:
@@ -91,38 +85,35 @@ def available() -> tuple[bool, str]:
     return there, "" if there else "not installed (pip install 'palpate[peers]')"
 
 
-def peers(quick: bool) -> list[Peer]:
-    """Every method at its budgets, the usual one among them; the two smallest of each when in a hurry."""
-    found = [*_ours(), *_icp(), *_open3d_gicp(), *_global()]
-    if available()[0]:
-        found += _small_gicp()
-    if not quick:
-        return found
-    first: dict[tuple[str, bool], list[Peer]] = {}
-    for peer in found:
-        first.setdefault((peer.method, peer.with_start), []).append(peer)
-    return [peer for group in first.values() for peer in group[:2]]
+def peers(with_start: bool, quick: bool = False) -> Sequence[Peer]:
+    """Every method at its budgets, the usual one among them; when in a hurry the smallest of each, and no point pairs:
+    these prepare an object for half a minute.
+    """
+    if not with_start:
+        pairs = () if quick else _point_pairs()
+        return swept([*_ours(False), *_features(), *pairs], quick)
+    small = _small_gicp() if available()[0] else ()
+    return swept([*_ours(True), *_icp(), *_open3d_gicp(), *small], quick)
 
 
-def _ours() -> Iterator[Peer]:
+def _peer(name: str, budget: str, register: Register, most: int | None = None) -> Peer:
+    return Method(name, budget, lambda view, seed: register(view.frame, view.points, view.model, seed), most)
+
+
+def _ours(with_start: bool) -> Iterator[Peer]:
     from fusion.estimation import estimate
     from fusion.stages import EstimateSettings
 
-    def register(settings: EstimateSettings, with_start: bool) -> Register:
+    def register(settings: EstimateSettings) -> Register:
         def run(frame: Frame, points: Array, model: ObjectModel, seed: int) -> Array:
             seen = frame if with_start else replace(frame, prior=None)
             return estimate(seen, model, use=("vision",), seed=seed, settings=settings).pose
 
         return run
 
-    usual = EstimateSettings()
-    for with_start in (True, False):
-        for pixels in (60, 120, 250, 500, 1000):
-            share = min(1.0, pixels / usual.pixels)
-            starts_near = max(20, round(usual.starts_near * share))
-            settings = replace(usual, pixels=pixels, starts_near=starts_near)
-            budget = f"{pixels} pixels, {starts_near} starts" if with_start else f"{pixels} pixels"
-            yield Peer("palpate", budget, with_start, register(settings, with_start))
+    for pixels, starts in BUDGETS:
+        budget = f"{pixels} pixels, {starts} starts" if with_start else f"{pixels} pixels"
+        yield _peer("palpate", budget, register(EstimateSettings(pixels=pixels, starts_near=starts)))
 
 
 def _icp() -> Iterator[Peer]:
@@ -130,7 +121,7 @@ def _icp() -> Iterator[Peer]:
         return lambda frame, points, model, seed: icp(points, model, _start(frame), settings).pose
 
     for most in (100, 300, 1000, 2000, 8000):
-        yield Peer("Open3D ICP", f"{most} points", True, register(IcpSettings(most_points=most)))
+        yield _peer("Open3D ICP", f"{most} points", register(IcpSettings(most_points=most)))
 
 
 def _start(frame: Frame) -> Array:
@@ -143,7 +134,7 @@ def _open3d_gicp() -> Iterator[Peer]:
         return lambda frame, points, model, seed: open3d_gicp(points, model, _start(frame), most)
 
     for most in (300, 1000, 2000):
-        yield Peer("Open3D GICP", f"{most} points", True, register(most))
+        yield _peer("Open3D GICP", f"{most} points", register(most))
 
 
 def open3d_gicp(points: Array, model: ObjectModel, start: Array, most: int = 2000, samples: int = 20_000) -> Array:
@@ -188,76 +179,69 @@ def _baseline(method: str, settings: BaselineSettings) -> Register:
 def _small_gicp() -> Iterator[Peer]:
     for millimetres in (12, 6, 3, 2):
         settings = BaselineSettings(gicp_voxel=1e-3 * millimetres)
-        yield Peer("small_gicp", f"voxels of {millimetres} mm", True, _baseline("small_gicp", settings))
+        yield _peer("small_gicp", f"voxels of {millimetres} mm", _baseline("small_gicp", settings))
 
 
-def _global() -> Iterator[Peer]:
+def _features() -> Iterator[Peer]:
     for iterations in (1000, 5000, 50_000, 400_000):
         settings = BaselineSettings(ransac_iterations=iterations)
-        yield Peer("FPFH + RANSAC + ICP", f"{iterations} iterations", False, _baseline("fpfh_ransac", settings))
+        yield _peer("FPFH + RANSAC + ICP", f"{iterations} iterations", _baseline("fpfh_ransac", settings))
     for iterations in (16, 64, 256):
         settings = BaselineSettings(fgr_iterations=iterations)
-        yield Peer("FGR + ICP", f"{iterations} iterations", False, _baseline("fgr", settings))
-    for every, refined in ((20, 1), (10, 3), (5, 5), (2, 10)):
+        yield _peer("FGR + ICP", f"{iterations} iterations", _baseline("fgr", settings))
+
+
+def _point_pairs() -> Iterator[Peer]:
+    for every, refined in ((20, 1), (10, 3), (5, 5)):
         settings = BaselineSettings(ppf_reference=1.0 / every, ppf_refined=refined)
         budget = f"every {every}th point, {refined} refined"
-        yield Peer("cv2.ppf_match_3d + ICP", budget, False, _baseline("ppf", settings))
+        yield _peer("cv2.ppf_match_3d + ICP", budget, _baseline("ppf", settings), SLOW)
 
 
-def measure(chosen: Sequence[Peer], shown: Sequence[View], seed: int, progress: Callable[..., Any]) -> list[Point]:
-    """Every peer on every view; the first on each object is done twice, to prepare what is made once an object."""
+def front(
+    chosen: Sequence[Peer], shown: Sequence[View], seed: int, progress: Callable[..., Iterator[Any]], what: str
+) -> list[Point]:
+    """Every peer on every view."""
     from fusion.judging import Judge
 
-    judges: dict[str, Judge] = {}
-    points = []
-    for peer in progress(chosen, len(chosen), "clouds"):
-        prepared: set[str] = set()
-        ms, errors = [], []
-        for view in shown:
-            name = view.model.name
-            judge = judges.setdefault(name, Judge(view.model))
-            if name not in prepared:
-                view.model.field  # noqa: B018
-                peer.register(view.frame, view.points, view.model, seed)
-                prepared.add(name)
-            begin = time.perf_counter()
-            pose = peer.register(view.frame, view.points, view.model, seed)
-            ms.append(1e3 * (time.perf_counter() - begin))
-            truth = view.frame.camera_from_object_truth
-            assert truth is not None
-            errors.append(1e3 * judge.errors(pose, truth, None).add_s)
-        error = np.array(errors)
-        points.append(Point(peer.method, peer.budget, np.array(ms), error, error < SUCCESS_MM))
-    return points
+    judges = {view.model.name: Judge(view.model) for view in shown}
+
+    def judged(view: View, pose: Array) -> tuple[float, bool]:
+        view.model.field  # noqa: B018
+        assert view.frame.camera_from_object_truth is not None
+        error = 1e3 * judges[view.model.name].errors(pose, view.frame.camera_from_object_truth).add_s
+        return error, error < SUCCESS_MM
+
+    return measure(chosen, shown, lambda view: view.model.name, judged, seed, progress, what)
 
 
 def bound_mm(shown: Sequence[View]) -> float:
-    """Median over the views of the mean distance (mm) between surfaces that no unbiased method can be below.
+    """Median distance (mm) between surfaces that no unbiased method can be below: Cramér-Rao.
 
-    Cramer-Rao: the Gauss-Newton information at the truth of every pixel by itself, with the camera's independent noise;
-    under its inverse, how far points of the surface leave the surface, which is what ADD-S measures.
+    The Gauss-Newton information at the truth of every pixel by itself, with the camera's independent noise.
     """
     from vision.clouds import DepthModel
 
-    values = []
+    found = []
     for view in shown:
         truth = view.frame.camera_from_object_truth
         assert truth is not None
         sigma = np.maximum(1e-5, DepthModel().independent_sigma(view.points[:, 2]))
-        information = terms(view.model, evidence.make(view.points, sigma, evidence.VISION), truth)[2]
-        values.append(1e3 * surface_distance(view.model, information, truth))
-    return float(np.median(values))
+        found.append((view.model, evidence.make(view.points, sigma, evidence.VISION), truth))
+    return surface_bound_mm(found)
 
 
-def surface_distance(model: ObjectModel, information: Array, pose: Array) -> float:
-    """Mean distance (m) of points of the object at pose (4, 4) from its true surface, under a Gaussian error of that
-    information (6, 6).
+def surface_bound_mm(found: Sequence[tuple[ObjectModel, evidence.Evidence, Array]]) -> float:
+    """The same of objects, what was sensed of each, and true poses: how far points of the surface leave the surface,
+    which is what ADD-S measures.
     """
     from scenes.alignment.modes import covariance_of
 
-    points, normals = model.sample_surface(2000, seed=0)
-    arms = se3.apply(pose, points) - se3.apply(pose, model.centroid[None])
-    moved = np.concatenate([-se3.skew(arms), np.tile(np.eye(3), (len(arms), 1, 1))], axis=2)
-    along = np.einsum("ni,nij->nj", normals @ pose[:3, :3].T, moved)
-    variance = np.einsum("ni,ij,nj->n", along, covariance_of(model, information), along)
-    return float(np.sqrt(2.0 / np.pi * np.maximum(variance, 0.0)).mean())
+    along, covariances = [], []
+    for model, rows, truth in found:
+        points, normals = model.sample_surface(2000, seed=0)
+        arms = se3.apply(truth, points) - se3.apply(truth, model.centroid[None])
+        moved = np.concatenate([-se3.skew(arms), np.tile(np.eye(3), (len(arms), 1, 1))], axis=2)
+        along.append(np.einsum("ni,nij->nj", normals @ truth[:3, :3].T, moved))
+        covariances.append(covariance_of(model, terms(model, rows, truth)[2]))
+    return least_error(covariances, lambda case, delta: np.abs(delta @ along[case].T).mean(axis=1))

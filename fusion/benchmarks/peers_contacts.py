@@ -10,10 +10,9 @@ success is T1's (1 cm, 15 degrees).
 from __future__ import annotations
 
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,9 +23,11 @@ from numpy.typing import NDArray
 
 from fusion.benchmarks import contact_trials
 from fusion.benchmarks.contact_trials import Trial
-from fusion.benchmarks.pareto import Point
-from scenes import library
+from fusion.benchmarks.pareto import Method, Point, least_error, measure, swept
+from scenes import evidence, library
 from scenes import poses as se3
+from scenes.alignment.batch import terms
+from scenes.alignment.modes import covariance_of
 from scenes.frames import Contacts
 from scenes.objects import ObjectModel
 from touch.localize import LocalizeSettings, localize, refine_contacts
@@ -34,21 +35,16 @@ from touch.searches.direct import BoxSettings, objective
 
 Array = NDArray[np.float64]
 Search = Callable[[ObjectModel, Contacts, int], Array]
+Case = tuple[ObjectModel, Trial]
+Peer = Method[Case, Array]
 
 OBJECTS = ("drill", "mug", "l_block")
 CONTACTS = 12
+# Trials of a method that takes seconds, and of one that takes minutes.
+SLOW, SLOWEST = 9, 3
 NOISE = "0.9 mm, 5°"
 # How far outside a contact chsel is told of free space (m), transforms it keeps, and its lattice (m).
 FREE_AWAY, CHSEL_BATCH, CHSEL_RESOLUTION = 0.01, 30, 0.003
-
-
-@dataclass(frozen=True)
-class Peer:
-    """A method at one budget."""
-
-    method: str
-    budget: str
-    search: Search
 
 
 def missing() -> dict[str, str]:
@@ -58,14 +54,16 @@ def missing() -> dict[str, str]:
     return {}
 
 
-def peers(quick: bool) -> list[Peer]:
-    """Every method at its budgets; when in a hurry one each."""
-    found = [*_ours(), *_scipy()]
+def peers(quick: bool = False) -> Sequence[Peer]:
+    """Every method at its budgets; when in a hurry the smallest of each."""
+    found = [*_ours(), *_published(), *_scipy()]
     if not missing():
-        found += [Peer("chsel", f"{n} iterations", _chsel(n)) for n in (1, 3, 8)]
-    if not quick:
-        return found
-    return list({peer.method: peer for peer in reversed(found)}.values())[::-1]
+        found += [_peer("chsel", f"{n} iterations", _chsel(n), SLOWEST) for n in (1, 3)]
+    return swept(found, quick)
+
+
+def _peer(name: str, budget: str, search: Search, most: int | None = None) -> Peer:
+    return Method(name, budget, lambda case, seed: search(case[0], case[1].contacts, seed), most)
 
 
 def _ours() -> Iterator[Peer]:
@@ -81,15 +79,41 @@ def _ours() -> Iterator[Peer]:
             budget_ranked=max(1000, round(usual.budget_ranked * share)),
             budget_rank=max(3000, round(usual.budget_rank * share)),
         )
-        yield Peer("palpate", f"{settings.ranked} refined", search(settings))
+        yield _peer("palpate", f"{settings.ranked} refined", search(settings))
+
+
+def _published() -> Iterator[Peer]:
+    """Of the theses: the Monte-Carlo search of T1 (its best poses polished) and, without normals, the MUPF of T2."""
+    from touch.searches import memory_unscented_particle_filter as unscented
+    from touch.searches.monte_carlo import MonteCarloSettings
+    from touch.searches.monte_carlo import search as evolved
+
+    def monte_carlo(runs: int) -> Search:
+        settings = replace(MonteCarloSettings.global_search(), runs=runs)
+
+        def search(model: ObjectModel, contacts: Contacts, seed: int) -> Array:
+            found, _, _ = evolved(model, contacts, seed, settings=settings)
+            polished = refine_contacts(model, contacts, found)
+            return polished.poses[int(np.argmin(polished.costs))]
+
+        return search
+
+    def mupf(particles: int) -> Search:
+        settings = unscented.UnscentedSettings(particles=particles)
+        return lambda model, contacts, seed: unscented.localize(model, contacts, seed, settings=settings).pose
+
+    for runs in (1, 4):
+        yield _peer("Monte-Carlo (T1)", f"{runs} runs", monte_carlo(runs), SLOW)
+    for particles in (200, 700, 3000):
+        yield _peer("MUPF (T2)", f"{particles} particles", mupf(particles))
 
 
 def _scipy() -> Iterator[Peer]:
     for evaluations in (1_000, 10_000, 40_000):
         settings = BoxSettings(evaluations=evaluations)
-        yield Peer("scipy direct", f"{evaluations} evaluations", _optimised(_direct, settings))
-        yield Peer("scipy dual_annealing", f"{evaluations} evaluations", _optimised(_annealing, settings))
-        yield Peer("scipy basinhopping", f"{evaluations} evaluations", _optimised(_basinhopping, settings))
+        yield _peer("scipy direct", f"{evaluations} evaluations", _optimised(_direct, settings))
+        yield _peer("scipy dual_annealing", f"{evaluations} evaluations", _optimised(_annealing, settings))
+        yield _peer("scipy basinhopping", f"{evaluations} evaluations", _optimised(_basinhopping, settings))
 
 
 Cost = Callable[[Array], float]
@@ -182,6 +206,7 @@ def _chsel(iterations: int) -> Search:
         import chsel
         import torch
 
+        torch.set_num_threads(1)
         torch.manual_seed(seed)
         rng = np.random.default_rng(seed)
         free = contacts.points + FREE_AWAY * contacts.normals
@@ -191,10 +216,12 @@ def _chsel(iterations: int) -> Search:
         )
         # its transforms take the world to the object
         initial = torch.tensor(se3.inverse(starts), dtype=torch.float32)
+        # one of its classes a point: on the surface, or free
+        kinds = [chsel.SemanticsClass.SURFACE] * len(contacts) + [chsel.SemanticsClass.FREE] * len(contacts)
         registration = chsel.CHSEL(
             _chsel_field(model),
-            surface_pts=torch.tensor(contacts.points, dtype=torch.float32),
-            free_pts=torch.tensor(free, dtype=torch.float32),
+            positions=torch.tensor(np.concatenate([contacts.points, free]), dtype=torch.float32),
+            semantics=torch.tensor([kind.value for kind in kinds]),
         )
         found, _ = registration.register(iterations=iterations, batch=CHSEL_BATCH, initial_tsf=initial)
         object_from_world = chsel.solution_to_world_to_link_matrix(found).numpy().astype(np.float64)
@@ -205,38 +232,38 @@ def _chsel(iterations: int) -> Search:
     return search
 
 
-def trials(count: int, seed: int) -> list[tuple[ObjectModel, Trial]]:
-    """`count` trials of each object."""
+def trials(count: int, seed: int) -> list[Case]:
+    """`count` trials of each object, in an order that mixes them."""
     noise = contact_trials.NOISES[NOISE]
-    return [
-        (model, trial)
+    each = [
+        [(model, trial) for trial in contact_trials.trials(model, CONTACTS, noise, count, seed)]
         for model in map(library.make, OBJECTS)
-        for trial in contact_trials.trials(model, CONTACTS, noise, count, seed)
     ]
+    return [case for cases in zip(*each, strict=True) for case in cases]
 
 
-def measure(
-    chosen: Sequence[Peer], done_on: Sequence[tuple[ObjectModel, Trial]], seed: int, progress: Callable[..., Any]
+def front(
+    chosen: Sequence[Peer], done_on: Sequence[Case], seed: int, progress: Callable[..., Iterator[Any]], what: str
 ) -> list[Point]:
-    """Every peer on every trial; the first on each object twice, to compile and to prepare the object."""
-    points = []
-    for peer in progress(chosen, len(chosen), "contacts"):
-        prepared: set[str] = set()
-        ms, errors = [], []
-        for model, trial in done_on:
-            if model.name not in prepared:
-                model.field  # noqa: B018
-                peer.search(model, trial.contacts, seed)
-                prepared.add(model.name)
-            begin = time.perf_counter()
-            pose = peer.search(model, trial.contacts, seed)
-            ms.append(1e3 * (time.perf_counter() - begin))
-            errors.append(contact_trials.errors(model, pose, trial.truth))
-        close = np.array([contact_trials.is_close(error) for error in errors])
-        points.append(Point(peer.method, peer.budget, np.array(ms), 1e3 * np.array([e[1] for e in errors]), close))
-    return points
+    """Every peer on every trial."""
+    for model, _ in done_on:
+        model.field  # noqa: B018
+
+    def judged(case: Case, pose: Array) -> tuple[float, bool]:
+        error = contact_trials.errors(case[0], pose, case[1].truth)
+        return 1e3 * error[1], contact_trials.is_close(error)
+
+    return measure(chosen, done_on, lambda case: case[0].name, judged, seed, progress, what)
 
 
-def bound_mm(done_on: Sequence[tuple[ObjectModel, Trial]]) -> float:
-    """Median over the trials of the Cramer-Rao bound of the displacement (mm)."""
-    return float(np.median([1e3 * contact_trials.bound(m, trial.contacts, trial.truth)[1] for m, trial in done_on]))
+def bound_mm(done_on: Sequence[Case], with_start: bool = False) -> float:
+    """Median displacement (mm) of the centroid that no unbiased method can be below: Cramér-Rao, of the contacts and,
+    when asked for, of what the start tells.
+    """
+    covariances = []
+    for model, trial in done_on:
+        information = terms(model, evidence.from_contacts(trial.contacts), trial.truth)[2]
+        if with_start:
+            information = information + contact_trials.start_prior(trial.start).information
+        covariances.append(covariance_of(model, information))
+    return least_error(covariances, lambda case, delta: np.linalg.norm(delta[:, 3:], axis=1))

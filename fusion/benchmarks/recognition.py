@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 CONTACTS = 100
 NOISES = (0.0, 0.002, 0.005)
+FEW = (1, 2, 3, 5, 10, 20)
 OUTLIERS = (0.0, 0.1, 0.2, 0.3, 0.5)
 # False contacts lie this far off the surface, metres: another part of the hand touched something else.
 OUTLIER_SPREAD = 0.03
@@ -47,11 +48,19 @@ def run(settings: BenchSettings) -> Report:
     identify(models[:2], _touched(models[0], 20, 0.0, np.random.default_rng(0)))  # compiled before anything is timed
     recorded, wrong_recorded, seconds = _recorded(models, settings)
     report.tables.append(recorded)
-    noisy = _cells(models, settings, "noise", count, [(f"{1e3 * n:.0f} mm", CONTACTS, n, 0.0) for n in NOISES])
-    false = _cells(
-        models, settings, "false contacts", count, [(f"{100 * o:.0f} %", CONTACTS, 0.001, o) for o in OUTLIERS]
+    noisy = _cells(
+        models, settings, "noise", count, [(f"{1e3 * n:.0f} mm", CONTACTS, n, 0.0) for n in settings.some(NOISES, 2)]
     )
-    few = _cells(models, settings, "contacts", count, [(str(n), n, 0.001, 0.0) for n in (1, 2, 3, 5, 10, 20)])
+    false = _cells(
+        models,
+        settings,
+        "false contacts",
+        count,
+        [(f"{100 * o:.0f} %", CONTACTS, 0.001, o) for o in settings.some(OUTLIERS, 2)],
+    )
+    few = _cells(
+        models, settings, "contacts", count, [(str(n), n, 0.001, 0.0) for n in FEW[-2 if settings.quick else 0 :]]
+    )
     titles = (
         f"{CONTACTS} contacts, by noise",
         f"{CONTACTS} contacts of 1 mm, by the share of false ones",
@@ -130,12 +139,12 @@ def _cells(
 ) -> dict[str, list[_Trial]]:
     def each() -> Iterator[tuple[str, int, float, float, int, int]]:
         for label, contacts, noise, outliers in cells:
-            for k in range(len(models)):
+            for k in range(0, len(models), 3 if settings.quick else 1):
                 for trial in range(count):
                     yield label, contacts, noise, outliers, k, trial
 
     out: dict[str, list[_Trial]] = {label: [] for label, *_ in cells}
-    total = len(cells) * len(models) * count
+    total = len(cells) * len(range(0, len(models), 3 if settings.quick else 1)) * count
     for label, contacts, noise, outliers, k, trial in settings.progress(each(), total, what):
         rng = np.random.default_rng([settings.seed, contacts, int(1e4 * noise), int(100 * outliers), k, trial])
         felt = _touched(models[k], contacts, noise, rng, outliers)

@@ -93,7 +93,7 @@ def scores(found: Mask, frame: Frame) -> tuple[float, float, float]:
 def run(settings: BenchSettings) -> Report:
     """One table of scenes and hidden shares, one of objects."""
     trials = settings.count(2, 1)
-    names = OBJECTS[:3] if settings.quick else OBJECTS
+    names = tuple(settings.some(OBJECTS, 1))
     report = Report(
         "segmentation", "the object's pixels in a full scene", f"{trials} captures of each object and cell, lab noise",
         settings.seed,
@@ -110,7 +110,7 @@ def run(settings: BenchSettings) -> Report:
     columns += [Column("right %", 0), Column("processor ms", 0), Column("frames", 0)]
     table = Table("Scenes: mean IoU", columns, note=note + " Found, right, time: with the start.")
     per_object: dict[str, dict[str, list[float]]] = {name: {way: [] for way in ways} for name in names}
-    cells = [(scene, share) for scene in SCENES for share in HIDDEN]
+    cells = [(scene, share) for scene in SCENES for share in settings.some(HIDDEN, 2)]
     everything: dict[str, list[float]] = {way: [] for way in ways}
     for scene, share in settings.progress(cells, len(cells), "segmentation"):
         iou: dict[str, list[float]] = {way: [] for way in ways}

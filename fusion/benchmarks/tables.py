@@ -1,33 +1,31 @@
 """What every benchmark returns and how it is shown: numbers with their spread, tables, claims, machine and versions.
 
 A benchmark module has `run(settings: BenchSettings) -> Report`; the command line prints the report's tables and writes
-`NAME.json`, `NAME.txt` and `NAME.svg`. Cells are numbers, text, `Spread` (mean and standard deviation over trials) or
-`Rate` (share of trials with its 95 % interval).
+`NAME.json`, `NAME.txt` and `NAME.svg`. Cells are numbers, text, `Spread` (mean and standard deviation over trials),
+`Quantile` (median or another) or `Rate` (share of trials); JSON has the 95 % interval of the last three.
 """
 
 from __future__ import annotations
 
 import json
 import math
-import os
-import platform
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fusion.benchmarks.provenance import command_line, machine, machine_line, source_version
+
 if TYPE_CHECKING:
     from fusion.benchmarks.charts import Chart
 
 T = TypeVar("T")
-# Resamplings of a mean's interval, and values drawn for one at most.
+# Resamplings of an interval, and values drawn for one at most.
 RESAMPLED, MOST_DRAWS = 1000, 2_000_000
-PACKAGES = ("palpate", "numpy", "scipy", "numba", "open3d", "open3d-cpu", "trimesh", "opencv-contrib-python-headless")
 
 
 def _no_bar(items: Iterable[T], total: int, what: str) -> Iterator[T]:
@@ -40,7 +38,7 @@ def _no_show(table: Table) -> None:
 
 @dataclass(frozen=True)
 class BenchSettings:
-    """trials: of every cell, None = the benchmark's own number; quick: a tenth of the work, to see that it runs;
+    """trials: of every cell, None = the benchmark's own number; quick: a tenth of the work or less, but all of it;
     progress(items, total, what) yields the items and may draw a bar; show(table) is told of a table that is complete
     while others are still to come.
     """
@@ -58,6 +56,10 @@ class BenchSettings:
         if self.trials is not None:
             return self.trials
         return (quick or max(3, usual // 10)) if self.quick else usual
+
+    def some(self, items: Sequence[T], quick: int) -> Sequence[T]:
+        """All of the items; when in a hurry the first `quick`."""
+        return items[:quick] if self.quick else items
 
 
 def own_seed(seed: int, *what: str | float) -> int:
@@ -100,6 +102,31 @@ class Spread:
             low, high = array.mean() - half, array.mean() + half
         centre, largest = float(np.median(array)), float(array.max())
         return Spread(float(array.mean()), sd, centre, largest, len(array), float(low), float(high))
+
+
+@dataclass(frozen=True)
+class Quantile:
+    """Median, or the quantile of another share, of n finite values; low to high: its 95 % interval by resampling (Efron
+    1979). All NaN when there is none.
+    """
+
+    value: float
+    low: float
+    high: float
+    n: int
+    share: float = 0.5
+
+    @staticmethod
+    def of(values: ArrayLike, scale: float = 1.0, share: float = 0.5) -> Quantile:
+        """From the values (k,), each times `scale`."""
+        array = scale * np.asarray(values, dtype=np.float64).ravel()
+        array = array[np.isfinite(array)]
+        if not len(array):
+            return Quantile(math.nan, math.nan, math.nan, 0, share)
+        rows = max(100, min(RESAMPLED, MOST_DRAWS // len(array)))
+        draws = array[np.random.default_rng(0).integers(len(array), size=(rows, len(array)))]
+        low, high = np.quantile(np.quantile(draws, share, axis=1), [0.025, 0.975])
+        return Quantile(float(np.quantile(array, share)), float(low), float(high), len(array), share)
 
 
 @dataclass(frozen=True)
@@ -187,7 +214,7 @@ class Claim:
 
 @dataclass
 class Report:
-    """name of the benchmark; title: what was asked; trials: in words; tables, charts, claims."""
+    """name of the benchmark; title: what was asked; trials: in words; tables, charts, claims; version: of the code."""
 
     name: str
     title: str
@@ -198,14 +225,17 @@ class Report:
     claims: list[Claim] = field(default_factory=list)
     # name -> (h, w, 3) uint8, written as NAME_name.png beside the report
     pictures: dict[str, NDArray[np.uint8]] = field(default_factory=dict)
+    version: str = field(default_factory=source_version)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data, with machine and versions."""
+        """Plain data, with command, code, machine and versions."""
         return {
             "benchmark": self.name,
             "title": self.title,
             "trials": self.trials,
             "seed": self.seed,
+            "command": command_line(),
+            "version": self.version,
             "machine": machine(),
             "tables": [table.to_json() for table in self.tables],
             "claims": [claim.to_json() for claim in self.claims],
@@ -228,6 +258,8 @@ def text_of(cell: Any, digits: int = 2) -> str:
         return "–"
     if isinstance(cell, Spread):
         return "–" if not cell.n else f"{cell.mean:.{digits}f} ± {cell.sd:.{digits}f}"
+    if isinstance(cell, Quantile):
+        return text_of(cell.value, digits)
     if isinstance(cell, Rate):
         return "–" if not cell.n else f"{100 * cell.share:.0f} %"
     if isinstance(cell, bool):
@@ -243,48 +275,12 @@ def plain(cell: Any) -> Any:
     if isinstance(cell, Spread):
         numbers = {"mean": cell.mean, "sd": cell.sd, "median": cell.median, "largest": cell.largest, "n": cell.n}
         return {**numbers, "interval_95": [cell.low, cell.high]}
+    if isinstance(cell, Quantile):
+        name = "median" if cell.share == 0.5 else f"quantile_{100 * cell.share:g}"
+        return {name: cell.value, "n": cell.n, "interval_95": [cell.low, cell.high]}
     if isinstance(cell, Rate):
         return {"share": cell.share, "hits": cell.hits, "n": cell.n, "interval_95": list(cell.interval)}
     return cell.item() if isinstance(cell, np.generic) else cell
-
-
-def machine() -> dict[str, Any]:
-    """Processor, cores allowed, memory, Python and the versions of what the numbers depend on."""
-    from scenes.threads import thread_count
-
-    installed = {(d.metadata["Name"] or "").lower(): d.version for d in metadata.distributions()}
-    versions = {name: installed[name] for name in PACKAGES if name in installed}
-    return {
-        "processor": _processor(),
-        "threads": thread_count(),
-        "memory_gb": _memory(),
-        "system": f"{platform.system()} {platform.release()}",
-        "python": platform.python_version(),
-        "versions": versions,
-    }
-
-
-def machine_line() -> str:
-    """The same in one line."""
-    facts = machine()
-    versions = ", ".join(f"{name} {version}" for name, version in facts["versions"].items())
-    memory = "" if facts["memory_gb"] is None else f", {facts['memory_gb']:.0f} GB"
-    return f"{facts['processor']}, {facts['threads']} threads{memory}; Python {facts['python']}, {versions}"
-
-
-def _processor() -> str:
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.is_file():
-        for line in cpuinfo.read_text(encoding="utf-8", errors="replace").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()
-
-
-def _memory() -> float | None:
-    if "SC_PHYS_PAGES" not in getattr(os, "sysconf_names", {}):
-        return None
-    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
 
 
 def write_report(report: Report, folder: Path) -> list[Path]:

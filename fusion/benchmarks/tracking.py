@@ -77,7 +77,7 @@ Step = Callable[["Frame"], Said]
 def run(settings: BenchSettings) -> Report:
     """Tables by motion and method: error, lost frames, new starts, slips, time."""
     trials = settings.count(2, 1)
-    frames = 24 if settings.quick else 45
+    frames = 12 if settings.quick else 45
     objects = settings.objects or (OBJECTS[:1] if settings.quick else OBJECTS)
     report = Report(
         "tracking",
@@ -86,7 +86,7 @@ def run(settings: BenchSettings) -> Report:
         settings.seed,
     )
     tracked = {}
-    for motion in MOTIONS:
+    for motion in settings.some(MOTIONS, 2):
         tallies = {method: Tally() for method in METHODS}
         cells = [(name, trial) for name in objects for trial in range(trials)]
         refused = 0

@@ -14,13 +14,17 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
-    parser.add_argument("name", metavar="NAME", help="the benchmark, or all: resumed where DIR has finished ones")
+    parser.add_argument(
+        "name",
+        metavar="NAME",
+        help="the benchmark (peers: time against error of every method and peer), or all: resumed where DIR has some",
+    )
     parser.add_argument("--trials", metavar="N", type=positive, help="trials of every cell (default: the benchmark's)")
     parser.add_argument(
         "--objects", metavar="A,B", type=names_list, help="objects of `vision` (default: all there are)"
     )
     parser.add_argument(
-        "--quick", action="store_true", help="a tenth of the work (all: five minutes), to see that it runs"
+        "--quick", action="store_true", help="less of everything, but all of it (all: five minutes on two cores)"
     )
     parser.add_argument(
         "--out",
