@@ -5,8 +5,10 @@ from __future__ import annotations
 import ctypes
 import importlib
 import os
-from functools import cache
+import sys
+from functools import cache, partial
 from types import ModuleType
+from typing import Any
 
 from scenes.errors import SystemLibraryError
 
@@ -23,10 +25,33 @@ def open3d() -> ModuleType:
     path = libusb_package.get_library_path()
     if path is not None:
         ctypes.CDLL(os.fspath(path), mode=ctypes.RTLD_GLOBAL)
+    stand_in = PLOTLY not in sys.modules and "open3d" not in sys.modules
+    if stand_in:
+        sys.modules[PLOTLY] = _drawing_later()
     try:
         return importlib.import_module("open3d")
     except (OSError, ImportError) as error:
         raise SystemLibraryError(_missing_library_message(error)) from error
+    finally:
+        if stand_in:
+            sys.modules.pop(PLOTLY, None)
+
+
+# Open3D loads a web server, half a second, for three functions that draw in a browser.
+PLOTLY = "open3d.visualization.draw_plotly"
+DRAWING = ("get_plotly_fig", "draw_plotly", "draw_plotly_server")
+
+
+def _drawing_later() -> ModuleType:
+    """A module in that one's place, whose functions load it when they are called."""
+    module = ModuleType(PLOTLY)
+    for name in DRAWING:
+        setattr(module, name, partial(_draw, name))
+    return module
+
+
+def _draw(name: str, *args: Any, **kwargs: Any) -> Any:
+    return getattr(importlib.import_module(PLOTLY), name)(*args, **kwargs)
 
 
 PACKAGES = {

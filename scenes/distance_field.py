@@ -7,13 +7,8 @@ the three directions decides), so a ray through an edge or a small defect cannot
 
 from __future__ import annotations
 
-import hashlib
-import os
-import tempfile
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,11 +16,12 @@ from numpy.typing import NDArray
 
 from scenes import lattice
 from scenes._open3d import open3d
+from scenes.array_cache import Arrays, remembered
 
 Array = NDArray[np.float64]
 
 # Raised whenever the building below changes what it writes, so that old cache entries are not read.
-CACHE_VERSION = 3
+CACHE_VERSION = 4
 
 
 @dataclass(frozen=True)
@@ -93,14 +89,6 @@ class DistanceField:
         return out
 
 
-def cache_folder() -> Path:
-    """Where lattices are kept: $PALPATE_CACHE, else the user's cache folder."""
-    root = os.environ.get("PALPATE_CACHE")
-    if root:
-        return Path(root)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "palpate"
-
-
 def load_or_build(vertices: Array, faces: NDArray[np.int64], settings: FieldSettings | None = None) -> DistanceField:
     """The mesh's lattice, from the cache when its content was seen before.
 
@@ -108,56 +96,24 @@ def load_or_build(vertices: Array, faces: NDArray[np.int64], settings: FieldSett
     at once each write a private file and rename it, so a reader never sees half of one.
     """
     settings = settings or FieldSettings()
-    digest = hashlib.sha256(repr((CACHE_VERSION, settings)).encode())
-    digest.update(np.ascontiguousarray(vertices, dtype=np.float64).tobytes())
-    digest.update(np.ascontiguousarray(faces, dtype=np.int64).tobytes())
-    path = cache_folder() / f"field-{digest.hexdigest()[:32]}.npz"
-    stored = _read(path)
-    if stored is not None:
-        return stored
-    field = build(vertices, faces, settings)
-    _write(path, field)
-    return field
+    content = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
+
+    def make() -> Arrays:
+        return {name: np.asarray(value) for name, value in vars(build(vertices, faces, settings)).items()}
+
+    arrays = remembered("field", (CACHE_VERSION, settings), content, make, _is_lattice)
+    errors = float(arrays["rms_error"]), float(arrays["max_error"])
+    return DistanceField(arrays["values"], arrays["origin"], float(arrays["spacing"]), *errors)
 
 
-def _read(path: Path) -> DistanceField | None:
-    try:
-        with np.load(path) as data:
-            field = DistanceField(
-                np.ascontiguousarray(data["values"]),
-                data["origin"],
-                float(data["spacing"]),
-                float(data["rms_error"]),
-                float(data["max_error"]),
-            )
-    except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile):
-        return None  # absent or damaged: build it again
-    # the compiled look-ups check nothing: what is not a lattice must not reach them
-    lattice_like = field.values.ndim == 3 and min(field.values.shape) > 1 and field.values.dtype == np.float32
-    if not (lattice_like and field.origin.shape == (3,) and field.spacing > 0 and np.isfinite(field.origin).all()):
-        return None
-    return field
-
-
-def _write(path: Path, field: DistanceField) -> None:
-    temporary = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
-            temporary = Path(file.name)
-            np.savez(
-                file,
-                values=field.values,
-                origin=field.origin,
-                spacing=field.spacing,
-                rms_error=field.rms_error,
-                max_error=field.max_error,
-            )
-        os.replace(temporary, path)
-    except OSError:
-        # a read-only or full cache folder costs time, never the answer
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
+def _is_lattice(arrays: Arrays) -> bool:
+    """The compiled look-ups check nothing: what is not a lattice must not reach them."""
+    values, origin = arrays["values"], arrays["origin"]
+    if not (values.ndim == 3 and min(values.shape) > 1 and values.dtype == np.float32):
+        return False
+    numbers = [arrays[name] for name in ("spacing", "rms_error", "max_error")]
+    good = origin.shape == (3,) and np.isfinite(origin).all() and all(n.shape == () for n in numbers)
+    return bool(good and arrays["spacing"] > 0)
 
 
 def build(vertices: Array, faces: NDArray[np.int64], settings: FieldSettings) -> DistanceField:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scenes import poses
+from scenes.array_cache import Arrays, remembered
 from scenes.errors import InputError
 from scenes.formats.urdf import MOVING, Robot, read_urdf, write_urdf
 from scenes.sensors import Sensor, read_sensors, write_sensors
@@ -25,6 +26,8 @@ Indices = NDArray[np.int64]
 LIMIT_TOLERANCE = np.deg2rad(5.0)
 # Default distance of neighbouring surface samples: half a fingertip's radius.
 SAMPLE_SPACING = 0.004
+# Raised whenever the samples below change, so that old files are not read.
+SAMPLES_VERSION = 1
 
 
 class Hand:
@@ -243,6 +246,28 @@ def _apply_rows(transforms: Array, points: Array) -> Array:
 
 @lru_cache(maxsize=16)
 def _surface_samples(hand: Hand, spacing: float, corners: bool) -> tuple[Array, Array, Indices]:
+    shapes = [[(s.vertices, s.faces) for s in link] for link in hand.robot.links.values()]
+    arrays = remembered(
+        "hand",
+        (SAMPLES_VERSION, spacing, corners, [len(link) for link in shapes]),
+        [array for link in shapes for shape in link for array in shape],
+        lambda: _sample_links(hand, spacing, corners),
+        lambda stored: _are_samples(stored, len(shapes)),
+    )
+    result = arrays["points"], arrays["normals"], arrays["links"]
+    for array in result:
+        array.setflags(write=False)  # shared by every caller
+    return result
+
+
+def _are_samples(arrays: Arrays, links: int) -> bool:
+    points, normals, link = arrays["points"], arrays["normals"], arrays["links"]
+    if not (points.ndim == 2 and points.shape == (len(link), 3) == normals.shape and link.dtype.kind == "i"):
+        return False
+    return bool(np.isfinite(points).all() and np.isfinite(normals).all() and ((link >= 0) & (link < links)).all())
+
+
+def _sample_links(hand: Hand, spacing: float, corners: bool) -> Arrays:
     import trimesh
     from scipy.spatial import cKDTree
 
@@ -266,7 +291,4 @@ def _surface_samples(hand: Hand, spacing: float, corners: bool) -> tuple[Array, 
             points.append(candidates[kept])
             normals.append(np.array(mesh.vertex_normals)[kept])
             links.append(np.full(int(kept.sum()), number))
-    result = np.concatenate(points), np.concatenate(normals), np.concatenate(links)
-    for array in result:
-        array.setflags(write=False)  # shared by every caller
-    return result
+    return {"points": np.concatenate(points), "normals": np.concatenate(normals), "links": np.concatenate(links)}

@@ -16,9 +16,13 @@ from numpy.typing import NDArray
 from scenes import evidence
 from scenes import poses as se3
 from scenes.alignment import AlignSettings, align
+from scenes.array_cache import remembered
 from scenes.objects import ObjectModel
 
 Array = NDArray[np.float64]
+
+# Raised whenever what is found below changes, so that old files are not read.
+CACHE_VERSION = 1
 
 
 @dataclass(frozen=True)
@@ -41,10 +45,21 @@ _FOUND: WeakKeyDictionary[ObjectModel, Array] = WeakKeyDictionary()
 
 
 def near_symmetries(model: ObjectModel) -> Array:
-    """(k, 4, 4) object_from_object motions, the identity not among them; found at the first call for an object."""
+    """(k, 4, 4) object_from_object motions, the identity not among them; found at the first call for an object and kept
+    on disk.
+    """
     found = _FOUND.get(model)
     if found is None:
-        found = _FOUND[model] = find_near_symmetries(model)
+        settings = NearSettings()
+        axes = [part for axis in model.symmetries.axes for part in (axis.point, axis.direction)]
+        arrays = remembered(
+            "alike",
+            (CACHE_VERSION, settings),
+            (model.vertices, model.faces, model.symmetries.discrete, *axes),
+            lambda: {"motions": find_near_symmetries(model, settings)},
+            lambda stored: stored["motions"].shape[1:] == (4, 4) and bool(np.isfinite(stored["motions"]).all()),
+        )
+        found = _FOUND[model] = arrays["motions"]
     return found
 
 
