@@ -115,23 +115,19 @@ def finished(job: Job) -> list[Row] | None:
 def run_capture(job: Job) -> list[Row]:
     """Estimate every frame of a capture and write its results: a folder that appears whole. In a worker process."""
     one_thread()
-    from fusion.cli.options import load_object, prior_setter
-    from fusion.estimation import estimate
+    from fusion.cli.options import estimates, load_object, prior_setter
     from fusion.judging import Judge, json_number
     from fusion.results import frame_errors, result_json, write_results
     from scenes.captures import read_capture
-    from scenes.validation import check_usable
 
     capture = read_capture(job.path)
     model = load_object(job.object, job.unit) if job.object else capture.model
     prepare, judge = prior_setter(job.prior, job.seed), Judge(model)
     frames, answers, errors = [], [], []
-    for recorded in capture:
-        frame = prepare(recorded, model)
-        check_usable(frame, model, vision="vision" in job.use)
-        answers.append(estimate(frame, model, use=job.use, seed=job.seed))
+    for frame, answer in estimates(capture, model, prepare, job.use, job.seed):
         frames.append(frame)
-        errors.append(frame_errors(judge, frame, answers[-1]))
+        answers.append(answer)
+        errors.append(frame_errors(judge, frame, answer))
     out = Path(job.out)
     out.parent.mkdir(parents=True, exist_ok=True)
     draft = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))

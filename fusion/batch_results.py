@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 import statistics
-import tempfile
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from fusion.batch import COLUMNS, Outcome, Row
+from fusion.report.files import replace_file
 
 NUMBERS = ("add_s_mm", "rotation_deg", "translation_mm", "time_ms")
 
@@ -42,7 +41,6 @@ def write_all(out: Path, title: str, outcomes: Sequence[Outcome]) -> list[Path]:
     """Write the tables and the index; returns the files. Parquet only where pyarrow is installed."""
     from fusion.report.index import write_index
 
-    out.mkdir(parents=True, exist_ok=True)
     rows = [row for outcome in outcomes for row in outcome.rows]
     written = [out / "results.csv"]
     text = io.StringIO()
@@ -69,12 +67,3 @@ def _parquet(rows: Sequence[Row]) -> bytes:
     buffer = io.BytesIO()
     parquet.write_table(pyarrow.Table.from_pylist(list(rows), schema=schema), buffer)
     return buffer.getvalue()
-
-
-def replace_file(path: Path, content: bytes) -> None:
-    """Write a file that appears whole."""
-    handle, draft = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    with os.fdopen(handle, "wb") as file:
-        file.write(content)
-    os.chmod(draft, 0o644)
-    os.replace(draft, path)

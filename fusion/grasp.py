@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.answer import Estimate
-from fusion.next_touch import gains, hand_around
+from fusion.next_touch import best_apart, gains, hand_around, nearest_finger
 from scenes import poses as se3
 from scenes.errors import InputError
 from scenes.frames import Contacts, Frame
@@ -26,6 +26,8 @@ from touch.grasp_quality import Quality, WrenchSettings, grasp_quality, margin, 
 Array = NDArray[np.float64]
 
 NORMALS = ("sensed", "mesh")
+# Places for another finger that are named, the best first.
+SHOWN = 3
 
 
 @dataclass(frozen=True)
@@ -262,22 +264,12 @@ def _where_next(
     for i in np.flatnonzero(open_).tolist():
         with_it[i] = margin_of(places[i : i + 1], outward[i : i + 1])
     gain = with_it - now
-    chosen: list[int] = []
-    for i in np.argsort(-np.nan_to_num(gain, nan=-np.inf), kind="stable").tolist():
-        apart = all(np.linalg.norm(places[i] - places[j]) > settings.apart * model.radius for j in chosen)
-        if apart and np.isfinite(gain[i]) and gain[i] > settings.wrenches.smallest:
-            chosen.append(i)
-        if len(chosen) == 3:
-            break
+    useful = np.where(np.nan_to_num(gain, nan=-np.inf) > settings.wrenches.smallest, gain, -np.inf)
+    chosen = best_apart(places, useful, SHOWN, settings.apart * model.radius)
     told = gains(model, answer, places[chosen], outward[chosen])[0] if chosen else np.zeros(0)
     found = []
     for i, nats in zip(chosen, told):
-        finger, away = None, None
-        if tips:
-            here = se3.apply(answer.pose, places[i : i + 1])[0]
-            distances = {name: float(np.linalg.norm(tip - here)) for name, tip in tips.items()}
-            finger = min(distances, key=lambda name: distances[name])
-            away = distances[finger]
+        finger, away = nearest_finger(tips, se3.apply(answer.pose, places[i : i + 1])[0])
         found.append(Place(places[i], outward[i], float(gain[i]), float(with_it[i]), float(nats), finger, away))
     return GraspMap(places, outward, gain), tuple(found)
 

@@ -8,7 +8,7 @@ the Bhattacharyya distances of what each predicts (Kolchinsky and Tracey, Entrop
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,6 +36,8 @@ class NextTouchSettings:
     places: int = 150
     # Nearer to the hand's surface than this (m) there is no room for another fingertip.
     room: float = 0.008
+    # Best places are this far apart, as a share of the object's radius.
+    apart: float = 0.2
     # Predictions farther apart than this (m) differ as much as can be: the finger meets nothing there.
     farthest: float = 0.01
 
@@ -80,7 +82,7 @@ def next_touches(
     count: int = 3,
     settings: NextTouchSettings | None = None,
 ) -> tuple[NextTouch, ...]:
-    """The `count` best places, the best first and each a fifth of the object's radius from those before it.
+    """The `count` best places, the best first and each apart from those before it.
 
     frame: leaves out places that its hand leaves no room at, and names the free finger nearest to each.
     """
@@ -93,26 +95,40 @@ def next_touches(
         gap = np.linalg.norm(seen[:, None] - hand[None], axis=2).min(axis=1)
         open_ = gap > settings.room
     gain, between, within = gains(model, answer, places, normals, settings)
-    chosen: list[int] = []
-    for i in map(int, np.argsort(-gain, kind="stable")):
-        apart = all(np.linalg.norm(places[i] - places[j]) > 0.2 * model.radius for j in chosen)
-        if open_[i] and apart:
-            chosen.append(i)
-        if len(chosen) == count:
-            break
-    out = []
-    for i in chosen:
-        finger, distance = None, None
-        if tips:
-            away = {name: float(np.linalg.norm(tip - seen[i])) for name, tip in tips.items()}
-            finger = min(away, key=lambda name: away[name])
-            distance = away[finger]
-        out.append(
-            NextTouch(
-                places[i], normals[i], seen[i], float(gain[i]), float(between[i]), *within[i][1:], finger, distance
-            )
+    return tuple(
+        NextTouch(
+            places[i],
+            normals[i],
+            seen[i],
+            float(gain[i]),
+            float(between[i]),
+            *within[i][1:],
+            *nearest_finger(tips, seen[i]),
         )
-    return tuple(out)
+        for i in best_apart(places, np.where(open_, gain, -np.inf), count, settings.apart * model.radius)
+    )
+
+
+def best_apart(places: Array, gain: Array, count: int, apart: float) -> list[int]:
+    """Indices of the `count` places (n, 3) of most gain (n,), the best first, each farther than `apart` (m) from those
+    before it; places whose gain is -inf do not count.
+    """
+    chosen: list[int] = []
+    for i in np.argsort(-gain, kind="stable").tolist():
+        if len(chosen) == count or gain[i] == -np.inf:
+            break
+        if all(np.linalg.norm(places[i] - places[j]) > apart for j in chosen):
+            chosen.append(i)
+    return chosen
+
+
+def nearest_finger(tips: Mapping[str, Array], point: Array) -> tuple[str | None, float | None]:
+    """The name of the tip (3,) nearest to a point (3,), one frame, and how far it is (m); None without tips."""
+    if not tips:
+        return None, None
+    away = {name: float(np.linalg.norm(tip - point)) for name, tip in tips.items()}
+    name = min(away, key=away.__getitem__)
+    return name, away[name]
 
 
 def gains(

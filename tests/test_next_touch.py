@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fusion.answer import ContactResidual, Estimate, Mode
-from fusion.next_touch import NextTouchSettings, next_touches
+from fusion.next_touch import NextTouchSettings, best_apart, nearest_finger, next_touches
 from fusion.posterior import contributions
 from scenes import evidence, library, poses
 from scenes.alignment import Prior, terms
@@ -120,3 +120,23 @@ def test_what_each_source_added(drill, rng):
     assert [c.source for c in alone] == ["touch"]
     assert alone[0].position_without > 10 * alone[0].position_with  # nothing else holds it
     assert contributions(drill, evidence.empty(), pose) == ()
+
+
+def test_places_are_the_best_that_are_apart(rng):
+    places, gain = rng.normal(size=(60, 3)), rng.normal(size=60)
+    gain[:20] = -np.inf
+    chosen = best_apart(places, gain, 5, 0.8)
+    assert chosen[0] == np.argmax(gain)
+    assert np.all(np.diff(gain[chosen]) <= 0)
+    gaps = np.linalg.norm(places[chosen][:, None] - places[chosen][None], axis=2)[np.triu_indices(len(chosen), 1)]
+    assert gaps.min() > 0.8
+    for i in np.flatnonzero(gain > gain[chosen[-1]]):  # whatever is better stands beside one that is better still
+        better = [j for j in chosen if gain[j] >= gain[i]]
+        assert i in chosen or np.linalg.norm(places[better] - places[i], axis=1).min() <= 0.8
+    assert best_apart(places, np.full(60, -np.inf), 5, 0.8) == []
+
+
+def test_the_nearest_finger():
+    tips = {"far": np.array([0.0, 0.0, 1.0]), "near": np.array([0.0, 0.3, 0.4])}
+    assert nearest_finger(tips, np.zeros(3)) == ("near", pytest.approx(0.5))
+    assert nearest_finger({}, np.zeros(3)) == (None, None)

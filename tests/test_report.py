@@ -15,9 +15,10 @@ import trimesh
 from fusion.answer import ContactResidual, Estimate, Mode, Stage
 from fusion.judging import Judge
 from fusion.report import pictures, words
-from fusion.report.data import MODEL_FACES, comparison_rows, report_data, summary_rows
+from fusion.report.data import MODEL_FACES, report_data
 from fusion.report.outline import silhouette
 from fusion.report.page import render, write_report
+from fusion.report.rows import comparison_rows, summary_rows
 from scenes import poses
 from scenes.cameras import Camera
 from scenes.errors import InputError

@@ -7,6 +7,7 @@ import argparse
 from fusion.cli.options import (
     add_run,
     announce_compiling,
+    estimates,
     length_and_angle,
     load_object,
     number,
@@ -34,12 +35,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when a frame's answer is lost."""
-    from fusion.estimation import estimate
     from fusion.judging import Judge
     from fusion.results import frame_errors
     from fusion.stages import check_senses
     from scenes.captures import read_capture
-    from scenes.validation import check_usable
 
     senses = tuple(sorted(check_senses(args.use), reverse=True))
     capture = read_capture(args.capture)
@@ -49,15 +48,8 @@ def run(args: argparse.Namespace) -> int:
     judge = Judge(model)
     frames, answers, errors, rows = [], [], [], []
     announce_compiling()
-    warm = False
-    for recorded in progress(capture, len(capture), "estimating"):
-        frame = prepare(recorded, model)
-        check_usable(frame, model, vision="vision" in senses)
-        if not warm:
-            # loads the compiled kernels: a frame's time should tell of the frame
-            estimate(frame, model, use=senses, budget_ms=args.budget_ms, seed=args.seed)
-            warm = True
-        answer = estimate(frame, model, use=senses, tolerance=args.tolerance, budget_ms=args.budget_ms, seed=args.seed)
+    shown = progress(capture, len(capture), "estimating")
+    for frame, answer in estimates(shown, model, prepare, senses, args.seed, args.tolerance, args.budget_ms):
         frames.append(frame)
         answers.append(answer)
         errors.append(frame_errors(judge, frame, answer))

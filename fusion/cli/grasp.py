@@ -10,6 +10,7 @@ from fusion.cli.options import (
     add_object,
     add_prior,
     announce_compiling,
+    estimates,
     load_object,
     names,
     non_negative,
@@ -111,22 +112,16 @@ def _answers(args: argparse.Namespace) -> tuple[Capture, ObjectModel, list[Frame
         return capture, model, [capture.frame(answer.frame) for answer in answers], answers
     if not args.source.is_dir():
         raise InputError(f"{args.source}: expected a capture's folder, or a result.json or its folder, found neither")
-    from fusion.estimation import estimate
     from fusion.stages import check_senses
-    from scenes.validation import check_usable
 
     senses = tuple(sorted(check_senses(args.use), reverse=True))
     capture = read_capture(args.source)
     model = load_object(args.object, args.unit) if args.object else capture.model
     prepare = prior_setter(args.prior, args.seed)
     announce_compiling()
-    frames, answers = [], []
-    for recorded in progress(capture, len(capture), "estimating"):
-        frame = prepare(recorded, model)
-        check_usable(frame, model, vision="vision" in senses)
-        frames.append(frame)
-        answers.append(estimate(frame, model, use=senses, seed=args.seed))
-    return capture, model, frames, answers
+    shown = progress(capture, len(capture), "estimating")
+    done = list(estimates(shown, model, prepare, senses, args.seed))
+    return capture, model, [frame for frame, _ in done], [answer for _, answer in done]
 
 
 def _show(grasps: list[GraspAnswer]) -> None:

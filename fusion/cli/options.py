@@ -21,6 +21,7 @@ from scenes.errors import InputError, unknown
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from fusion.answer import Estimate
     from scenes.frames import Frame
     from scenes.objects import ObjectModel
 
@@ -289,6 +290,31 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     add_prior(parser)
     parser.add_argument("--out", metavar="DIR", type=Path, help="where to write (default out/NAME of the capture)")
     parser.add_argument("--no-report", action="store_true", help="skip report.html")
+
+
+def estimates(
+    recorded: Iterable[Frame],
+    model: ObjectModel,
+    prepare: Callable[[Frame, ObjectModel], Frame],
+    use: tuple[str, ...],
+    seed: int,
+    tolerance: tuple[float, float] | None = None,
+    budget_ms: float | None = None,
+) -> Iterator[tuple[Frame, Estimate]]:
+    """Each frame as `prepare` has it, and its answer. The first is estimated twice: that loads the compiled kernels,
+    and a frame's time should tell of the frame. Raises CaptureError for a frame that no estimate should be made of.
+    """
+    from fusion.estimation import estimate
+    from scenes.validation import check_usable
+
+    warm = False
+    for one in recorded:
+        frame = prepare(one, model)
+        check_usable(frame, model, vision="vision" in use)
+        if not warm:
+            estimate(frame, model, use=use, budget_ms=budget_ms, seed=seed)
+            warm = True
+        yield frame, estimate(frame, model, use=use, tolerance=tolerance, budget_ms=budget_ms, seed=seed)
 
 
 def out_folder(args: argparse.Namespace, name: str) -> Path:

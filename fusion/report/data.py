@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from fusion.next_touch import next_touches
 from fusion.report import pictures, words
 from fusion.report.grasps import add_grasps
 from fusion.report.outline import silhouette
+from fusion.report.rows import comparison_rows, rounded, summary_rows
 from scenes import poses
 from scenes.errors import InputError
 from scenes.frames import Frame
@@ -45,15 +46,6 @@ CLOUD_REACH = 2.2
 
 # Points nearer to the estimate than this (tenths of a millimetre) are its own: they are the first to be shown.
 AGREEING = 60.0
-
-METHOD_NAMES = {
-    "icp": "ICP, usual crop",
-    "icp_segmented": "ICP, segmented",
-    "icp_touch": "ICP, with contacts",
-    "vision": "Vision",
-    "touch": "Touch",
-    "fused": "Fused",
-}
 
 
 def report_data(
@@ -88,53 +80,6 @@ def report_data(
         "comparison": comparison_rows(comparison),
         "summary": summary_rows(errors),
     }
-
-
-def comparison_rows(comparison: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None) -> list[Json]:
-    """Rows {frame, method, name, adds_mm, rotation_deg, translation_mm, ms, verdict} of a comparison.
-
-    comparison: {"rows": [...]} or the list itself, one row a frame and method (or one a method, without frame). Keys
-    are read by their usual names: method, frame, add_s_mm, rotation_deg, translation_mm, time_ms or ms, verdict;
-    without ground truth cloud_mm and contacts_mm, mean distances to the surface, take the place of the errors.
-    """
-    if not comparison:
-        return []
-    rows = comparison.get("rows", comparison.get("methods", [])) if isinstance(comparison, Mapping) else comparison
-    if isinstance(rows, Mapping):
-        rows = [{"method": name, **row} for name, row in rows.items()]
-    out = []
-    for row in rows:
-        method = str(row.get("method", "?"))
-        out.append(
-            {
-                "frame": row.get("frame"),
-                "method": method,
-                "name": METHOD_NAMES.get(method, method),
-                "adds_mm": _first(row, "add_s_mm", "adds_mm", "adds"),
-                "rotation_deg": _first(row, "rotation_deg", "rot_deg"),
-                "translation_mm": _first(row, "translation_mm", "trans_mm"),
-                "cloud_mm": _first(row, "cloud_mm"),
-                "contacts_mm": _first(row, "contacts_mm"),
-                "ms": _first(row, "time_ms", "ms"),
-                "verdict": str(row.get("verdict") or ""),
-            }
-        )
-    return out
-
-
-def summary_rows(errors: Mapping[str, Any] | None) -> list[list[str]]:
-    """[name, value] pairs of every plain number or text in `errors` (or its "summary"), names made readable."""
-    errors = errors or {}
-    inner = errors.get("summary")
-    out = []
-    for key, value in (inner if isinstance(inner, Mapping) else errors).items():
-        if isinstance(value, bool) or not isinstance(value, (int, float, str, np.floating, np.integer)):
-            continue
-        text = value if isinstance(value, str) else f"{float(value):.4g}"
-        unit = next((u for u in ("_mm", "_deg", "_ms", "_px") if str(key).endswith(u)), "")
-        name = str(key).removesuffix(unit).replace("_", " ")
-        out.append([name, f"{text} {unit[1:].replace('deg', '°')}".strip()])
-    return out
 
 
 class _FrameBuilder:
@@ -179,7 +124,7 @@ class _FrameBuilder:
             "contacts": self._contacts(contacts, estimate, centre),
             "camera": [round(-1e3 * float(x), 2) for x in centre],
             "trace": [
-                {"stage": s.name, "ran": s.ran, "why": s.why, "ms": _rounded(s.ms, 2), "rows": s.rows}
+                {"stage": s.name, "ran": s.ran, "why": s.why, "ms": rounded(s.ms, 2), "rows": s.rows}
                 for s in estimate.trace
             ],
             "modes": [self._mode(mode, estimate) for mode in estimate.modes],
@@ -187,7 +132,7 @@ class _FrameBuilder:
             "next": self._next(frame, estimate, centre) if usable else [],
             "unobservable": list(estimate.unobservable),
             "notes": [*estimate.notes, *(f"{n} {name} dropped" for name, n in estimate.dropped.items() if n)],
-            "ms": _rounded(estimate.time_ms, 2),
+            "ms": rounded(estimate.time_ms, 2),
         }
 
     def _numbers(self, frame: Frame, estimate: Estimate, usable: bool) -> list[Json]:
@@ -296,8 +241,8 @@ class _FrameBuilder:
                     "sensor": contacts.sensors[row],
                     "p": [round(float(x), 2) for x in 1e3 * (contacts.points[row] - centre)],
                     "n": [round(float(x), 3) for x in normal] if np.isfinite(normal).all() else None,
-                    "mm": _rounded(residual.residual_mm, 2) if residual else None,
-                    "deg": _rounded(residual.normal_deg, 1) if residual else None,
+                    "mm": rounded(residual.residual_mm, 2) if residual else None,
+                    "deg": rounded(residual.normal_deg, 1) if residual else None,
                     "outlier": bool(residual.outlier) if residual else False,
                 }
             )
@@ -307,8 +252,8 @@ class _FrameBuilder:
                     "sensor": residual.sensor,
                     "p": None,
                     "n": None,
-                    "mm": _rounded(residual.residual_mm, 2),
-                    "deg": _rounded(residual.normal_deg, 1),
+                    "mm": rounded(residual.residual_mm, 2),
+                    "deg": rounded(residual.normal_deg, 1),
                     "outlier": bool(residual.outlier),
                 }
                 for residual in estimate.contacts
@@ -333,10 +278,10 @@ class _FrameBuilder:
         turn = np.rad2deg(metrics.rotation_error(mode.pose, estimate.pose, symmetries)) if finite else math.nan
         away = metrics.translation_error(mode.pose, estimate.pose, symmetries, centre) if finite else math.nan
         return {
-            "weight": _rounded(mode.weight, 4),
-            "cost": _rounded(mode.cost, 2),
-            "deg": _rounded(float(turn), 1),
-            "mm": _rounded(1e3 * away, 1),
+            "weight": rounded(mode.weight, 4),
+            "cost": rounded(mode.cost, 2),
+            "deg": rounded(float(turn), 1),
+            "mm": rounded(1e3 * away, 1),
         }
 
 
@@ -388,20 +333,8 @@ def _base64(array: NDArray[Any]) -> str:
     return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()
 
 
-def _rounded(value: float, digits: int) -> float | None:
-    return round(float(value), digits) if np.isfinite(value) else None
-
-
 def _significant(value: float) -> str:
     """Three figures at most, never an exponent."""
     magnitude = abs(value)
     digits = 0 if magnitude >= 100 else 1 if magnitude >= 10 else 2
     return f"{value:.{digits}f}"
-
-
-def _first(row: Mapping[str, Any], *names: str) -> float | None:
-    return next((_rounded(row[name], 4) for name in _present(row, names)), None)
-
-
-def _present(row: Mapping[str, Any], names: Iterable[str]) -> Iterable[str]:
-    return (name for name in names if row.get(name) is not None)

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import html
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from fusion.batch import Outcome
-from fusion.batch_results import median, replace_file
-from fusion.report.page import asset
+from fusion.batch_results import median
+from fusion.report.files import asset, page, replace_file
 
 # Name, kind for sorting, whether a small screen goes without.
 HEADS = (
     ("capture", "text", False),
     ("object", "text", True),
     ("frames", "number", True),
-    ("found", "number", False),
+    ("found %", "number", False),
     ("ADD-S mm", "number", False),
     ("rotation °", "number", True),
     ("time ms", "number", True),
@@ -33,15 +32,12 @@ def write_index(path: Path, title: str, outcomes: Sequence[Outcome], summary: Ma
         for name, kind, rare in HEADS
     )
     parts = {
-        "TITLE": html.escape(title),
-        "STYLE": asset("report.css"),
+        "NAME": html.escape(title),
         "FACTS": "".join(f"<li>{html.escape(fact)}</li>" for fact in facts(summary)),
         "HEAD": heads,
         "ROWS": "".join(_row(path.parent, outcome) for outcome in outcomes),
     }
-    # one pass, so that a capture named like a placeholder stays a name
-    text = re.sub(r"\{\{([A-Z]+)\}\}", lambda match: parts[match[1]], asset("index.html"))
-    replace_file(path, text.encode())
+    replace_file(path, page("index.html", title, asset("report.css") + asset("index.css"), parts).encode())
 
 
 def facts(summary: Mapping[str, Any]) -> list[str]:

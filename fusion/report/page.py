@@ -5,19 +5,15 @@ No network, no library: styles, script, pictures and geometry are inside, and a 
 
 from __future__ import annotations
 
-import html
 import json
-import os
-import re
-import tempfile
 from collections.abc import Mapping, Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from fusion.answer import Estimate
 from fusion.grasp import GraspAnswer
 from fusion.report.data import report_data
+from fusion.report.files import asset, page, replace_file
 from scenes.frames import Frame
 from scenes.objects import ObjectModel
 
@@ -40,32 +36,14 @@ def write_report(
     (_mm, _deg). grasps: how well each frame's object is held. Raises InputError for an estimate whose frame is not
     given.
     """
-    page = render(report_data(capture_name, frames, model, estimates, comparison, errors, grasps))
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    # a reader never meets half a page
-    handle, draft = tempfile.mkstemp(dir=target.parent, suffix=".html")
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        file.write(page)
-    os.chmod(draft, 0o644)
-    os.replace(draft, target)
+    text = render(report_data(capture_name, frames, model, estimates, comparison, errors, grasps))
+    replace_file(Path(path), text.encode())
 
 
 def render(data: Mapping[str, Any]) -> str:
     """The page's text for the dictionary of `report_data`."""
     # inside <script> only "</" and "<!--" could end the block; the rest of the text reaches the page as text nodes
     packed = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    parts = {
-        "TITLE": html.escape(f"{data['object']['name']} · {data['capture']}"),
-        "STYLE": asset("report.css"),
-        "SCENE": asset("scene.js"),
-        "SCRIPT": asset("report.js"),
-        "DATA": packed,
-    }
-    # one pass, so that a capture named like a placeholder stays a name
-    return re.sub(r"\{\{([A-Z]+)\}\}", lambda match: parts[match[1]], asset("report.html"))
-
-
-def asset(name: str) -> str:
-    """A file of the pages, as text."""
-    return resources.files("fusion.report").joinpath(name).read_text(encoding="utf-8")
+    title = f"{data['object']['name']} · {data['capture']}"
+    scripts = {"SCENE": asset("scene.js"), "SCRIPT": asset("report.js")}
+    return page("report.html", title, asset("report.css"), {"DATA": packed, **scripts})
