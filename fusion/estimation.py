@@ -20,6 +20,7 @@ from fusion.rigs import solve_modes
 from fusion.stages import (
     EstimateSettings,
     as_prior,
+    beyond_rows,
     blind,
     check_limits,
     check_senses,
@@ -157,6 +158,7 @@ def _estimate(
             problem = joint.JointProblem.of(model, frame, looked, seen, felt.rows, believed, hand, settings)
             solved = solve_modes(problem, worth_solving(modes, settings.plan))
             past = sight.costs(np.array([s.pose for s in solved]))
+            past = past + beyond_rows(frame if "touch" in senses else numb(frame), model, solved, settings)
             modes = rejudged(model, solved, past, settings)
             best = solved[int(np.argmin([s.cost + c for s, c in zip(solved, past)]))]
             correction = best.correct()

@@ -13,6 +13,7 @@ from fusion.answer import Estimate
 from fusion.moments import MomentSettings
 from fusion.planning import PlanSettings
 from fusion.trace import Trace
+from scenes import alignment
 from scenes import evidence as tables
 from scenes import poses as se3
 from scenes.alignment import Alignment, Prior
@@ -22,6 +23,9 @@ from scenes.errors import InputError
 from scenes.evidence import Evidence
 from scenes.frames import Contacts, Frame
 from scenes.objects import ObjectModel
+from touch.arrays.ranking import RankingSettings, pattern_costs
+from touch.arrays.readings import readings_of
+from touch.arrays.rows import taxel_rows
 from touch.contacts import contact_starts
 from vision.clouds import DepthModel
 from vision.hand_view import CalibrationModel
@@ -67,6 +71,8 @@ class EstimateSettings:
     moments: MomentSettings = field(default_factory=MomentSettings)
     plan: PlanSettings = field(default_factory=PlanSettings)
     verdict: posterior.VerdictSettings = field(default_factory=posterior.VerdictSettings)
+    # How the patterns of taxel arrays tell several modes apart; None leaves it to their rows.
+    patterns: RankingSettings | None = field(default_factory=RankingSettings)
 
 
 def check_senses(use: Iterable[str]) -> frozenset[str]:
@@ -218,6 +224,20 @@ def rejudged(
     return distinct_modes(
         model, Alignment(poses, costs, hessians, np.zeros(len(solved), dtype=np.int64)), settings.modes
     )
+
+
+def beyond_rows(frame: Frame, model: ObjectModel, solved: list[joint.JointResult], settings: EstimateSettings) -> Array:
+    """What to add to the costs (k,) of several solutions for what taxel arrays say beyond rows of evidence: the shape
+    and the pressures of their patterns, in place of their taxels' rows.
+    """
+    readings = readings_of(frame) if settings.patterns is not None and len(solved) > 1 else []
+    out = np.zeros(len(solved))
+    for k, one in enumerate(solved if readings else ()):
+        correction = one.correct()
+        moved = [reading.moved(correction) for reading in readings]
+        rows = alignment.costs(model, taxel_rows(moved), one.pose[None])
+        out[k] = (pattern_costs(model, moved, one.pose[None], settings.patterns) - rows)[0]
+    return out
 
 
 def no_answer(

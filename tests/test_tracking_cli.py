@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fusion.benchmarks.tracking import Said, Tally, _count_slips
+from fusion.benchmarks.tracking import Said, Tally, count_slips
 from fusion.cli.main import main
 from scenes import library, poses
 from scenes.synthesis import SynthesisSettings, synthesize
@@ -53,6 +53,6 @@ def test_slips_are_counted_once_and_alarms_by_their_beginning():
     frames = [frame(0.1 * min(max(i - 10, 0), 3)) for i in range(40)]
     said = [Said(np.eye(4), slip=i in (12, 13, 25, 26, 33), moved=i == 11) for i in range(40)]
     tally = Tally()
-    _count_slips(tally, model, frames, said, {"slips": [{"first": 11, "last": 13}]})
+    count_slips(tally, model, frames, said, {"slips": [{"first": 11, "last": 13}]})
     assert (tally.slips, tally.hits, tally.alarms, tally.steady) == (1, 1, 2, 40 - 6)
     assert (tally.moved_hits, tally.moved_alarms) == (1, 0)

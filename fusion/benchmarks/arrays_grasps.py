@@ -179,12 +179,14 @@ def record(held: Held, truth: Array, rng: np.random.Generator, noise: GraspNoise
     return out
 
 
-def recordings(name: str, count: int, seeds: Sequence[int]) -> list[tuple[Array, list[Reading]]]:
+def recordings(
+    name: str, count: int, seeds: Sequence[int], noise: GraspNoise | None = None
+) -> list[tuple[Array, list[Reading]]]:
     """`count` recordings of a grasp, the object turned at random in each: (truth, readings)."""
     held = hold(name)
     out = []
     for i in range(count):
         rng = np.random.default_rng([*seeds, i])
         truth = se3.make_pose(se3.random_rotations(1, rng)[0], 0.1 * rng.normal(size=3))
-        out.append((truth, record(held, truth, rng)))
+        out.append((truth, record(held, truth, rng, noise)))
     return out

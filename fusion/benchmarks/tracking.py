@@ -166,12 +166,10 @@ def _follow(
             tally.cpu.append(1e3 * cpu)
         tally.wrong_ok += int(answer.ok and error.add_s > LOST)
         tally.again += int(answer.again)
-    _count_slips(tally, model, frames, said, notes)
+    count_slips(tally, model, frames, said, notes)
 
 
-def _count_slips(
-    tally: Tally, model: ObjectModel, frames: list[Frame], said: list[Said], notes: dict[str, Any]
-) -> None:
+def count_slips(tally: Tally, model: ObjectModel, frames: list[Frame], said: list[Said], notes: dict[str, Any]) -> None:
     """Slips whose motion the object's symmetry does not hide, and alarms in frames in which nothing slips."""
     from scenes import poses
 

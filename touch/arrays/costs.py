@@ -39,16 +39,18 @@ class MatchingSettings:
 
     # epsilon (m): contacts farther than this from the surface are not matched (T1: 30 mm).
     epsilon: float = 0.030
-    # h1 (no unit): metres of cost for each metre that a contact without points is away from the surface.
-    h1: float = 1.0
+    # h1 (no unit): metres of cost for each metre that a contact without points is away from the surface. At 1 a pose
+    # that misses a contact could be had for less than one that meets it badly.
+    h1: float = 2.0
     # h2 (no unit): metres of cost for each metre that a point of the patch lies behind the contact plane. It is summed
-    # over the patch's points, some forty: a patch that lies 1 mm too deep costs 0.8 mm.
-    h2: float = 0.02
+    # over the patch's points, some forty: a patch that lies 1 mm too deep costs 0.4 mm.
+    h2: float = 0.01
     # h3 (1/m): a standard deviation s that is wrong by ds makes a variance wrong by 2 s ds. A pad of 25 mm has s of 7
     # mm: at 1 / (2 s) = 70 a wrong deviation counts like a wrong distance, and shape is to count three times that.
     h3: float = 200.0
-    # Points within this height (m) of the skin are in the sensing area: the soft layer's thickness.
-    height: float = 0.002
+    # Points within this height (m) of the skin are in the sensing area ("a small height"): as far as a start may be
+    # off. Within the layer's own 2 mm a pose that is a centimetre off has no points to compare, and its cost no slope.
+    height: float = 0.010
     cloud: CloudSettings = field(default_factory=CloudSettings)
 
 

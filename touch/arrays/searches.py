@@ -19,6 +19,7 @@ from scenes.alignment.modes import Mode, distinct_modes
 from scenes.errors import InputError
 from touch.arrays import kernels
 from touch.arrays.costs import COSTS, ArrayProblem
+from touch.arrays.ranking import RankingSettings, pattern_costs, reweighted
 from touch.arrays.rows import ArrayRowSettings, array_contacts, array_rows
 from touch.localize import LocalizeSettings, find_candidates, verdict_of
 
@@ -186,6 +187,8 @@ class PressureSettings:
     # Candidates of the alignment that are finished on the pressures, and steps of that.
     finished: int = 24
     steps: int = 15
+    # How the minima are then told apart: the pressures are in their costs already.
+    ranking: RankingSettings = field(default_factory=lambda: RankingSettings(pressures=False))
 
 
 @dataclass(frozen=True)
@@ -204,14 +207,15 @@ class ArrayLocalization:
 
     @property
     def cost(self) -> float:
-        """Negative log posterior density there, up to a constant."""
+        """Negative log posterior density there, up to a constant: pressures, prior, and the patterns' covariances."""
         return self.modes[0].cost
 
 
 def localize_arrays(
     problem: ArrayProblem, seed: int = 0, prior: Prior | None = None, settings: PressureSettings | None = None
 ) -> ArrayLocalization:
-    """Where the object is, from arrays alone: rows of evidence find the minima, pressures rank and finish them.
+    """Where the object is, from arrays alone: rows of evidence find the minima, pressures rank and finish them, and the
+    covariances of the patterns have a say in which is the first.
 
     prior: a Gaussian on the pose; None searches everywhere. Raises InputError when no array feels anything.
     """
@@ -231,6 +235,8 @@ def localize_arrays(
     best = aligned.poses[order[: settings.finished]]
     finished = finish(problem, best, prior, settings.steps)
     modes = distinct_modes(model, finished)
+    shapes = pattern_costs(model, problem.readings, np.array([mode.pose for mode in modes]), settings.ranking)
+    modes = reweighted(modes, shapes)
     return ArrayLocalization(modes, verdict_of(modes, model), time.perf_counter() - begin, time.process_time() - cpu)
 
 
