@@ -7,6 +7,7 @@ A quick run does less of everything (fewer trials, objects, budgets), and all of
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -25,13 +26,14 @@ DONE, FAILED = "done", "could not run"
 
 @dataclass
 class Outcome:
-    """One benchmark of the run. state: see above; why: of one that could not run; again: it was taken from an earlier
-    run.
+    """One benchmark of the run. state: see above; seconds by the clock and of processors; why: of one that could not
+    run; again: it was taken from an earlier run.
     """
 
     name: str
     state: str
     seconds: float
+    processor: float = 0.0
     why: str = ""
     again: bool = False
     report: dict[str, Any] = field(default_factory=dict)
@@ -77,7 +79,7 @@ def run_all(
 
 def _run_one(name: str, settings: BenchSettings, folder: Path, clock: Callable[[], float]) -> Outcome:
     shown: list[Table] = []
-    begin = clock()
+    begin, used = clock(), sum(os.times()[:4])
 
     def show(table: Table) -> None:
         shown.append(table)
@@ -90,7 +92,8 @@ def _run_one(name: str, settings: BenchSettings, folder: Path, clock: Callable[[
         state, why = FAILED, " ".join(str(error).split())
         report = Report(name, f"could not run: {why}", "none", settings.seed, list(shown))
     write_report(report, folder)
-    return Outcome(name, state, clock() - begin, why, report=report.to_json())
+    processor = sum(os.times()[:4]) - used
+    return Outcome(name, state, clock() - begin, processor, why, report=report.to_json())
 
 
 def _earlier(folder: Path, name: str, settings: BenchSettings, version: str) -> Outcome | None:
@@ -99,7 +102,8 @@ def _earlier(folder: Path, name: str, settings: BenchSettings, version: str) -> 
         entry = json.loads((folder / INDEX).read_text(encoding="utf-8"))["benchmarks"][name]
         report = json.loads((folder / entry["file"]).read_text(encoding="utf-8"))
         same = entry["state"] == DONE and entry["settings"] == settings_key(settings) and entry["version"] == version
-        return Outcome(name, DONE, float(entry["seconds"]), again=True, report=report) if same else None
+        times = float(entry["seconds"]), float(entry["processor_seconds"])
+        return Outcome(name, DONE, *times, again=True, report=report) if same else None
     except (OSError, ValueError, KeyError, TypeError):
         return None  # none, or a damaged one: run it
 
@@ -116,6 +120,7 @@ def _write_index(folder: Path, outcomes: list[Outcome], settings: BenchSettings,
             "state": outcome.state,
             "why": outcome.why,
             "seconds": round(outcome.seconds, 3),
+            "processor_seconds": round(outcome.processor, 3),
             "trials": outcome.report.get("trials", ""),
             "settings": settings_key(settings),
             "version": version,
@@ -130,11 +135,13 @@ def _write_index(folder: Path, outcomes: list[Outcome], settings: BenchSettings,
 
 def summary(outcomes: Sequence[Outcome]) -> Table:
     """One row a benchmark: what became of it, of how many trials, its time, its demands."""
-    columns = [Column("benchmark"), Column("state"), Column("trials"), Column("s", 1), Column("demands met")]
-    table = Table("All benchmarks", columns)
+    columns = [Column("benchmark"), Column("state"), Column("trials"), Column("s", 1), Column("processor s", 1)]
+    table = Table("All benchmarks", [*columns, Column("demands met")])
     for one in outcomes:
         state = f"{one.state} before" if one.again else one.state
-        table.add(one.name, state, one.why or one.report.get("trials", ""), one.seconds, one.demands or None)
-    total = sum(one.seconds for one in outcomes if not one.again)
-    table.note = f"{total:.0f} s; a benchmark that is done with the same settings and code is not run again."
+        table.add(
+            one.name, state, one.why or one.report.get("trials", ""), one.seconds, one.processor, one.demands or None
+        )
+    total, used = (sum(getattr(one, n) for one in outcomes if not one.again) for n in ("seconds", "processor"))
+    table.note = f"{total:.0f} s, of processors {used:.0f} s; done with the same settings and code is not run again."
     return table
