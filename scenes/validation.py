@@ -28,6 +28,8 @@ SUSPICIOUS_RATIO = 5.0
 LARGEST_SCENE_RATIO = 50.0
 # Focal lengths (of the image's larger side) between a fisheye's and a telescope's; anything else is not in pixels.
 FOCAL_LENGTHS = (0.1, 50.0)
+# A joint that is farther than this (rad) beyond its limits was given in degrees.
+FULL_TURN = 2.0 * np.pi
 # Fewer points may show a small part of what they are of.
 FEWEST_POINTS = 30
 
@@ -97,9 +99,9 @@ def check_scale(frame: Frame, model: ObjectModel) -> None:
 def scale_problem(frame: Frame, model: ObjectModel) -> str | None:
     """What makes one suspect a wrong unit in this frame, with both sizes; None when all agree.
 
-    Compared with the image: the focal lengths. Compared with the object's diameter: the extents of the contacts and of
-    the cloud. Compared with the poses known from ground truth and prior: the depths around the object's projection and
-    the contacts' distance from it.
+    Compared with the image: the focal lengths. With the hand's limits: the joints. With the object's diameter: the
+    extents of the contacts and of the cloud. With the poses known from ground truth and prior: the depths around the
+    object's projection and the contacts' distance from it.
     """
     camera = frame.camera
     if camera is not None and frame.depth is not None:
@@ -107,6 +109,10 @@ def scale_problem(frame: Frame, model: ObjectModel) -> str | None:
         if not all(FOCAL_LENGTHS[0] < focal / side < FOCAL_LENGTHS[1] for focal in (camera.fx, camera.fy)):
             size = f"{frame.depth.shape[1]}x{frame.depth.shape[0]}"
             return f"expected cam_K in pixels, got focal lengths of {camera.fx:.4g}, {camera.fy:.4g} for {size} pixels"
+    if frame.hand is not None and frame.joints is not None:
+        for joint, excess in frame.hand.limit_excess(frame.joints).items():
+            if excess > FULL_TURN:
+                return f"expected joints in rad, got {joint} {excess:.3g} beyond its limits: degrees read as rad?"
     diameter = model.diameter
     points = frame.contacts.points
     if len(points) > 1:

@@ -356,6 +356,14 @@ def test_focal_lengths_that_are_not_pixels_are_suspected(unit):
         assert "expected cam_K in pixels" in (scale_problem(replace(frame, camera=camera), make("box")) or "")
 
 
+def test_joints_in_degrees_are_suspected(tmp_path):
+    hand, model = five_finger_hand(), make("box")
+    held = replace(some_frame(0), hand=hand, joints=dict.fromkeys(hand.joint_names, 0.5), world_from_hand=np.eye(4))
+    assert scale_problem(held, model) is None
+    turned = replace(held, joints={name: np.rad2deg(value) for name, value in held.joints.items()})
+    assert "degrees read as rad?" in (scale_problem(turned, model) or "")
+
+
 def test_depth_scales_by_frame_are_complete(tmp_path):
     frames = [some_frame(0), some_frame(1)]
     write_capture(tmp_path / "c", frames, make("box"), depth_scale={0: 0.1, 1: 0.25})

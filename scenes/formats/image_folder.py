@@ -90,13 +90,12 @@ def _convert(
     files = {name: _files(folder / name) for name in ("depth", "rgb")}
     mask_folder = next((folder / name for name in MASK_FOLDERS if (folder / name).is_dir()), folder / "masks")
     files["mask"] = _files(mask_folder)
-    main = "depth" if files["depth"] else "rgb"
-    names = sorted(files[main])
+    names = sorted(files["depth"])
     if not names:
-        raise CaptureError(f"{folder}: expected images in depth/ or rgb/, found none")
+        raise CaptureError(f"{folder}: expected depth images ({', '.join(IMAGE_ENDINGS)}) in depth/, found none")
     dropped = Dropped()
     dropped.add("rgb", "no depth image of that name", len(set(files["rgb"]) - set(names)))
-    dropped.add("masks", f"no {main} image of that name", len(set(files["mask"]) - set(names)))
+    dropped.add("masks", "no depth image of that name", len(set(files["mask"]) - set(names)))
     truths = read_truths(names)
     numbers = _numbering(names)
 
