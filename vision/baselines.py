@@ -157,9 +157,11 @@ def _by_features(method: str, points: Array, model: ObjectModel, seed: int, sett
             maximum_correspondence_distance=settings.fgr_inlier * voxel,
             iteration_number=settings.fgr_iterations,
         )
-        found = registration.registration_fgr_based_on_feature_matching(
-            cloud, target, features, target_features, option
-        )
+        # a start that finds too few pairs is no news for a terminal
+        with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+            found = registration.registration_fgr_based_on_feature_matching(
+                cloud, target, features, target_features, option
+            )
     else:
         distance = settings.inlier * voxel
         found = registration.registration_ransac_based_on_feature_matching(
