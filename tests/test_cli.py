@@ -339,6 +339,7 @@ def test_where_it_cannot_be_written_is_said_before_the_work(capture, tmp_path, c
         ["batch", capture.parent, "--out", file],
         ["demo", "--out", file],
         ["model", capture, "-o", tmp_path / "folder.ply"],
+        ["compare", capture, "--plot", file / "x.svg"],
         ["convert", capture, file, "--to", "bop"],
         ["convert", capture, file / "x.tum"],
         ["convert", capture / "contacts.csv", tmp_path / "folder.ply"],
@@ -364,3 +365,12 @@ def test_the_folder_of_a_recording_says_how_to_convert_it(capture, tmp_path, cap
     assert "expected a folder, or a file that ends in .glb or .tum" in refused(
         capsys, "convert", capture, tmp_path / "x.glbb"
     )
+
+
+def test_contacts_in_millimetres_are_suspected_by_every_command(contacts, tmp_path, capsys):
+    write_off(tmp_path / "mm.off", 1e3 * read_off(contacts).points)
+    (tmp_path / "objects").mkdir()
+    for name in ("box", "drill"):
+        write_ply(tmp_path / "objects" / f"{name}.ply", make(name).vertices, make(name).faces)
+    for command, *option in (("localize", "--object", "drill"), ("identify", "--objects", tmp_path / "objects")):
+        assert "mm read as m?" in refused(capsys, command, tmp_path / "mm.off", *option)

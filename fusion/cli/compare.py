@@ -10,6 +10,7 @@ from fusion.cli.options import (
     add_object,
     add_prior,
     announce_compiling,
+    check_target,
     load_object,
     names,
     number,
@@ -60,6 +61,7 @@ def run(args: argparse.Namespace) -> int:
     methods = check_methods(args.methods if args.methods is not None else METHODS)
     if args.plot is not None:
         check_suffix(args.plot)
+        check_target(args.plot)
     captures = [read_capture(path) for path in args.captures]
     model = load_object(args.object, args.unit) if args.object else None
     total = len(methods) * sum(map(len, captures))

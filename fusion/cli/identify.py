@@ -28,10 +28,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when no candidate fits at all."""
+    from scenes.frames import Frame
+    from scenes.validation import check_scale
     from touch.recognition import identify
 
     contacts = read_contacts(args.contacts, args.frame)
     models = load_candidates(args.objects, args.unit)
+    largest = max(models, key=lambda model: model.diameter)
+    check_scale(Frame(0, where=str(args.contacts), contacts=contacts), largest)
     found = identify(models, contacts, args.seed)
     cells = [
         [
