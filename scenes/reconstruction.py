@@ -42,7 +42,7 @@ class ReconstructionSettings:
     smallest_piece: float = 0.05
     # A vertex seen by so many views is as sure as one gets here: confidence is views / (views + this).
     half_sure: float = 2.0
-    # Triangles of the mesh that is written.
+    # Triangles of the mesh, at most; more where simplifying it would open it.
     most_faces: int = 20_000
 
 

@@ -15,6 +15,7 @@ from scenes import poses
 from scenes.cameras import Camera
 from scenes.captures import read_capture, write_capture
 from scenes.errors import CaptureError, InputError, PalpateError
+from scenes.formats.images import read_mask
 from scenes.formats.ply import read_cloud, write_ply
 from scenes.frames import Contacts, EmptyRegions, Frame, Wrench
 from scenes.hand_generation import five_finger_hand
@@ -381,3 +382,15 @@ def test_cloud_files(tmp_path):
     read, colours = read_cloud(tmp_path / "a.ply")
     assert np.array_equal(read, np.delete(points, 3, axis=0))
     assert colours is None
+
+
+@pytest.mark.parametrize("colour", [(0, 0, 255), (0, 1, 0), (255, 0, 0), (9, 9, 9, 0)])
+def test_a_mask_is_whatever_is_not_black(tmp_path, colour):
+    image = np.zeros((4, 5, len(colour)), np.uint8)
+    if len(colour) == 4:
+        image[..., 3] = 255  # black and opaque is black
+    image[1:3, 2:4] = colour
+    cv2.imwrite(str(tmp_path / "mask.png"), image)
+    expected = np.zeros((4, 5), bool)
+    expected[1:3, 2:4] = True
+    assert np.array_equal(read_mask(tmp_path / "mask.png"), expected)

@@ -70,7 +70,7 @@ def read_json(path: str | Path, report: Report) -> Any:
 
 
 def write_json(path: str | Path, content: Any) -> None:
-    """Strict JSON (NaN refused: a reader elsewhere would stumble over it), one line an entry of the top level."""
+    """Strict JSON: NaN is refused, for a reader elsewhere would stumble over it."""
     Path(path).write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 

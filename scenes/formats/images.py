@@ -117,7 +117,8 @@ def write_rgb(path: Path, rgb: NDArray[np.uint8]) -> None:
 def read_mask(path: Path) -> NDArray[np.bool_]:
     """(h, w) bool: true where the image is not black."""
     image = _read(path)
-    return image.reshape(*image.shape[:2], -1)[:, :, 0] > 0
+    colours = image.reshape(*image.shape[:2], -1)[:, :, :3]  # not what is see-through
+    return np.asarray((colours > 0).any(axis=2))
 
 
 def write_mask(path: Path, mask: NDArray[np.bool_]) -> None:
