@@ -51,7 +51,7 @@ def _vision(report: Report, settings: BenchSettings) -> str:
 
 
 def _contacts(report: Report, settings: BenchSettings) -> str:
-    felt = peers_contacts.trials(settings.count(6, quick=1), settings.seed)
+    felt = peers_contacts.trials(settings.count(4, quick=1), settings.seed)
     chosen = peers_contacts.peers(settings.quick)
     points = peers_contacts.front(chosen, felt, settings.seed, settings.progress, "global")
     title = f"Global: {peers_contacts.CONTACTS} contacts of {peers_contacts.NOISE}, no start"
@@ -64,7 +64,7 @@ def _contacts(report: Report, settings: BenchSettings) -> str:
 
 
 def _arrays(report: Report, settings: BenchSettings) -> str:
-    held = peers_arrays.cases(settings.count(3, quick=1), settings.seed)
+    held = peers_arrays.cases(settings.count(2, quick=1), settings.seed)
     held = held[:2] if settings.quick else held
     points = pareto.measure(
         peers_arrays.peers(settings.quick),
@@ -81,7 +81,7 @@ def _arrays(report: Report, settings: BenchSettings) -> str:
 
 def _filters(report: Report, settings: BenchSettings) -> str:
     try:
-        sets = peers_filters.cases(settings.count(2, quick=1), settings.quick)
+        sets = peers_filters.cases(settings.count(1, quick=1), settings.quick)
     except InputError as error:
         table = Table("Filters: recorded contacts", [Column("method"), Column("why not")])
         table.add("all", str(error))
@@ -101,7 +101,7 @@ def _occlusion(report: Report, settings: BenchSettings) -> str:
         chosen = peers_occlusion.peers(settings.quick)
         points = peers_occlusion.front(chosen, frames, settings.seed, settings.progress, f"occlusion, {noise}")
         bound = peers_occlusion.bound_mm(frames) if noise == "clean" else None
-        title = f"Occlusion: a hand hides 60 and 80 %, a start 16° and 33 mm off, {noise}"
+        title = f"Occlusion: a hand hides 80 %, a start 16° and 33 mm off, {noise}"
         _add(report, settings, title, points, "ADD-S < 5 mm", bound)
         count += len(frames)
     return f"{count} frames"

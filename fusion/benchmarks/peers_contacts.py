@@ -41,7 +41,7 @@ Peer = Method[Case, Array]
 OBJECTS = ("drill", "mug", "l_block")
 CONTACTS = 12
 # Trials of a method that takes seconds, and of one that takes minutes.
-SLOW, SLOWEST = 9, 3
+SLOW, SLOWEST = 6, 3
 NOISE = "0.9 mm, 5°"
 # How far outside a contact chsel is told of free space (m), transforms it keeps, and its lattice (m).
 FREE_AWAY, CHSEL_BATCH, CHSEL_RESOLUTION = 0.01, 30, 0.003
