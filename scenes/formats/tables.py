@@ -103,7 +103,8 @@ def read_table(path: str | Path, columns: Sequence[Column], report: Report) -> T
     rows = csv.reader(text.splitlines())
     header = [name.strip() for name in next(rows, [])]
     if not header:
-        report(Problem(file, None, f"expected the header {','.join(c.name for c in columns)}, got an empty file"))
+        needed = ",".join(c.name for c in columns if not c.optional)
+        report(Problem(file, None, f"expected the header {needed}, got an empty file"))
         return Table(file)
     missing = [c.name for c in columns if not c.optional and c.name not in header]
     if missing:
