@@ -44,7 +44,7 @@ def add_slips(report: Report, settings: BenchSettings) -> None:
         " frames after its end; slips about an axis of symmetry, and below 1.5° and 1 mm, are not counted. False"
         " alarms: beginnings of an alarm in a frame in which nothing slips. Limits were chosen on other seeds."
     )
-    trials = settings.count(3, 1)
+    trials = settings.count(8, 1)
     objects = OBJECTS[:1] if settings.quick else OBJECTS
     totals = {method: Tally() for method in METHODS}
     for motion in MOTIONS:
