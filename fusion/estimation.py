@@ -24,6 +24,7 @@ from fusion.stages import (
     blind,
     check_limits,
     check_senses,
+    comparable,
     good_enough,
     hand_from_object,
     is_within,
@@ -157,10 +158,10 @@ def _estimate(
         if finish:
             problem = joint.JointProblem.of(model, frame, looked, seen, felt.rows, believed, hand, settings)
             solved = solve_modes(problem, worth_solving(modes, settings.plan))
-            past = sight.costs(np.array([s.pose for s in solved]))
-            past = past + beyond_rows(frame if "touch" in senses else numb(frame), model, solved, settings)
-            modes = rejudged(model, solved, past, settings)
-            best = solved[int(np.argmin([s.cost + c for s, c in zip(solved, past)]))]
+            costs = comparable(solved, settings) + sight.costs(np.array([s.pose for s in solved]))
+            costs += beyond_rows(frame if "touch" in senses else numb(frame), model, solved, settings)
+            modes = rejudged(model, solved, costs, settings)
+            best = solved[int(np.argmin(costs))]
             correction = best.correct()
             stage.note(
                 len(rows), f"calibration off by {best.millimetres:.1f} mm, depth scale by {100 * best.scale:+.2f} %"

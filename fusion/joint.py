@@ -54,9 +54,9 @@ FIXED = 13
 class JointResult:
     """pose (4, 4) camera_from_object; covariance (6, 6) about the centroid, all else marginalised; xi (6,)
     correction of what touch reports (camera frame, about `centre`); scale: depth scale error; cost: negative log
-    posterior, and log_evidence of the level of shared errors it was solved for. Of the frame alone, without the prior
-    on the pose: independent (6, 6), the covariance that independent noise makes, and shared (6, 6), what calibration,
-    depth scale and bias add to it; a direction that the frame does not tell is as wide as the object, in shared.
+    posterior, pixel_cost what of it the vision rows say; log_evidence of the level of shared errors it was solved for.
+    Of the frame alone, without the prior on the pose: covariances (6, 6) independent, of independent noise, and shared,
+    of calibration, depth scale and bias; a direction that the frame does not tell is as wide as the object, in shared.
     """
 
     pose: Array
@@ -67,6 +67,7 @@ class JointResult:
     cost: float
     log_evidence: float
     level: float
+    pixel_cost: float = 0.0
     independent: Array = field(default_factory=lambda: np.zeros((6, 6)))
     shared: Array = field(default_factory=lambda: np.zeros((6, 6)))
 
@@ -233,6 +234,7 @@ class JointProblem:
             float(cost),
             float(-cost - 0.5 * log_det),
             level,
+            self._vision(here, unknown)[0] if len(self.seen) else 0.0,
             *self._split(here, normal, width),
         )
 

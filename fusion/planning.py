@@ -28,6 +28,18 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class Care:
+    """How much is spent on minima that may be new."""
+
+    # Poses nearer to each other than this share of the distance at which modes are one go on as one.
+    together: float
+    # Of those that differ so many, the best first, are refined with all rows.
+    refined: int
+    # Rows that valleys are walked with: all steps, and those of them that stayed apart.
+    valley_rows: tuple[int, int]
+
+
+@dataclass(frozen=True)
 class PlanSettings:
     """When a search may end early."""
 
@@ -40,10 +52,9 @@ class PlanSettings:
     # Least share of the object's pixels, and of the contacts, within three sigmas of the surface.
     explained_pixels: float = 0.85
     explained_contacts: float = 0.75
-    # Poses nearer to each other than this share of the distance at which modes are one go on as one.
-    together: float = 0.5
-    # Of those that differ so many, the best first, are refined with all rows.
-    refined: int = 4
+    # Around a prior few minima compete; where nothing is known, many do, some of them alike.
+    near: Care = Care(0.5, 4, (80, 160))
+    wide: Care = Care(0.25, 6, (160, 160))
     # Most that a pose may cost for what the camera saw past it and what must hide it (negative log likelihood, see
     # vision.sight): 12 are an object all hidden, 16 a half hidden one of which 6 % were seen past.
     past: float = 16.0
@@ -52,12 +63,10 @@ class PlanSettings:
     # Modes below this share of the posterior are not solved jointly with calibration and bias: they cannot win.
     negligible: float = 1e-3
     # Valleys: directions in which the blurred cost lets a point at the object's radius move by this share of it (one
-    # standard deviation). Of these the widest are walked, both ways, by so many standard deviations, with so many rows
-    # first, and so many for those that stay apart.
+    # standard deviation). Of these the widest are walked, both ways, by so many standard deviations.
     valley_share: float = 0.1
     valleys: int = 2
     valley_steps: tuple[float, ...] = (0.5, 1.0, 1.5, 2.0)
-    valley_rows: tuple[int, int] = (80, 160)
     # Longest of these steps, radians and shares of the radius: farther is another basin, which the starts cover.
     longest_step: float = 1.2
 
@@ -88,6 +97,7 @@ def find_modes(
     """
     few = settings.first_starts if settings.skipping and prior is not None else 0
     merged = mode_settings.merge_share * model.radius
+    care = settings.wide if prior is None else settings.near
     doubt = ""
     if 0 < few < len(starts):
         poses, standing = starts[:few], np.ones(few, dtype=np.float64)
@@ -95,17 +105,17 @@ def find_modes(
             how = AlignSettings(blur=stage.blur, blur_normal=stage.blur_normal, iterations=stage.iterations)
             rough = align(model, thin(rows, stage.rows), poses, prior, how)
             order = np.argsort(rough.costs + rank(rough.poses, stage.blur), kind="stable")
-            chosen, group = leaders(model, rough.poses[order], settings.together * merged)
+            chosen, group = leaders(model, rough.poses[order], care.together * merged)
             poses, standing = rough.poses[order[chosen]], np.asarray(np.bincount(group, standing[order]))
         agreeing = float(standing[_displaced(model, poses, poses[0]) < merged].sum()) / few
-        first, past = _refined(model, rows, poses[: settings.refined], prior, rank)
+        first, past = _refined(model, rows, poses[: care.refined], prior, rank)
         doubt = doubt_of(model, rows, first, past, agreeing, settings)
         if not doubt:
             first = _with_valleys(model, rows, first, stages[0], prior, rank, settings, mode_settings)
             modes = distinct_modes(model, first, mode_settings)
             return Found(modes, few, "the first agree and explain what was sensed")
     found = search(model, rows, starts, stages, prior, rank=rank)
-    chosen, _ = leaders(model, found.poses, settings.together * merged)
+    chosen, _ = leaders(model, found.poses, care.together * merged)
     refined, _ = _refined(model, rows, found.poses[chosen], prior, rank)
     refined = _with_valleys(model, rows, refined, stages[0], prior, rank, settings, mode_settings)
     return Found(distinct_modes(model, refined, mode_settings), len(starts), doubt)
@@ -125,14 +135,15 @@ def _with_valleys(
     steps = valley_steps(model, rows, found.poses[int(np.argmin(found.costs))], stage, prior, settings, mode_settings)
     if not len(steps):
         return found
-    apart = settings.together * mode_settings.merge_share * model.radius
-    for few in settings.valley_rows:
+    care = settings.wide if prior is None else settings.near
+    apart = care.together * mode_settings.merge_share * model.radius
+    for few in care.valley_rows:
         rough = align(model, thin(rows, few), steps, prior, AlignSettings(iterations=8))
         likely = rough.costs + rank(rough.poses, 0.0)
         order = np.argsort(likely, kind="stable")
         chosen, _ = leaders(model, rough.poses[order], apart)
         steps, likely = rough.poses[order[chosen]], likely[order[chosen]]
-    promising = steps[likely < likely[0] + mode_settings.cost_margin][: settings.refined]
+    promising = steps[likely < likely[0] + mode_settings.cost_margin][: care.refined]
     # what led back to a minimum that is known has nothing more to say
     both = np.concatenate([found.poses, promising])
     chosen, _ = leaders(model, both, apart)
