@@ -30,6 +30,8 @@ LARGEST_SCENE_RATIO = 50.0
 FOCAL_LENGTHS = (0.1, 50.0)
 # A joint that is farther than this (rad) beyond its limits was given in degrees.
 FULL_TURN = 2.0 * np.pi
+# No sensor reaches farther (m) from its own origin; one that does is elsewhere than the hand's pose says.
+FARTHEST_CONTACT = 0.2
 # Fewer points may show a small part of what they are of.
 FEWEST_POINTS = 30
 
@@ -77,7 +79,20 @@ def _frame_problems(capture: Capture, frame: Frame) -> list[Problem]:
     if frame.hand is not None and frame.joints is not None and frame.world_from_hand is None:
         message = "expected the hand's pose for its joints, found none"
         found.append(Problem(str(capture.path / "hand_poses.csv"), frame.index, message))
+    away = _from_sensors(frame)
+    if len(away) and np.median(away) > FARTHEST_CONTACT:
+        message = f"expected contacts at the hand's sensors, got {np.median(away):.2g} m off: is its pose inverted?"
+        found.append(Problem(str(capture.path / "hand_poses.csv"), frame.index, message))
     return found
+
+
+def _from_sensors(frame: Frame) -> Array:
+    """(k,) distances (m) of the contacts from the sensors they are named after, of those that the hand has."""
+    if frame.hand is None or frame.joints is None or frame.world_from_hand is None:
+        return np.zeros(0)
+    contacts, places = frame.contacts, frame.hand.hand_from_sensor(frame.joints)
+    known = [(point, places[name]) for point, name in zip(contacts.points, contacts.sensors) if name in places]
+    return np.array([np.linalg.norm(point - (frame.world_from_hand @ pose)[:3, 3]) for point, pose in known])
 
 
 def check_usable(frame: Frame, model: ObjectModel, vision: bool = True) -> None:
