@@ -9,7 +9,7 @@ from fusion.benchmarks.stability_cases import Cases, apart, at_most, is_covarian
 from scenes import library
 from scenes import poses as se3
 from scenes.alignment.batch import Alignment, Prior, align, costs, terms
-from scenes.alignment.modes import ModeSettings, covariance_of, distinct_modes
+from scenes.alignment.modes import Mode, ModeSettings, covariance_of, distinct_modes
 from scenes.evidence import WEIGHT, Evidence, from_contacts
 from scenes.frames import Contacts
 from scenes.noise import TouchNoise, observe_contacts
@@ -196,6 +196,22 @@ def contacts_with_noise(what: str) -> float:
         need(verdict is None or found.verdict == verdict, f"verdict {found.verdict} at noise {what}")
         displacement = max(displacement, apart(model, found.pose, TRUTH)[1])
     return at_most(displacement, 1e-3, "displacement") if verdict == "ok" else displacement
+
+
+@CASES("Hessians", "most nats that a contact tells between two modes")
+def another_touch_between_equal_modes() -> float:
+    """What one more contact tells about which of two modes is true: at every place a number from nothing to log 2."""
+    from fusion.answer import Estimate
+    from fusion.next_touch import gains
+
+    model = library.make("mug")
+    turned = TRUTH @ se3.make_pose(se3.exp_rotation(np.array([0.0, 0.0, 0.5 * np.pi])))
+    sure = np.diag([1e-3**2] * 3 + [2e-4**2] * 3)
+    modes = tuple(Mode(pose, 0.5, 0.0, sure) for pose in (TRUTH, turned))
+    nats, between, _ = gains(model, Estimate(0, TRUTH, sure, modes, "ok"), *model.sample_surface(400, seed=0))
+    need(np.isfinite(nats).all(), "nats: not finite")
+    at_most(-between, 1e-9, "nats below nothing")
+    return at_most(between, np.log(2.0) + 1e-9, "nats between two modes")
 
 
 @CASES("noise", "share of NEES beyond 22.5 (99.9 % of a chi-square of 6)", slow=True)
