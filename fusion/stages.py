@@ -139,8 +139,9 @@ def search_stages(blur: float, near: bool, sifted: bool = False) -> tuple[Search
     """
     if near:
         return (
-            SearchStage(blur, 0.5, 80, 8, 80),
-            SearchStage(blur / 3, 0.25, 160, 10, 40),
+            SearchStage(blur, 0.5, 80, 4, 120),
+            SearchStage(blur, 0.5, 80, 5, 40),
+            SearchStage(blur / 3, 0.25, 160, 10, 20),
         )
     if sifted:
         return (
