@@ -14,7 +14,7 @@ COLOURS = (
     *("#8c6d46", "#6fae2f", "#1f4e79"),
 )
 # Pixels of one chart, and of its margins.
-WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 720, 340, 64, 190, 34, 46
+WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 750, 340, 70, 220, 34, 46
 STYLE = (
     "text{font:12px system-ui,sans-serif;fill:currentColor}.h{font-weight:600}.g{stroke:currentColor;opacity:.15}"
     ".d{stroke:currentColor;stroke-dasharray:2 3;opacity:.6;fill:none}.b{stroke:currentColor;stroke-dasharray:7 4}"
@@ -138,7 +138,8 @@ def _chart(chart: Chart) -> str:
         parts.append(f'<text x="{WIDTH - RIGHT + 32}" y="{row + 1}">{html.escape(name)}</text>')
     middle = (LEFT + WIDTH - RIGHT) / 2
     parts.append(f'<text x="{middle}" y="{HEIGHT - 10}" text-anchor="middle">{html.escape(chart.x)}</text>')
-    parts.append(f'<text x="{LEFT - 56}" y="{TOP - 8}">{html.escape(chart.y)}</text>')
+    turned = f'transform="translate(14 {(TOP + HEIGHT - BOTTOM) / 2}) rotate(-90)" text-anchor="middle"'
+    parts.append(f"<text {turned}>{html.escape(chart.y)}</text>")
     return "\n".join(parts)
 
 
