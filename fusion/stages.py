@@ -150,10 +150,10 @@ def search_stages(blur: float, near: bool, sifted: bool = False) -> tuple[Search
             SearchStage(blur / 3, 0.2, 160, 10, 16),
         )
     return (
-        SearchStage(3 * blur, 0.8, 40, 0, 1200),
-        SearchStage(2 * blur, 0.6, 40, 5, 400),
-        SearchStage(blur, 0.4, 60, 8, 120),
-        SearchStage(blur / 3, 0.2, 160, 10, 40),
+        SearchStage(3 * blur, 0.8, 40, 0, 500),
+        SearchStage(2 * blur, 0.6, 40, 4, 160),
+        SearchStage(blur, 0.4, 60, 8, 60),
+        SearchStage(blur / 3, 0.2, 160, 10, 20),
     )
 
 
