@@ -93,3 +93,12 @@ def test_the_hand_gives_wrong_intrinsics_away(lab_frame, drill):
     in_other_unit = replace(lab_frame, depth=1.1 * lab_frame.depth)
     assert doubts(in_other_unit, segment(in_other_unit, drill, wrong.prior).hand_view)
     assert doubts(replace(lab_frame, hand=None), None) == ()
+
+
+def test_a_mask_that_shows_nothing_is_said(lab_frame, drill):
+    """Touch answers alone, and the note says that the camera was not listened to."""
+    empty = replace(lab_frame, mask=np.zeros_like(lab_frame.mask))
+    answer = estimate(empty, drill)
+    assert any("mask holds no reading" in note for note in answer.notes)
+    assert not any("mask" in note for note in estimate(lab_frame, drill).notes)
+    assert "mask holds no reading" in doubts(replace(empty, hand=None), None)[0]

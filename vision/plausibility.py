@@ -32,14 +32,19 @@ def doubts(
     calibration: CalibrationModel | None = None,
     settings: PlausibilitySettings | None = None,
 ) -> tuple[str, ...]:
-    """In words, why intrinsics, depth unit or camera-robot calibration of a frame may be wrong; none when all agrees.
+    """In words, why mask, intrinsics, depth unit or camera-robot calibration of a frame may be wrong; none when all
+    agrees.
 
-    hand: the hand as seen (vision.hand_view). Without a hand that the robot tells of, nothing can be told.
+    hand: the hand as seen (vision.hand_view). Without a hand that the robot tells of, only the mask is looked at.
     """
     settings, calibration = settings or PlausibilitySettings(), calibration or CalibrationModel()
-    if hand is None or frame.depth is None or frame.camera is None:
+    if frame.depth is None or frame.camera is None:
         return ()
     found = []
+    if frame.mask is not None and not (is_reading(frame.depth) & frame.mask).any():
+        found.append("the mask holds no reading of depth: nothing that the camera sees is taken for the object")
+    if hand is None:
+        return tuple(found)
     if len(hand.points):
         off = float(np.sqrt(max(float(hand.xi @ prior_information(calibration, hand.centre) @ hand.xi), 0.0)))
         if off > settings.most_sigmas:
