@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import json
 import os
+import struct
 import subprocess
 import sys
 import tempfile
 import time
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
@@ -20,8 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from fusion.benchmarks.stability_cases import Cases, need
+from fusion.benchmarks.stability_cases import Cases, need, refuses
 from scenes.errors import PalpateError
+from scenes.formats.images import decode
+from scenes.formats.off import read_off
 
 CASES = Cases()
 
@@ -38,6 +42,34 @@ from pathlib import Path
 from fusion.benchmarks.stability_cases_files import damage
 damage(Path(sys.argv[1]), sys.argv[2].split("|"), int(sys.argv[3]), int(sys.argv[4]))
 """
+
+
+# OFF files that lie, each in one way.
+LYING_OFF = {
+    "NaN": "OFF\n3 1 0\n0 0 nan\n1 0 0\n0 1 0\n3 0 1 2\n",
+    "infinity": "OFF\n3 1 0\n0 0 0\n1e999 0 0\n0 1 0\n3 0 1 2\n",
+    "a corner too many": "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 3\n",
+    "a point too many": "OFF\n4 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n",
+    "10^12 points": "OFF\n1000000000000 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n",
+}
+
+
+@CASES("files", "", over=tuple(LYING_OFF))
+def an_off_file_that_lies_about(what: str) -> float:
+    """A number that is none, a corner or rows that are not there: one line, no mesh."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "mesh.off"
+        path.write_text(LYING_OFF[what], encoding="ascii")
+        return refuses(lambda: read_off(path), what)
+
+
+@CASES("files", "")
+def an_image_header_of_ten_billion_pixels() -> float:
+    """Refused by its header: nothing is decoded, and no memory taken."""
+    body = struct.pack(">IIBBBBB", 100_000, 100_000, 16, 0, 0, 0, 0)
+    chunk = b"IHDR" + body
+    data = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + chunk + struct.pack(">I", zlib.crc32(chunk))
+    return refuses(lambda: decode(data), "header")
 
 
 class Lines:

@@ -34,6 +34,16 @@ def _vectors() -> Array:
     return (axes[:, None] * angles[:, None]).reshape(-1, 3)
 
 
+@CASES("rotations", "off orthonormal")
+def nearest_rotation_of_a_mirror() -> float:
+    """Mirrors, flat and noisy matrices go to a rotation, never to a mirror."""
+    rng = np.random.default_rng(5)
+    turned = se3.random_rotations(50, rng)
+    flat, mirrors = turned * [1.0, 1.0, 0.0], turned * [1.0, 1.0, -1.0]
+    matrices = np.concatenate([mirrors, flat, turned + 0.1 * rng.normal(size=turned.shape)])
+    return is_rigid(se3.make_poses(se3.project_to_rotation(matrices), np.zeros((len(matrices), 3))))
+
+
 @CASES("rotations", "worst error of exp and log, rad")
 def exp_and_log_near_0_and_pi() -> float:
     """log(exp(v)) is v, at pi perhaps the other way round; exp is a rotation; angles are exact."""
