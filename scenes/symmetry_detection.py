@@ -162,7 +162,7 @@ def _beside(members: Array, axis: Axis, same: float) -> Array:
     kept = [np.eye(4)]
     ends = members[:, :3, :3] @ axis.direction
     for pose, end in zip(members[1:], ends[1:]):
-        if np.arccos(np.clip(float(end @ axis.direction), -1, 1)) > np.pi - same:
+        if float(end @ axis.direction) < -np.cos(same):
             kept.append(pose)
             break
     return np.array(kept)

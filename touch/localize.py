@@ -324,7 +324,7 @@ def _some_false(
     if contacts.has_normal.any():
         cosine = np.sum(outward * (contacts.normals @ best[:3, :3]), axis=1)
         limit = np.minimum(3.0 * contacts.sigma_normal, np.pi)
-        agree &= ~contacts.has_normal | (np.arccos(np.clip(cosine, -1.0, 1.0)) < limit)
+        agree &= ~contacts.has_normal | (cosine > np.cos(limit))
     needed = max(settings.agreeing_least, settings.agreeing_share * len(contacts))
     return result if agree.sum() >= needed else None
 
