@@ -129,6 +129,13 @@ class ObjectModel:
         return float(np.linalg.norm(self.vertices - self.centroid, axis=1).max())
 
     @cached_property
+    def area(self) -> float:
+        """Of the surface, square metres."""
+        corners = self.vertices[self.faces]
+        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        return float(0.5 * np.linalg.norm(cross, axis=1).sum())
+
+    @cached_property
     def field(self) -> DistanceField:
         """The signed-distance lattice; built at the first use, then read from the disk cache."""
         return distance_field.load_or_build(self.vertices, self.faces)

@@ -45,6 +45,17 @@ def test_the_mask_is_nearly_the_true_one(scene, cylinder, start, touch, colour):
     np.testing.assert_array_equal(found, again)
 
 
+def test_what_the_hand_holds_from_behind_is_found():
+    """Of a hammer before the hand the nearest piece that is seen may be a hand's breadth from it."""
+    hammer = library.make("hammer")
+    settings = SynthesisSettings(mask=True)
+    frames = synthesize_frames(hammer, five_finger_hand(), 4, 0.0, noise="lab", seed=4, settings=settings)
+    near = MaskSettings(fair_share=0.0)
+    seen = [replace(frame, mask=None, contacts=NOTHING) for frame in frames]
+    assert min(overlap(object_mask(one, hammer), frame) for one, frame in zip(seen, frames)) > 0.85
+    assert min(overlap(object_mask(one, hammer, settings=near), frame) for one, frame in zip(seen, frames)) < 0.2
+
+
 def test_a_colour_image_without_colour_changes_nothing(scene, cylinder):
     grey = replace(scene, rgb=np.full_like(scene.rgb, 128))
     plain = object_mask(scene, cylinder, scene.prior, colour=False)

@@ -67,6 +67,10 @@ class MaskSettings:
     # starts are off, counts when it is this many times larger than all others together.
     larger: float = 1.0
     may_be: float = 0.033
+    # Pieces that together are less than this share of what the object shows on average are rests of the hand, or what
+    # nine tenths of hiding leave. Then the largest piece within the object's diameter of the hand counts when it alone
+    # is more than that: the far end of a hammer that the hand holds from behind.
+    fair_share: float = 0.1
 
 
 def object_mask(
@@ -315,6 +319,13 @@ def _chosen(
     behind = np.where(near, size, 0)
     if behind.max(initial=0) > settings.larger * size[kept[:-1]].sum():
         kept[int(behind.argmax())] = True
+    if start is None and view is not None and frame.camera is not None and kept.any():
+        middle = float(np.median(points[..., 2][pieces >= 0]))
+        # the mean shadow of a convex body is a quarter of its surface (Cauchy); that of another is less
+        shown = settings.fair_share * model.area / 4.0 * frame.camera.fx * frame.camera.fy / middle**2
+        far = np.where((gaps < model.diameter) & ~kept[:-1], size, 0)
+        if size[kept[:-1]].sum() < shown < far.max(initial=0):
+            kept[int(far.argmax())] = True
     if not kept.any() and size.max(initial=0) >= settings.smallest:
         kept[int(size.argmax())] = True
     return np.asarray(kept[pieces])
