@@ -84,10 +84,12 @@ def test_what_objects_and_hands_keep_is_read_back_the_same(folder, monkeypatch):
     from scenes import array_cache, hands, library
     from scenes.hand_generation import five_finger_hand
     from scenes.near_symmetries import near_symmetries
+    from scenes.objects import ObjectModel
 
     def everything():
         hands._surface_samples.cache_clear()
-        box, hand = library.make("box"), five_finger_hand()
+        made, hand = library.make("box"), five_finger_hand()
+        box = ObjectModel("box", made.vertices, made.faces, made.symmetries)  # the library's own has its field by now
         field = box.field
         samples = hand.surface_samples(0.008)
         return [field.values, field.origin, np.array(field.spacing), near_symmetries(box), *samples]
