@@ -345,4 +345,7 @@ def _rhos(cost: Array, off: Array) -> Array:
 
 
 def _mean(values: list[Array]) -> Array:
-    return np.asarray(np.nanmean(np.array(values), axis=0), dtype=np.float64)
+    """(2,) means of those that are numbers; NaN where none is."""
+    known = np.isfinite(values)
+    total = np.where(known, values, 0.0).sum(axis=0)
+    return np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)
