@@ -33,6 +33,7 @@ from fusion.depth_bias import DepthBias
 from fusion.joint_settings import JointSettings
 from scenes import poses as se3
 from scenes.alignment import Prior, row_kernels
+from scenes.alignment.batch import lattice_of, prior_of
 from scenes.cameras import Camera
 from scenes.evidence import FACING, GATE_ABOVE, NORMAL, SIGMA, WEIGHT, Evidence
 from scenes.frames import Frame
@@ -145,16 +146,12 @@ class JointProblem:
         else:
             self._sigma, self._weight = rows[:, SIGMA].copy(), rows[:, WEIGHT].copy()
         self._hand_blocks(hand_points)
-        field, count = self.model.field, len(rows)
-        self._lattice = field.values, field.origin, float(field.spacing), self.model.centroid
+        count = len(rows)
+        self._lattice = lattice_of(self.model)
         self._floors = row_kernels.loss_floors(rows)
         self._room = np.zeros(count, dtype=np.int64), np.zeros((count, 7)), *np.zeros((3, count))
         self._felt_rows = row_kernels.prepare(np.ascontiguousarray(self.felt.rows), 0.0, 0.0)
-        if self.prior is not None:
-            believed = self.prior.pose
-            rotation = np.ascontiguousarray(believed[:3, :3])
-            middle = believed[:3, :3] @ self.model.centroid + believed[:3, 3]
-            self._prior_parts = rotation, middle, np.ascontiguousarray(self.prior.information, dtype=np.float64)
+        self._prior_parts, self._no_prior = prior_of(self.model, self.prior), prior_of(self.model, None)
 
     def _weigh(self, weight: float) -> None:
         """Let every pixel count that much."""
@@ -311,7 +308,7 @@ class JointProblem:
         scale = float(self._white[SCALE])
         index, jac_fixed, along, residual, information = self._room
         cost, k = joint_kernels.vision_rows(
-            *self._lattice,
+            self._lattice,
             self.seen.rows,
             self._floors,
             self._is_pixel,
@@ -339,14 +336,14 @@ class JointProblem:
         middle = pose[:3, :3] @ self.model.centroid + pose[:3, 3]
         hessian, gradient = np.zeros((6, 6)), np.zeros(6)
         cost = joint_kernels.touch_rows(
-            *self._lattice,
+            self._lattice,
             self._felt_rows,
             self.settings.bend,
             np.ascontiguousarray(pose[:3, :3]),
             middle,
             self._white_xi @ unknown[XI],
             self._centre,
-            np.zeros((6, 6)),
+            self._no_prior,
             hessian,
             gradient,
             np.zeros((10, 3)),
@@ -358,11 +355,10 @@ class JointProblem:
 
     def _believed(self, pose: Array) -> tuple[float, Array, Array]:
         """The prior on the pose."""
-        assert self.prior is not None
         hessian, gradient = np.zeros((6, 6)), np.zeros(6)
         middle = pose[:3, :3] @ self.model.centroid + pose[:3, 3]
         rotation = np.ascontiguousarray(pose[:3, :3])
-        cost = joint_kernels.prior_row(rotation, middle, *self._prior_parts, hessian, gradient)
+        cost = joint_kernels.prior_row(rotation, middle, self._prior_parts, hessian, gradient)
         return float(cost), gradient, hessian
 
     def _hand_terms(self, unknown: Array) -> tuple[float, Array, Array]:

@@ -24,10 +24,7 @@ LEAST_WEIGHT = 1e-9
 
 @numba.njit(cache=True, nogil=True)
 def vision_rows(
-    values,
-    origin,
-    spacing,
-    centroid,
+    lattice,
     rows,
     floors,
     is_pixel,
@@ -49,13 +46,14 @@ def vision_rows(
 ):
     """Cost of the vision rows at a pose; fills the first k entries of the outputs, and returns (cost, k).
 
-    rows (n, 13): see scenes.evidence. floors (n, 2): row_kernels.loss_floor of the gates above and below. is_pixel
-    (n,): rows that are pixels of a surface. sigma (n,) m before slope (n,), the factor that the incidence makes of it;
-    weight (n,). normals (n, 3): of the surface met, object frame. rotation (3, 3), middle (3,): camera_from_object, of
-    the centroid. scale; bias (n,) m.
+    lattice: see kernels.cost_terms. rows (n, 13): see scenes.evidence. floors (n, 2): row_kernels.loss_floor of the
+    gates above and below. is_pixel (n,): rows that are pixels of a surface. sigma (n,) m before slope (n,), the factor
+    that the incidence makes of it; weight (n,). normals (n, 3): of the surface met, object frame. rotation (3, 3),
+    middle (3,): camera_from_object, of the centroid. scale; bias (n,) m.
     Outputs, all (n, ...): index of the row; jac by (turn, move, scale); along: by its bias; residuals in m;
     information: weight / sigma^2.
     """
+    values, origin, spacing, centroid = lattice
     total = 0.0
     k = 0
     for n in range(rows.shape[0]):
@@ -127,13 +125,11 @@ def vision_rows(
 
 
 @numba.njit(cache=True, nogil=True)
-def touch_rows(
-    values, origin, spacing, centroid, rows, bend, rotation, middle, xi, centre, nothing, hessian, gradient, scratch
-):
+def touch_rows(lattice, rows, bend, rotation, middle, xi, centre, prior, hessian, gradient, scratch):
     """Cost of prepared touch rows (row_kernels.prepare), as the robot reports them, moved by xi (6,) about centre (3,).
 
     Moving all contacts by xi is moving the object back. Fills hessian (6, 6) and gradient (6,) by the pose (turn, move;
-    camera axes). nothing: zeros (6, 6), no prior; scratch (10, 3): working room.
+    camera axes). prior: one that says nothing; scratch (10, 3): working room.
     """
     turn = np.zeros((3, 3))
     exp_times(xi, np.eye(3), turn)
@@ -143,24 +139,7 @@ def touch_rows(
             back[i] += turn[j, i] * (middle[j] - centre[j] - xi[3 + j])
         back[i] += centre[i]
     turned = turn.T @ rotation
-    cost = cost_terms(
-        values,
-        origin,
-        spacing,
-        centroid,
-        rows,
-        0.0,
-        bend,
-        turned,
-        back,
-        rotation,
-        middle,
-        nothing,
-        True,
-        hessian,
-        gradient,
-        scratch,
-    )
+    cost = cost_terms(lattice, rows, 0.0, bend, turned, back, prior, True, hessian, gradient, scratch)
     both = np.zeros((6, 6))
     both[:3, :3] = turn
     both[3:, 3:] = turn
@@ -170,13 +149,11 @@ def touch_rows(
 
 
 @numba.njit(cache=True, nogil=True)
-def prior_row(rotation, middle, prior_rotation, prior_middle, information, hessian, gradient):
+def prior_row(rotation, middle, prior, hessian, gradient):
     """Cost of a Gaussian on the pose; fills hessian (6, 6) and gradient (6,)."""
     hessian[:] = 0.0
     gradient[:] = 0.0
-    cost = prior_terms(
-        rotation, middle, prior_rotation, prior_middle, information, True, hessian, gradient, np.zeros((10, 3))
-    )
+    cost = prior_terms(rotation, middle, prior, True, hessian, gradient, np.zeros((10, 3)))
     for i in range(6):
         for j in range(i):
             hessian[j, i] = hessian[i, j]

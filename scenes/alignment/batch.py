@@ -94,21 +94,31 @@ def _join(model: ObjectModel, rotations: Array, middles: Array) -> Array:
     return out
 
 
-def _scene(model: ObjectModel, evidence: Evidence, prior: Prior | None) -> tuple:
+def lattice_of(model: ObjectModel) -> tuple:
+    """The object as the kernels take it: lattice values, origin, spacing (m), and the centroid."""
+    field = model.field
+    return field.values, field.origin, float(field.spacing), model.centroid
+
+
+def prior_of(model: ObjectModel, prior: Prior | None) -> tuple:
+    """A prior as the kernels take it: rotation, place of the centroid, information (zeros for None)."""
+    if prior is None:
+        return np.eye(3), np.zeros(3), np.zeros((6, 6))
+    shapes = np.shape(prior.pose), np.shape(prior.information)
+    if shapes != ((4, 4), (6, 6)) or not (np.isfinite(prior.pose).all() and np.isfinite(prior.information).all()):
+        raise InputError(f"prior: expected a finite pose (4, 4) and information (6, 6), got shapes {shapes}")
+    middle = prior.pose[:3, :3] @ model.centroid + prior.pose[:3, 3]
+    rotation = np.ascontiguousarray(prior.pose[:3, :3])
+    return rotation, middle, np.ascontiguousarray(prior.information, dtype=np.float64)
+
+
+def _scene(model: ObjectModel, evidence: Evidence, prior: Prior | None, settings: AlignSettings) -> tuple:
+    """The arguments that all kernels begin with: lattice, rows, stage, prior."""
     rows = np.ascontiguousarray(evidence.rows, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != COLUMNS or not np.isfinite(rows).all():
         raise InputError(f"alignment: expected finite evidence of {COLUMNS} columns, got shape {rows.shape}")
-    field = model.field
-    if prior is None:
-        prior_parts = (np.eye(3), np.zeros(3), np.zeros((6, 6)))
-    else:
-        shapes = np.shape(prior.pose), np.shape(prior.information)
-        if shapes != ((4, 4), (6, 6)) or not (np.isfinite(prior.pose).all() and np.isfinite(prior.information).all()):
-            raise InputError(f"prior: expected a finite pose (4, 4) and information (6, 6), got shapes {shapes}")
-        middle = prior.pose[:3, :3] @ model.centroid + prior.pose[:3, 3]
-        rotation = np.ascontiguousarray(prior.pose[:3, :3])
-        prior_parts = (rotation, middle, np.ascontiguousarray(prior.information, dtype=np.float64))
-    return (field.values, field.origin, float(field.spacing), model.centroid, rows), prior_parts
+    stage = float(settings.blur), float(settings.blur_normal), float(settings.huber), float(settings.bend)
+    return lattice_of(model), rows, stage, prior_of(model, prior)
 
 
 def align(
@@ -125,29 +135,21 @@ def align(
     """
     settings = settings or AlignSettings()
     rotations, middles = _split(model, starts)
-    scene, prior_parts = _scene(model, evidence, prior)
+    scene = _scene(model, evidence, prior, settings)
     count = len(rotations)
+    limits = (
+        int(settings.iterations),
+        float(settings.tolerance_angle),
+        float(settings.tolerance_distance),
+        model.radius,
+        float(settings.longest_angle),
+        float(settings.longest_share * model.radius),
+    )
     out_costs, hessians, used = np.zeros(count), np.zeros((count, 6, 6)), np.zeros(count, dtype=np.int64)
 
     def work(part: slice) -> None:
         solver_kernels.align_poses(  # type: ignore[call-arg]
-            *scene,
-            settings.blur,
-            settings.blur_normal,
-            settings.huber,
-            settings.bend,
-            *prior_parts,
-            settings.iterations,
-            settings.tolerance_angle,
-            settings.tolerance_distance,
-            model.radius,
-            settings.longest_angle,
-            settings.longest_share * model.radius,
-            rotations[part],
-            middles[part],
-            out_costs[part],
-            hessians[part],
-            used[part],
+            *scene, limits, rotations[part], middles[part], out_costs[part], hessians[part], used[part]
         )
 
     run_chunks(work, count, smallest=max(1, 4000 // (len(evidence) * settings.iterations + 1)))
@@ -165,21 +167,11 @@ def costs(
     """Costs (b,) of candidate poses (b, 4, 4) as they are."""
     settings = settings or AlignSettings()
     rotations, middles = _split(model, candidates)
-    scene, prior_parts = _scene(model, evidence, prior)
+    scene = _scene(model, evidence, prior, settings)
     out = np.zeros(len(rotations))
 
     def work(part: slice) -> None:
-        kernels.cost_poses(  # type: ignore[call-arg]
-            *scene,
-            settings.blur,
-            settings.blur_normal,
-            settings.huber,
-            settings.bend,
-            *prior_parts,
-            rotations[part],
-            middles[part],
-            out[part],
-        )
+        kernels.cost_poses(*scene, rotations[part], middles[part], out[part])  # type: ignore[call-arg]
 
     run_chunks(work, len(rotations), smallest=max(1, 8000 // (len(evidence) + 1)))
     return out
@@ -195,18 +187,7 @@ def terms(
     """Cost, gradient (6,) and Gauss-Newton Hessian (6, 6) at one pose, in the chart of poses.perturb."""
     settings = settings or AlignSettings()
     rotations, middles = _split(model, pose)
-    scene, prior_parts = _scene(model, evidence, prior)
+    scene = _scene(model, evidence, prior, settings)
     hessian, gradient = np.zeros((6, 6)), np.zeros(6)
-    cost = kernels.terms_at(  # type: ignore[call-arg]
-        *scene,
-        settings.blur,
-        settings.blur_normal,
-        settings.huber,
-        settings.bend,
-        rotations[0],
-        middles[0],
-        *prior_parts,
-        hessian,
-        gradient,
-    )
+    cost = kernels.terms_at(*scene, rotations[0], middles[0], hessian, gradient)  # type: ignore[call-arg]
     return float(cost), gradient, hessian

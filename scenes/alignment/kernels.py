@@ -29,31 +29,15 @@ SHORTEST_GRADIENT = 0.15
 
 
 @numba.njit(cache=True, nogil=True)
-def cost_terms(
-    values,
-    origin,
-    spacing,
-    centroid,
-    rows,
-    huber,
-    bend,
-    rotation,
-    middle,
-    prior_rotation,
-    prior_middle,
-    information,
-    need,
-    hessian,
-    gradient,
-    scratch,
-):
+def cost_terms(lattice, rows, huber, bend, rotation, middle, prior, need, hessian, gradient, scratch):
     """Cost (negative log posterior up to a constant) at a pose; fills hessian (6, 6) and gradient (6,) when `need`.
 
     rows (n, PREPARED): see row_kernels.prepare. huber: see robust, 0 = off. bend: share of a point's sigma that counts
     as not knowing where on a bent surface its normal was felt; that widening is taken as constant in the derivatives.
-    information (6, 6) of the prior about (prior_rotation, prior_middle); zeros when there is none.
-    scratch (10, 3): working room.
+    lattice: values, origin, spacing and the object's centroid. prior: rotation (3, 3), middle (3,) and information
+    (6, 6) about them, zeros when there is none. scratch (10, 3): working room.
     """
+    values, origin, spacing, centroid = lattice
     total = 0.0
     if need:
         for i in range(6):
@@ -209,7 +193,7 @@ def cost_terms(
         for i in range(6):
             for j in range(i + 1):
                 hessian[i, j] += sums[i][j]
-    total += prior_terms(rotation, middle, prior_rotation, prior_middle, information, need, hessian, gradient, scratch)
+    total += prior_terms(rotation, middle, prior, need, hessian, gradient, scratch)
     if need:
         for i in range(6):
             for j in range(i):
@@ -218,84 +202,27 @@ def cost_terms(
 
 
 @numba.njit(cache=True, nogil=True)
-def cost_poses(
-    values,
-    origin,
-    spacing,
-    centroid,
-    rows,
-    blur,
-    blur_normal,
-    huber,
-    bend,
-    prior_rotation,
-    prior_middle,
-    information,
-    rotations,
-    middles,
-    costs,
-):
-    """Costs (b,) of poses, without derivatives; rows (n, 13) of scenes.evidence, blurs in m and rad."""
+def cost_poses(lattice, rows, stage, prior, rotations, middles, costs):
+    """Costs (b,) of poses, without derivatives.
+
+    rows (n, 13): see scenes.evidence. stage: blur (m), blur of normals (rad), huber, bend. lattice, prior: as in
+    cost_terms.
+    """
+    blur, blur_normal, huber, bend = stage
     scratch = np.zeros((10, 3))
     hessian = np.zeros((6, 6))
     gradient = np.zeros(6)
     prepared = prepare(rows, blur, blur_normal)
     for b in range(rotations.shape[0]):
         costs[b] = cost_terms(
-            values,
-            origin,
-            spacing,
-            centroid,
-            prepared,
-            huber,
-            bend,
-            rotations[b],
-            middles[b],
-            prior_rotation,
-            prior_middle,
-            information,
-            False,
-            hessian,
-            gradient,
-            scratch,
+            lattice, prepared, huber, bend, rotations[b], middles[b], prior, False, hessian, gradient, scratch
         )
 
 
 @numba.njit(cache=True, nogil=True)
-def terms_at(
-    values,
-    origin,
-    spacing,
-    centroid,
-    rows,
-    blur,
-    blur_normal,
-    huber,
-    bend,
-    rotation,
-    middle,
-    prior_rotation,
-    prior_middle,
-    information,
-    hessian,
-    gradient,
-):
-    """Cost at one pose; fills hessian (6, 6) and gradient (6,); rows (n, 13) of scenes.evidence, blurs in m and rad."""
-    return cost_terms(
-        values,
-        origin,
-        spacing,
-        centroid,
-        prepare(rows, blur, blur_normal),
-        huber,
-        bend,
-        rotation,
-        middle,
-        prior_rotation,
-        prior_middle,
-        information,
-        True,
-        hessian,
-        gradient,
-        np.zeros((10, 3)),
-    )
+def terms_at(lattice, rows, stage, prior, rotation, middle, hessian, gradient):
+    """Cost at one pose; fills hessian (6, 6) and gradient (6,). Arguments as of cost_poses."""
+    blur, blur_normal, huber, bend = stage
+    prepared = prepare(rows, blur, blur_normal)
+    scratch = np.zeros((10, 3))
+    return cost_terms(lattice, prepared, huber, bend, rotation, middle, prior, True, hessian, gradient, scratch)

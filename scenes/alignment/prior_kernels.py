@@ -11,8 +11,12 @@ from scenes.rotation_kernels import log_rotation
 
 
 @numba.njit(cache=True, nogil=True)
-def prior_terms(rotation, middle, prior_rotation, prior_middle, information, need, hessian, gradient, scratch):
-    """Half the squared Mahalanobis distance to the prior; its derivative uses the inverse left Jacobian of SO(3)."""
+def prior_terms(rotation, middle, prior, need, hessian, gradient, scratch):
+    """Half the squared Mahalanobis distance to the prior; its derivative uses the inverse left Jacobian of SO(3).
+
+    prior: its rotation (3, 3), middle (3,) and information (6, 6). Adds to gradient and the lower half of hessian.
+    """
+    prior_rotation, prior_middle, information = prior
     any_information = 0.0
     for i in range(6):
         any_information += information[i, i]

@@ -51,37 +51,16 @@ def solve(hessian, gradient, damping, floor, factor, step):
 
 
 @numba.njit(cache=True, nogil=True)
-def align_poses(
-    values,
-    origin,
-    spacing,
-    centroid,
-    rows,
-    blur,
-    blur_normal,
-    huber,
-    bend,
-    prior_rotation,
-    prior_middle,
-    information,
-    iterations,
-    tolerance_angle,
-    tolerance_distance,
-    radius,
-    longest_angle,
-    longest_distance,
-    rotations,
-    middles,
-    costs,
-    hessians,
-    used,
-):
+def align_poses(lattice, rows, stage, prior, limits, rotations, middles, costs, hessians, used):
     """Levenberg-Marquardt on poses, in place: rotations (b, 3, 3), middles (b, 3) -> costs (b,), hessians (b, 6, 6).
 
     Stops at `iterations` tried steps, or when a step turns less than tolerance_angle (rad) and moves less than
     tolerance_distance (m). Steps are shortened to longest_angle and longest_distance. radius (m) of the object scales
     the floor of the damping, so that directions without information stay put. A step that raises the cost is undone.
+    rows, stage, lattice, prior: see kernels.cost_poses; limits: the numbers named here, in their order.
     """
+    blur, blur_normal, huber, bend = stage
+    iterations, tolerance_angle, tolerance_distance, radius, longest_angle, longest_distance = limits
     scratch = np.zeros((10, 3))
     hessian = np.zeros((6, 6))
     gradient = np.zeros(6)
@@ -95,22 +74,7 @@ def align_poses(
     prepared = prepare(rows, blur, blur_normal)
     for b in range(rotations.shape[0]):
         cost = cost_terms(
-            values,
-            origin,
-            spacing,
-            centroid,
-            prepared,
-            huber,
-            bend,
-            rotations[b],
-            middles[b],
-            prior_rotation,
-            prior_middle,
-            information,
-            True,
-            hessian,
-            gradient,
-            scratch,
+            lattice, prepared, huber, bend, rotations[b], middles[b], prior, True, hessian, gradient, scratch
         )
         damping = DAMPING_START
         count = 0
@@ -142,22 +106,7 @@ def align_poses(
             for i in range(3):
                 middle[i] = middles[b, i] + step[3 + i]
             new_cost = cost_terms(
-                values,
-                origin,
-                spacing,
-                centroid,
-                prepared,
-                huber,
-                bend,
-                rotation,
-                middle,
-                prior_rotation,
-                prior_middle,
-                information,
-                True,
-                new_hessian,
-                new_gradient,
-                scratch,
+                lattice, prepared, huber, bend, rotation, middle, prior, True, new_hessian, new_gradient, scratch
             )
             if new_cost <= cost:
                 gain = cost - new_cost
