@@ -4,17 +4,14 @@ object carried and slipping, pads of 3 x 8 taxels on five fingertips beside a de
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.benchmarks.tables import BenchSettings, Claim, Column, Rate, Report, Table, own_seed
-from fusion.benchmarks.tracking import SLIP_DELAY, Said, Tally, count_slips
-from scenes.errors import InputError
+from fusion.benchmarks.tracking import SLIP_DELAY, Said, Tally, count_slips, recorded
 
 if TYPE_CHECKING:
     from scenes.frames import Frame
@@ -29,12 +26,15 @@ FRAMES = 45
 # The camera is a quarter as fine as the default: what is asked here is asked of touch.
 SCALE = 0.25
 OCCLUSION = 0.5
+TOUCH = ("point", "array")
 # Method -> the frame it gets, and whether the poses of a track or the patterns alone answer.
 METHODS = ("patterns alone", "track without arrays", "track with arrays")
 
 
 def add_slips(report: Report, settings: BenchSettings) -> None:
     """The table: slips said in time and false alarms, by motion and method."""
+    from scenes.synthesis import SynthesisSettings
+
     columns = [Column("motion"), Column("method"), Column("sequences", 0), Column("slips", 0), Column("said in time")]
     columns += [Column("false alarms", 0), Column("as moved_in_hand"), Column("its false alarms", 0)]
     columns += [Column("steady frames", 0)]
@@ -47,15 +47,18 @@ def add_slips(report: Report, settings: BenchSettings) -> None:
     trials = settings.count(8, 1)
     objects = OBJECTS[:1] if settings.quick else OBJECTS
     totals = {method: Tally() for method in METHODS}
+    folder = settings.folder / "arrays" if settings.folder is not None else None
+    coarse = SynthesisSettings(camera=SynthesisSettings().camera.scaled(SCALE), rgb=False)
     for motion in MOTIONS:
         tallies, made = {method: Tally() for method in METHODS}, 0
         cells = [(name, trial) for name in objects for trial in range(trials)]
         for name, trial in settings.progress(cells, len(cells), f"slips: {motion}"):
-            recorded = _recorded(name, motion, own_seed(settings.seed, "arrays", motion, name, trial), settings.folder)
-            if recorded is None:
+            seed = own_seed(settings.seed, "arrays", motion, name, trial)
+            sequence = recorded(name, motion, FRAMES, seed, folder, OCCLUSION, coarse, touch=TOUCH, taxels="pad")
+            if sequence is None:
                 continue
             made += 1
-            model, frames, notes = recorded
+            model, frames, notes = sequence
             for method, tally in tallies.items():
                 count_slips(tally, model, frames, _said(method, model, frames), notes)
         for method, tally in tallies.items():
@@ -73,33 +76,6 @@ def add_slips(report: Report, settings: BenchSettings) -> None:
             Claim("slips said in time by a track with arrays, %", 100 * ours.hits / ours.slips, 90.0, True, 0),
             Claim("its false alarms in 1000 steady frames", 1000 * ours.alarms / max(ours.steady, 1), 1.0, False, 1),
         ]
-
-
-def _recorded(
-    name: str, motion: str, seed: int, folder: Path | None
-) -> tuple[ObjectModel, list[Frame], dict[str, Any]] | None:
-    """A sequence and its notes; None when no grasp of three seeds can be made. folder: as for `tracking`."""
-    from scenes import library
-    from scenes.captures import read_capture
-    from scenes.hand_generation import five_finger_hand
-    from scenes.synthesis import SynthesisSettings, synthesize
-
-    model = library.make(name)
-    coarse = SynthesisSettings(camera=SynthesisSettings().camera.scaled(SCALE), rgb=False)
-    for attempt in range(3):
-        with tempfile.TemporaryDirectory() as scratch:
-            kept = Path(scratch if folder is None else folder) / "arrays" / f"{name}-{motion}-{seed}-{attempt}"
-            try:
-                if not (kept / "capture.json").is_file():
-                    synthesize(
-                        kept, model, five_finger_hand(), FRAMES, OCCLUSION, ("point", "array"), "lab",
-                        seed + 1000 * attempt, motion=motion, settings=coarse, taxels="pad",
-                    )  # fmt: skip
-            except InputError:
-                continue
-            capture = read_capture(kept)
-            return model, list(capture), capture.settings.notes["motion"]
-    return None
 
 
 def _said(method: str, model: ObjectModel, frames: list[Frame]) -> list[Said]:

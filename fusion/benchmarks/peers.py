@@ -1,4 +1,4 @@
-"""Time against error with every method's budget swept, ours and others' in one run: seven fronts, a chart each.
+"""Time against error with every method's budget swept, ours and others' in one run: eight fronts, a chart each.
 
 All methods of a front get the same data on one thread; what a method prepares once an object and what is compiled is
 not timed, for nobody. What is not installed is a row that says so.

@@ -22,6 +22,7 @@ from fusion.benchmarks.tables import BenchSettings, Claim, Column, Rate, Report,
 if TYPE_CHECKING:
     from scenes.frames import Frame
     from scenes.objects import ObjectModel
+    from scenes.synthesis import SynthesisSettings
 
 Array = NDArray[np.float64]
 
@@ -91,12 +92,13 @@ def run(settings: BenchSettings) -> Report:
         cells = [(name, trial) for name in objects for trial in range(trials)]
         refused = 0
         for name, trial in settings.progress(cells, len(cells), motion):
-            recorded = _recorded(name, motion, frames, settings.seed + 101 * trial, settings.folder)
-            if recorded is None:
+            folder = settings.folder / "tracking" if settings.folder is not None else None
+            made = recorded(name, motion, frames, settings.seed + 101 * trial, folder)
+            if made is None:
                 refused += 1
                 continue
             for method, tally in tallies.items():
-                _follow(tally, method, *recorded, settings.seed)
+                _follow(tally, method, *made, settings.seed)
         report.tables.append(_errors(motion, tallies, refused))
         settings.show(report.tables[-1])
         tracked[motion] = tallies["track"]
@@ -110,12 +112,19 @@ def run(settings: BenchSettings) -> Report:
     return report
 
 
-def _recorded(
-    name: str, motion: str, frames: int, seed: int, folder: Path | None
+def recorded(
+    name: str,
+    motion: str,
+    frames: int,
+    seed: int,
+    folder: Path | None,
+    occlusion: float = OCCLUSION,
+    settings: SynthesisSettings | None = None,
+    **how: Any,
 ) -> tuple[ObjectModel, list[Frame], dict[str, Any]] | None:
     """A sequence and its notes; None when no grasp of three seeds hides the object by as much as asked.
 
-    folder: where captures are kept for the next run, None keeps none.
+    folder: where the capture is kept for the next run, None keeps none. how: more arguments of scenes.synthesize.
     """
     from scenes import library
     from scenes.captures import read_capture
@@ -123,17 +132,16 @@ def _recorded(
     from scenes.hand_generation import five_finger_hand
     from scenes.synthesis import SynthesisSettings, synthesize
 
+    settings = settings or SynthesisSettings(rgb=False)
     model = library.make(name)
     for attempt in range(3):
         with tempfile.TemporaryDirectory() as scratch:
-            kept = (
-                Path(scratch if folder is None else folder) / "tracking" / f"{name}-{motion}-{frames}-{seed}-{attempt}"
-            )
+            kept = Path(scratch if folder is None else folder) / f"{name}-{motion}-{frames}-{seed}-{attempt}"
             try:
                 if not (kept / "capture.json").is_file():
                     synthesize(
-                        kept, model, five_finger_hand(), frames, OCCLUSION, noise="lab", seed=seed + 1000 * attempt,
-                        motion=motion, settings=SynthesisSettings(rgb=False),
+                        kept, model, five_finger_hand(), frames, occlusion, noise="lab", seed=seed + 1000 * attempt,
+                        motion=motion, settings=settings, **how,
                     )  # fmt: skip
             except InputError:
                 continue
