@@ -10,22 +10,22 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fusion.answer import Estimate
-    from fusion.estimation import estimate
-    from fusion.stages import EstimateSettings
-    from fusion.tracking import Tracker, track
-    from fusion.tracking_answer import TrackedEstimate, TrackSettings
+    from fusion.estimation.answer import Estimate
+    from fusion.estimation.estimate import estimate
+    from fusion.estimation.stages import EstimateSettings
+    from fusion.tracking.answer import TrackedEstimate, TrackSettings
+    from fusion.tracking.tracker import Tracker, track
 
 __all__ = ["Estimate", "EstimateSettings", "TrackSettings", "TrackedEstimate", "Tracker", "estimate", "track"]
 
 _HOMES = {
-    "Estimate": "fusion.answer",
-    "EstimateSettings": "fusion.stages",
-    "TrackSettings": "fusion.tracking_answer",
-    "TrackedEstimate": "fusion.tracking_answer",
-    "Tracker": "fusion.tracking",
-    "estimate": "fusion.estimation",
-    "track": "fusion.tracking",
+    "Estimate": "fusion.estimation.answer",
+    "EstimateSettings": "fusion.estimation.stages",
+    "TrackSettings": "fusion.tracking.answer",
+    "TrackedEstimate": "fusion.tracking.answer",
+    "Tracker": "fusion.tracking.tracker",
+    "estimate": "fusion.estimation.estimate",
+    "track": "fusion.tracking.tracker",
 }
 
 

@@ -10,20 +10,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from scenes.captures import read_capture, write_capture
     from scenes.errors import PalpateError
-    from scenes.frames import Contacts, Frame
-    from scenes.objects import ObjectModel
+    from scenes.geometry.objects import ObjectModel
+    from scenes.recordings.captures import read_capture, write_capture
+    from scenes.recordings.frames import Contacts, Frame
 
 __all__ = ["Contacts", "Frame", "ObjectModel", "PalpateError", "read_capture", "write_capture"]
 
 _HOMES = {
-    "Contacts": "scenes.frames",
-    "Frame": "scenes.frames",
-    "ObjectModel": "scenes.objects",
+    "Contacts": "scenes.recordings.frames",
+    "Frame": "scenes.recordings.frames",
+    "ObjectModel": "scenes.geometry.objects",
     "PalpateError": "scenes.errors",
-    "read_capture": "scenes.captures",
-    "write_capture": "scenes.captures",
+    "read_capture": "scenes.recordings.captures",
+    "write_capture": "scenes.recordings.captures",
 }
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from scenes import library
+from scenes.synthesis import library
 
 # Compiled kernels take seconds at their first call, so an example has no deadline. The same examples every time: a run
 # says what changed. `--hypothesis-profile explore` draws others.
@@ -29,7 +29,7 @@ def contact_data():
 
 @pytest.fixture(scope="session")
 def hand():
-    from scenes.hand_generation import five_finger_hand
+    from scenes.synthesis.hands import five_finger_hand
 
     return five_finger_hand()
 
@@ -42,7 +42,7 @@ def drill():
 @pytest.fixture(scope="session")
 def lab_frame(hand, drill):
     """One frame of a drill, 60 % hidden by the hand, with every error of the preset."""
-    from scenes.synthesis import SynthesisSettings, synthesize_frames
+    from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
 
     return synthesize_frames(drill, hand, occlusion=0.6, noise="lab", seed=5, settings=SynthesisSettings(mask=True))[0]
 
@@ -50,8 +50,8 @@ def lab_frame(hand, drill):
 @pytest.fixture(scope="session")
 def exact_frame(hand, drill):
     """The same grasp without any error."""
-    from scenes.noise import PRESETS
-    from scenes.synthesis import SynthesisSettings, synthesize_frames
+    from scenes.synthesis.noise.presets import PRESETS
+    from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
 
     return synthesize_frames(
         drill, hand, occlusion=0.6, noise=PRESETS["none"], seed=5, settings=SynthesisSettings(mask=True)

@@ -8,13 +8,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes import evidence as tables
-from scenes.evidence import SIGMA, TOUCH, Evidence
-from scenes.frames import Contacts, Frame
+from scenes.evidence import table as tables
+from scenes.evidence.table import SIGMA, TOUCH, Evidence
+from scenes.recordings.frames import Contacts, Frame
 from touch.arrays.readings import Reading, readings_of
 from touch.arrays.rows import ArrayRowSettings, array_contacts, taxel_rows
-from touch.intrinsic import wrench_contacts
-from touch.localize import contact_starts
+from touch.localization import contact_starts
+from touch.wrenches.intrinsic import wrench_contacts
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scenes.errors import InputError
-from scenes.objects import ObjectModel
+from scenes.geometry.objects import ObjectModel
 
 if TYPE_CHECKING:
     from scipy.spatial import ConvexHull

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes import poses as se3
-from scenes.alignment.batch import Alignment, AlignSettings, terms
-from scenes.alignment.modes import Mode, distinct_modes
-from scenes.evidence import TOUCH, from_contacts
-from scenes.frames import Contacts
-from scenes.objects import ObjectModel
+from scenes.evidence.align import Alignment, AlignSettings, terms
+from scenes.evidence.modes import Mode, distinct_modes
+from scenes.evidence.table import TOUCH, from_contacts
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.frames import Contacts
 
 Array = NDArray[np.float64]
 

@@ -14,16 +14,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes import evidence as tables
-from scenes import poses as se3
-from scenes.alignment.batch import Alignment, AlignSettings, align, costs
-from scenes.alignment.modes import distinct_modes
-from scenes.alignment.search import SearchStage, distinct_first, search
 from scenes.errors import InputError
-from scenes.evidence import Evidence
-from scenes.frames import Contacts
-from scenes.objects import ObjectModel
-from touch.localize import contact_starts
+from scenes.evidence import table as tables
+from scenes.evidence.align import Alignment, AlignSettings, align, costs
+from scenes.evidence.modes import distinct_modes
+from scenes.evidence.search import SearchStage, distinct_first, search
+from scenes.evidence.table import Evidence
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.frames import Contacts
+from touch.localization import contact_starts
 
 Array = NDArray[np.float64]
 

@@ -1,1 +1,48 @@
-"""From RGB-D to object pixels, free space and a coarse pose."""
+"""From RGB-D to object pixels, free space and a coarse pose.
+
+    from vision import segment
+
+Names are loaded when they are first used.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vision.look.hand import HandView, view_hand
+    from vision.look.mask import object_mask
+    from vision.look.pixels import DepthModel
+    from vision.look.segments import Segments, segment
+    from vision.tracking.by_vision import track_by_vision
+    from vision.visibility import Visibility
+
+__all__ = [
+    "DepthModel",
+    "HandView",
+    "Segments",
+    "Visibility",
+    "object_mask",
+    "segment",
+    "track_by_vision",
+    "view_hand",
+]
+
+_HOMES = {
+    "DepthModel": "vision.look.pixels",
+    "HandView": "vision.look.hand",
+    "Segments": "vision.look.segments",
+    "Visibility": "vision.visibility",
+    "object_mask": "vision.look.mask",
+    "segment": "vision.look.segments",
+    "track_by_vision": "vision.tracking.by_vision",
+    "view_hand": "vision.look.hand",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'vision' has no attribute {name!r}")
+    import importlib
+
+    return getattr(importlib.import_module(_HOMES[name]), name)

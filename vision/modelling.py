@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes import poses as se3
 from scenes.errors import InputError
-from scenes.frames import Frame
-from scenes.objects import ObjectModel
-from scenes.reconstruction import View
-from vision.clouds import DepthModel, read_pixels
-from vision.hand_view import CalibrationModel, view_hand
-from vision.object_mask import MaskSettings, object_mask
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+from scenes.reconstruction.volume import View
+from scenes.recordings.frames import Frame
+from vision.look.hand import CalibrationModel, view_hand
+from vision.look.mask import MaskSettings, object_mask
+from vision.look.pixels import DepthModel, read_pixels
 
 Array = NDArray[np.float64]
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scenes.cameras import is_reading
-from scenes.frames import Frame
-from vision.hand_view import CalibrationModel, HandView, camera_from_hand, prior_information
+from scenes.geometry.cameras import is_reading
+from scenes.recordings.frames import Frame
+from vision.look.hand import CalibrationModel, HandView, camera_from_hand, prior_information
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ def doubts(
     """In words, why mask, intrinsics, depth unit or camera-robot calibration of a frame may be wrong; none when all
     agrees.
 
-    hand: the hand as seen (vision.hand_view). Without a hand that the robot tells of, only the mask is looked at.
+    hand: the hand as seen (vision.look.hand). Without a hand that the robot tells of, only the mask is looked at.
     """
     settings, calibration = settings or PlausibilitySettings(), calibration or CalibrationModel()
     if frame.depth is None or frame.camera is None:

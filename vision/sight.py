@@ -9,10 +9,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.frames import Frame
-from scenes.objects import ObjectModel
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.frames import Frame
 from scenes.threads import run_chunks
-from vision.clouds import DepthModel
+from vision.look.pixels import DepthModel
 
 Array = NDArray[np.float64]
 

@@ -1,8 +1,8 @@
 """Where to begin when nothing is known: poses that put the object behind the pixels that show it.
 
 Two kinds. Pairs of pixels with normals are matched to pairs of the object's surface that look alike (Drost et al.,
-CVPR 2010; see scenes.point_pairs): few are needed where the shape tells. Even rotations behind random pixels do where
-normals tell nothing. All are looked at once, on few rows of evidence, and only the best that differ are moved.
+CVPR 2010; see scenes.evidence.point_pairs): few are needed where the shape tells. Even rotations behind random pixels
+do where normals tell nothing. All are looked at once, on few rows of evidence, and only the best that differ are moved.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes import poses as se3
-from scenes.alignment import AlignSettings, costs
-from scenes.alignment.search import rotation_grid, thin
-from scenes.evidence import Evidence
-from scenes.objects import ObjectModel
-from scenes.point_pairs import pair_table
+from scenes.evidence.align import AlignSettings, costs
+from scenes.evidence.point_pairs import pair_table
+from scenes.evidence.search import rotation_grid, thin
+from scenes.evidence.table import Evidence
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
 
 Array = NDArray[np.float64]
 

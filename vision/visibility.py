@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes import poses as se3
-from scenes.cameras import is_reading
-from scenes.frames import Frame
-from scenes.objects import ObjectModel
-from vision.clouds import DepthModel
+from scenes.geometry import poses as se3
+from scenes.geometry.cameras import is_reading
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.frames import Frame
+from vision.look.pixels import DepthModel
 
 Array = NDArray[np.float64]
 

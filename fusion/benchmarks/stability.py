@@ -10,8 +10,9 @@ import math
 import time
 from dataclasses import dataclass
 
-from fusion.benchmarks.stability_cases import Case, Unstable, all_cases
-from fusion.benchmarks.tables import BenchSettings, Claim, Column, Report, Table
+from cases.registry import Case, Unstable, all_cases
+
+from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Report, Table
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from fusion.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from fusion.batch import Job, Outcome
+    from fusion.results.batch import Job, Outcome
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,10 +43,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when a capture failed or a frame is lost."""
-    from fusion.batch import Job, Outcome, find_captures, finished
-    from fusion.batch_results import summary_of, write_all
     from fusion.cli.options import prior_setter
-    from fusion.stages import check_senses
+    from fusion.estimation.stages import check_senses
+    from fusion.results.batch import Job, Outcome, find_captures, finished
+    from fusion.results.batch_files import summary_of, write_all
 
     use = tuple(sorted(check_senses(args.use), reverse=True))
     prior_setter(args.prior, args.seed)  # a mistake in it is one line now, not one a capture
@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _outcomes(args: argparse.Namespace, jobs: list[Job]) -> Iterator[Outcome]:
-    from fusion.batch import Cluster, Processes, run_jobs
+    from fusion.results.batch import Cluster, Processes, run_jobs
     from scenes.threads import thread_count
 
     if not jobs:
@@ -94,7 +94,7 @@ def _outcomes(args: argparse.Namespace, jobs: list[Job]) -> Iterator[Outcome]:
 
 
 def _show(outcomes: list[Outcome], summary: dict[str, Any]) -> None:
-    from fusion.batch_results import median
+    from fusion.results.batch_files import median
 
     heads = ("capture", "frames", "ok", "ambiguous", "lost", "ADD-S mm", "rot °", "time ms")
     rows = []

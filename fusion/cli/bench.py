@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from fusion.cli.options import console, positive, progress, say, write_json
 
 if TYPE_CHECKING:
-    from fusion.benchmarks.tables import BenchSettings
+    from fusion.benchmarks.printing.tables import BenchSettings
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,7 +42,7 @@ def names_list(text: str) -> tuple[str, ...]:
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 also when a demand is missed: the report says so."""
     from fusion import benchmarks
-    from fusion.benchmarks.tables import BenchSettings, Table, show_report, show_table, write_report
+    from fusion.benchmarks.printing.tables import BenchSettings, Table, show_report, show_table, write_report
     from scenes.errors import unknown
 
     names = benchmarks.available()
@@ -70,8 +70,8 @@ def run(args: argparse.Namespace) -> int:
 def _run_all(args: argparse.Namespace, names: list[str], settings: BenchSettings) -> int:
     from dataclasses import replace
 
-    from fusion.benchmarks.all_benchmarks import Outcome, run_all, summary
-    from fusion.benchmarks.tables import show_table
+    from fusion.benchmarks.printing.run_all import Outcome, run_all, summary
+    from fusion.benchmarks.printing.tables import show_table
 
     folder = args.out or Path("out") / "bench"
 

@@ -22,7 +22,7 @@ from fusion.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from fusion.compare import Summary
+    from fusion.truth.compare import Summary
 
 HEADS = (
     "method",
@@ -54,9 +54,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0: a method that is lost is what a comparison is for."""
-    from fusion.compare import METHODS, check_methods, compare, summarise
-    from fusion.plots import check_suffix, write_plot
-    from scenes.captures import read_capture
+    from fusion.results.plots import check_suffix, write_plot
+    from fusion.truth.compare import METHODS, check_methods, compare, summarise
+    from scenes.recordings.captures import read_capture
 
     methods = check_methods(args.methods if args.methods is not None else METHODS)
     if args.plot is not None:

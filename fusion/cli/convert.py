@@ -18,9 +18,9 @@ from fusion.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from scenes.captures import Capture
     from scenes.formats.conversion import Converted
-    from scenes.objects import ObjectModel
+    from scenes.geometry.objects import ObjectModel
+    from scenes.recordings.captures import Capture
 
 SOURCES = {
     "bop": "scene folder of a BOP data set",
@@ -97,7 +97,7 @@ def convert(args: argparse.Namespace) -> Converted:
     if args.kind is None:
         if (source / "capture.json").is_file():
             return _export(args)
-        from fusion.results import capture_of, find_result, read_result
+        from fusion.results.files import capture_of, find_result, read_result
 
         result = find_result(source)
         if result is not None:
@@ -116,7 +116,9 @@ def convert(args: argparse.Namespace) -> Converted:
 def _kind(source: Path, out: Path) -> str:
     """The format of a recording, by its files."""
     from scenes.errors import InputError
-    from scenes.formats import bop_scene, handover, image_folder, ros_bag, tacman
+    from scenes.formats import handover, image_folder, tacman
+    from scenes.formats.bop import scene as bop_scene
+    from scenes.formats.ros import bag as ros_bag
 
     if source.is_file():
         if ros_bag.is_bag(source):
@@ -162,7 +164,8 @@ def _object(args: argparse.Namespace, needed: str | None = None) -> ObjectModel 
 
 def _import(kind: str, args: argparse.Namespace) -> Converted:
     from scenes.errors import InputError
-    from scenes.formats import bop_scene, image_folder, tacman
+    from scenes.formats import image_folder, tacman
+    from scenes.formats.bop import scene as bop_scene
     from scenes.formats.conversion import Converted
 
     source, out = args.source, args.out
@@ -179,7 +182,8 @@ def _import(kind: str, args: argparse.Namespace) -> Converted:
         model = _needed(args, f"a capture (or OUT ending in {', '.join(TABLES)})")
         return tacman.convert_contacts(read_contacts(source), out, model, str(source))
     if kind == "ros":
-        from scenes.formats import ros, ros_map
+        from scenes.formats.ros import topics as ros_map
+        from scenes.formats.ros import recording as ros
 
         if args.topics is None:
             raise InputError(f"{source}: expected --topics FILE, a topic map (docs/formats.md), got none")
@@ -215,7 +219,8 @@ def _intrinsics(args: argparse.Namespace) -> Any:
     import numpy as np
 
     from scenes.errors import InputError
-    from scenes.formats import bop, image_folder
+    from scenes.files import bop
+    from scenes.formats import image_folder
 
     if args.intrinsics is None:
         if args.depth_scale is not None:
@@ -233,10 +238,11 @@ def _intrinsics(args: argparse.Namespace) -> Any:
 
 
 def _export(args: argparse.Namespace) -> Converted:
-    from scenes.captures import read_capture
     from scenes.errors import InputError
-    from scenes.formats import bop_scene, handover
+    from scenes.formats import handover
+    from scenes.formats.bop import scene as bop_scene
     from scenes.formats.conversion import Converted
+    from scenes.recordings.captures import read_capture
 
     capture = read_capture(args.source)
     endings = {".glb": "glb", ".tum": "tum"}
@@ -280,9 +286,9 @@ def _poses(capture: Capture, result: Path | None) -> dict[int, Any]:
 
 
 def _result_poses(path: Path) -> dict[int, Any]:
-    from fusion.results import find_result, read_result
+    from fusion.results.files import find_result, read_result
     from scenes.errors import CaptureError
-    from scenes.formats.bop import read_poses
+    from scenes.files.bop import read_poses
 
     result = find_result(path)
     if result is not None:
@@ -306,8 +312,8 @@ def _stamps(capture: Capture, fps: float) -> dict[int, int]:
 
 
 def _write_glb(capture: Capture, args: argparse.Namespace, found: dict[int, Any]) -> None:
-    from scenes import poses
     from scenes.formats.glb import write_glb
+    from scenes.geometry import poses
 
     shown = args.frame if args.frame is not None else min(found)
     frame = capture.frame(shown)
@@ -323,9 +329,9 @@ def _write_glb(capture: Capture, args: argparse.Namespace, found: dict[int, Any]
 def _convert_file(source: Path, out: Path) -> Path:
     """Between point lists and meshes as .off and .ply, and contacts as .csv."""
     from scenes.errors import InputError
-    from scenes.formats import tables
-    from scenes.formats.off import OffData, read_off, write_off
-    from scenes.formats.ply import read_cloud, write_ply
+    from scenes.files import tables
+    from scenes.files.off import OffData, read_off, write_off
+    from scenes.files.ply import read_cloud, write_ply
 
     kinds = (source.suffix.lower(), out.suffix.lower())
     if kinds[0] not in TABLES or kinds[1] not in TABLES:

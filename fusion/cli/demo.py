@@ -20,11 +20,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when the fused answer is lost."""
     from fusion.cli.compare import show
-    from fusion.compare import METHODS, compare, summarise
-    from fusion.report.page import write_report
-    from scenes import library
-    from scenes.hand_generation import five_finger_hand
-    from scenes.synthesis import synthesize
+    from fusion.results.report.page import write_report
+    from fusion.truth.compare import METHODS, compare, summarise
+    from scenes.synthesis import library
+    from scenes.synthesis.hands import five_finger_hand
+    from scenes.synthesis.recording import synthesize
 
     check_folder(args.out)
     model = library.make(OBJECT)

@@ -35,10 +35,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when a frame's answer is lost."""
-    from fusion.judging import Judge
-    from fusion.results import frame_errors
-    from fusion.stages import check_senses
-    from scenes.captures import read_capture
+    from fusion.estimation.stages import check_senses
+    from fusion.results.files import frame_errors
+    from fusion.truth.errors import Judge
+    from scenes.recordings.captures import read_capture
 
     senses = tuple(sorted(check_senses(args.use), reverse=True))
     capture = read_capture(args.capture)

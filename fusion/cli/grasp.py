@@ -26,11 +26,11 @@ from fusion.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from fusion.answer import Estimate
-    from fusion.grasp import GraspAnswer
-    from scenes.captures import Capture
-    from scenes.frames import Frame
-    from scenes.objects import ObjectModel
+    from fusion.advice.grasp import GraspAnswer
+    from fusion.estimation.answer import Estimate
+    from scenes.geometry.objects import ObjectModel
+    from scenes.recordings.captures import Capture
+    from scenes.recordings.frames import Frame
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -66,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when a frame's pose is lost: its grasp cannot be told."""
-    from fusion.grasp import GraspSettings, assess
+    from fusion.advice.grasp import GraspSettings, assess
     from touch.grasp_quality import WrenchSettings
 
     wrenches = WrenchSettings(args.friction, args.edges, 1e-3 * args.soft_finger, args.norm)
@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
     write_json(out / "grasp.json", content)
     write_json(args.json, content)
     if not args.no_report:
-        from fusion.report.page import write_report
+        from fusion.results.report.page import write_report
 
         write_report(out / "grasp.html", capture.name, frames, model, answers, grasps=grasps)
     _show(grasps)
@@ -100,9 +100,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _answers(args: argparse.Namespace) -> tuple[Capture, ObjectModel, list[Frame], list[Estimate]]:
     """Capture, object, frames and their answers: read from a result, or estimated now."""
-    from fusion.results import capture_of, find_result, read_result
-    from scenes.captures import read_capture
+    from fusion.results.files import capture_of, find_result, read_result
     from scenes.errors import InputError
+    from scenes.recordings.captures import read_capture
 
     result = find_result(args.source)
     if result is not None:
@@ -112,7 +112,7 @@ def _answers(args: argparse.Namespace) -> tuple[Capture, ObjectModel, list[Frame
         return capture, model, [capture.frame(answer.frame) for answer in answers], answers
     if not args.source.is_dir():
         raise InputError(f"{args.source}: expected a capture's folder, or a result.json or its folder, found neither")
-    from fusion.stages import check_senses
+    from fusion.estimation.stages import check_senses
 
     senses = tuple(sorted(check_senses(args.use), reverse=True))
     capture = read_capture(args.source)

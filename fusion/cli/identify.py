@@ -10,7 +10,7 @@ from fusion.cli.localize import read_contacts
 from fusion.cli.options import number, progress, say, show_table, write_json
 
 if TYPE_CHECKING:
-    from scenes.objects import ObjectModel
+    from scenes.geometry.objects import ObjectModel
 
 MESHES = (".ply", ".obj", ".stl", ".off", ".glb")
 HEADS = ("object", "index mm", "likelihood", "1/G share", "")
@@ -28,8 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when no candidate fits at all."""
-    from scenes.frames import Frame
-    from scenes.validation import check_scale
+    from scenes.recordings.frames import Frame
+    from scenes.recordings.validation import check_scale
     from touch.recognition import identify
 
     contacts = read_contacts(args.contacts, args.frame)
@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
 def load_candidates(folder: Path, unit: str = "m") -> list[ObjectModel]:
     """Every mesh of the folder, by name. Raises InputError for no folder, no mesh, or two meshes of one name."""
     from scenes.errors import InputError
-    from scenes.objects import ObjectModel
+    from scenes.geometry.objects import ObjectModel
 
     if not folder.is_dir():
         raise InputError(f"objects: expected a folder of meshes, found none at {folder}")

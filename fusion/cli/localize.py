@@ -18,8 +18,8 @@ from fusion.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from scenes.frames import Contacts
-    from scenes.objects import ObjectModel
+    from scenes.geometry.objects import ObjectModel
+    from scenes.recordings.frames import Contacts
 
 METHODS = (
     "multistart",
@@ -55,8 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when the last trial is lost."""
     from scenes.errors import InputError, unknown
-    from scenes.frames import Frame
-    from scenes.validation import check_usable
+    from scenes.recordings.frames import Frame
+    from scenes.recordings.validation import check_usable
 
     if args.method not in METHODS:
         raise unknown("method", args.method, METHODS)
@@ -96,11 +96,11 @@ def read_contacts(path: Path, frame: int | None = None) -> Contacts:
     """
     import numpy as np
 
-    from scenes.captures import contacts_of
     from scenes.errors import CaptureError, InputError
-    from scenes.formats import tables
-    from scenes.formats.problems import refuse
-    from scenes.frames import Contacts
+    from scenes.files import tables
+    from scenes.files.problems import refuse
+    from scenes.recordings.captures import contacts_of
+    from scenes.recordings.frames import Contacts
 
     if not path.is_file():
         raise CaptureError(f"{path}: expected contacts (.csv, .off or .ply), found no file")
@@ -118,12 +118,12 @@ def read_contacts(path: Path, frame: int | None = None) -> Contacts:
         except InputError as error:
             raise CaptureError(f"{path}: {error}") from error
     elif path.suffix.lower() == ".off":
-        from scenes.formats.off import read_off
+        from scenes.files.off import read_off
 
         data = read_off(path)
         contacts = Contacts(data.points, data.normals)
     elif path.suffix.lower() == ".ply":
-        from scenes.formats.ply import read_cloud
+        from scenes.files.ply import read_cloud
 
         contacts = Contacts(read_cloud(path)[0])
     else:
@@ -134,7 +134,7 @@ def read_contacts(path: Path, frame: int | None = None) -> Contacts:
 
 
 def _read_cloud(path: Path | None) -> Any:
-    from scenes.formats.ply import read_cloud
+    from scenes.files.ply import read_cloud
 
     return None if path is None else read_cloud(path)[0]
 
@@ -149,7 +149,7 @@ def _some(contacts: Contacts, most: int | None, seed: int) -> Contacts:
 
 
 def _by_touch(model: ObjectModel, used: Contacts, every: Contacts, method: str, seed: int) -> dict[str, Any]:
-    from touch.localize import contact_index, localize
+    from touch.localization import contact_index, localize
 
     found = localize(model, used, seed=seed, method=method)
     return {
@@ -163,9 +163,9 @@ def _by_touch(model: ObjectModel, used: Contacts, every: Contacts, method: str, 
 
 def _by_both(model: ObjectModel, used: Contacts, every: Contacts, cloud: Any, seed: int) -> dict[str, Any]:
     """The fused answer, and what each sense alone makes of the same data."""
-    from fusion.estimation import estimate
-    from fusion.judging import Judge
-    from scenes.frames import Frame
+    from fusion.estimation.estimate import estimate
+    from fusion.truth.errors import Judge
+    from scenes.recordings.frames import Frame
 
     frame, judged, judge = Frame(0, contacts=used, cloud=cloud), Frame(0, contacts=every, cloud=cloud), Judge(model)
     senses: dict[str, Any] = {}

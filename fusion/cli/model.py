@@ -32,8 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Exit code 0: a model whose error is large is still what was seen."""
     from fusion.modelling import SOURCES, ModelSettings, ShapeError, compare_shapes, make_model, model_json, write_model
-    from scenes.captures import read_capture
     from scenes.errors import InputError
+    from scenes.recordings.captures import read_capture
     from vision.modelling import ModellingSettings
 
     if args.output.suffix.lower() != ".ply":

@@ -21,9 +21,9 @@ from scenes.errors import InputError, unknown
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from fusion.answer import Estimate
-    from scenes.frames import Frame
-    from scenes.objects import ObjectModel
+    from fusion.estimation.answer import Estimate
+    from scenes.geometry.objects import ObjectModel
+    from scenes.recordings.frames import Frame
 
 T = TypeVar("T")
 
@@ -134,8 +134,8 @@ def _quantity(text: str, units: dict[str, float], default: str) -> float | None:
 
 def load_object(name: str, unit: str = "m") -> ObjectModel:
     """A generated object by its name, else a mesh file. Raises PalpateError listing the names when it is neither."""
-    from scenes import library
-    from scenes.objects import ObjectModel
+    from scenes.geometry.objects import ObjectModel
+    from scenes.synthesis import library
 
     if name in library.names() and not Path(name).is_file():
         return library.make(name)
@@ -154,8 +154,8 @@ def prior_setter(text: str | None, seed: int) -> Callable[[Frame, ObjectModel], 
         return lambda frame, model: replace(frame, prior=None)
     if text.startswith("gt"):
         return _truth_plus(text, seed)
-    from scenes.formats.bop import read_priors
-    from scenes.formats.problems import refuse
+    from scenes.files.bop import read_priors
+    from scenes.files.problems import refuse
 
     if not Path(text).is_file():
         raise InputError(f"prior: expected none, gt+NOISE like gt+33mm,16deg, or a file, got {text!r}")
@@ -174,7 +174,7 @@ def _truth_plus(text: str, seed: int) -> Callable[[Frame, ObjectModel], Frame]:
 
     import numpy as np
 
-    from scenes import poses
+    from scenes.geometry import poses
 
     noise = (0.0, 0.0)
     if text != "gt":
@@ -222,7 +222,7 @@ def say(text: str) -> None:
 
 def announce_compiling() -> None:
     """On a machine's first run, say what the next half minute is spent on (standard error, so results stay clean)."""
-    from scenes.alignment.solver_kernels import align_poses
+    from scenes.evidence.solver_kernels import align_poses
 
     # numba keeps an index beside the module, or in the user's cache folder when it may not write there
     stats = align_poses._cache  # type: ignore[attr-defined]
@@ -264,7 +264,7 @@ def write_json(path: Path | None, content: Any) -> None:
     """Write --json's file when one was asked for; NaN becomes null."""
     if path is None:
         return
-    from fusion.judging import json_number
+    from fusion.truth.errors import json_number
 
     path.write_text(json.dumps(json_number(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
@@ -304,8 +304,8 @@ def estimates(
     """Each frame as `prepare` has it, and its answer. The first is estimated twice: that loads the compiled kernels,
     and a frame's time should tell of the frame. Raises CaptureError for a frame that no estimate should be made of.
     """
-    from fusion.estimation import estimate
-    from scenes.validation import check_usable
+    from fusion.estimation.estimate import estimate
+    from scenes.recordings.validation import check_usable
 
     warm = False
     for one in recorded:
@@ -324,14 +324,14 @@ def out_folder(args: argparse.Namespace, name: str) -> Path:
 
 def write_run(args, capture, model, frames, answers, errors) -> str:  # type: ignore[no-untyped-def]  # heavy imports
     """Write poses.csv, result.json, report.html and --json of a run with the arguments of `add_run`; says what."""
-    from fusion.results import result_json, write_results
+    from fusion.results.files import result_json, write_results
 
     out = out_folder(args, capture.name)
     content = result_json(capture.name, model, frames, answers, errors)
     content["capture_path"] = str(capture.path.resolve())  # grasp and view read the recording again
     write_results(out, capture, answers, content)
     if not args.no_report:
-        from fusion.report.page import write_report
+        from fusion.results.report.page import write_report
 
         write_report(out / "report.html", capture.name, frames, model, answers, None, content["errors"])
     write_json(args.json, content)

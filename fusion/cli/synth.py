@@ -29,8 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the capture."""
-    from scenes.capture_writing import refuse_foreign_folder
-    from scenes.synthesis import synthesize
+    from scenes.recordings.writing import refuse_foreign_folder
+    from scenes.synthesis.recording import synthesize
 
     refuse_foreign_folder(args.out)  # before the work, not after it
     model, hand = load_object(args.object, args.unit), load_hand(args.hand)
@@ -59,8 +59,8 @@ def run(args: argparse.Namespace) -> int:
 def load_hand(name: str):  # type: ignore[no-untyped-def]  # naming Hand here would import it for --help
     """A Hand by name or URDF, None for "none"; raises InputError for anything else."""
     from scenes.errors import InputError
-    from scenes.hand_generation import five_finger_hand
-    from scenes.hands import Hand
+    from scenes.robot.hands import Hand
+    from scenes.synthesis.hands import five_finger_hand
 
     if name.replace("_", "-") == "five-finger":
         return five_finger_hand()

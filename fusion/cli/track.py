@@ -19,9 +19,9 @@ from fusion.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from fusion.judging import Errors
-    from fusion.tracking_answer import TrackedEstimate
-    from scenes.frames import Frame
+    from fusion.tracking.answer import TrackedEstimate
+    from fusion.truth.errors import Errors
+    from scenes.recordings.frames import Frame
 
 # A table of more frames than this shows only those in which something happened.
 LONG = 40
@@ -34,12 +34,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when the object is lost in the last frame."""
-    from fusion.judging import Judge
-    from fusion.results import frame_errors
-    from fusion.stages import check_senses
-    from fusion.tracking import Tracker
-    from scenes.captures import read_capture
-    from scenes.validation import check_scale
+    from fusion.estimation.stages import check_senses
+    from fusion.results.files import frame_errors
+    from fusion.tracking.tracker import Tracker
+    from fusion.truth.errors import Judge
+    from scenes.recordings.captures import read_capture
+    from scenes.recordings.validation import check_scale
 
     senses = tuple(sorted(check_senses(args.use), reverse=True))
     capture = read_capture(args.capture)

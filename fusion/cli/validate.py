@@ -15,9 +15,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when there is a problem."""
-    from scenes.captures import Capture
     from scenes.errors import CaptureError
-    from scenes.validation import validate
+    from scenes.recordings.captures import Capture
+    from scenes.recordings.validation import validate
 
     if not args.capture.is_dir():
         found = "a file" if args.capture.exists() else "nothing"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from fusion.cli.options import add_object, load_object, positive, say, write_json
 
 if TYPE_CHECKING:
-    from fusion.answer import Estimate
+    from fusion.estimation.answer import Estimate
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,10 +25,10 @@ def run(args: argparse.Namespace) -> int:
     """Serve until interrupted, which is how a view ends: exit code 0."""
     import webbrowser
 
-    from fusion.results import find_result, read_result
-    from fusion.viewer import Viewer
-    from scenes.captures import read_capture
+    from fusion.results.files import find_result, read_result
+    from fusion.results.viewer import Viewer
     from scenes.errors import InputError
+    from scenes.recordings.captures import read_capture
 
     if args.port > 65535:
         raise InputError(f"port: expected a number up to 65535, got {args.port}")

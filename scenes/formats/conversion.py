@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from scenes.errors import CaptureError, PalpateError
-from scenes.frames import Frame
+from scenes.recordings.frames import Frame
 
 T = TypeVar("T")
 

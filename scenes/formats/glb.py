@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes import poses
-from scenes.frames import Frame
-from scenes.objects import ObjectModel
+from scenes.geometry import poses
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.frames import Frame
 
 Array = NDArray[np.float64]
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from scenes.captures import Capture, write_capture
 from scenes.errors import CaptureError
-from scenes.formats.off import read_off, write_off
-from scenes.frames import Contacts, Frame
-from scenes.objects import ObjectModel
+from scenes.files.off import read_off, write_off
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.captures import Capture, write_capture
+from scenes.recordings.frames import Contacts, Frame
 
 FILES = ("cloud.off", "contacts.off", "model.off")
 

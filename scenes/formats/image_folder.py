@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes import poses
-from scenes.captures import write_capture
 from scenes.errors import CaptureError, InputError
-from scenes.formats import bop, images
-from scenes.formats.bop_scene import IMAGE_ENDINGS
+from scenes.files import bop, images
+from scenes.files.problems import refuse
+from scenes.formats.bop.scene import IMAGE_ENDINGS
 from scenes.formats.conversion import Converted, Dropped, at_least_one, located
-from scenes.formats.problems import refuse
-from scenes.frames import Frame
-from scenes.objects import ObjectModel
+from scenes.geometry import poses
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.captures import write_capture
+from scenes.recordings.frames import Frame
 
 Array = NDArray[np.float64]
 

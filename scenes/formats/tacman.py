@@ -10,12 +10,12 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from scenes.captures import write_capture
 from scenes.errors import CaptureError, InputError
+from scenes.files.off import read_off
 from scenes.formats.conversion import Converted, Dropped
-from scenes.formats.off import read_off
-from scenes.frames import Contacts, Frame
-from scenes.objects import ObjectModel
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.captures import write_capture
+from scenes.recordings.frames import Contacts, Frame
 
 # The files are named as seen from the folder where the programs ran: so many folders up they are looked for.
 LEVELS_UP = 3

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes import poses
 from scenes.errors import CaptureError
+from scenes.geometry import poses
 
 Array = NDArray[np.float64]
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from fusion import estimate
-from fusion.judging import Judge, JudgeSettings
-from scenes import library
-from scenes.hand_generation import five_finger_hand
-from scenes.synthesis import SynthesisSettings, synthesize_frames
+from fusion.truth.errors import Judge, JudgeSettings
+from scenes.synthesis import library
+from scenes.synthesis.hands import five_finger_hand
+from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
 
 HIDDEN = (0.0, 0.3, 0.6, 0.8)
 SUCCESS = JudgeSettings().success

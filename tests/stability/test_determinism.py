@@ -14,8 +14,8 @@ import hashlib
 import numpy as np
 from fusion import estimate
 from scenes import library
-from scenes.hand_generation import five_finger_hand
-from scenes.synthesis import SynthesisSettings, synthesize_frames
+from scenes.synthesis.hands import five_finger_hand
+from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
 
 model = library.make("drill")
 frame = synthesize_frames(model, five_finger_hand(), occlusion=0.6, noise="lab", seed=5,

@@ -5,14 +5,14 @@ import zlib
 
 import numpy as np
 import pytest
+from cases import files as stability_cases_files
+from cases.mutations import mutate
 
-from fusion.benchmarks import stability_cases_files
-from fusion.benchmarks.stability_mutations import mutate
-from fusion.evaluate import read_covariances
+from fusion.truth.evaluate import read_covariances
 from scenes.errors import CaptureError, InputError, MeshError
-from scenes.formats import images, ply
-from scenes.objects import ObjectModel
-from scenes.sensors import read_sensors
+from scenes.files import images, ply
+from scenes.geometry.objects import ObjectModel
+from scenes.robot.sensors import read_sensors
 
 CASES = stability_cases_files.CASES
 

@@ -1,20 +1,20 @@
 """Random inputs: seeded ones from the common list, and hypothesis, which shrinks what it finds."""
 
 import numpy as np
+from cases import fuzz as stability_cases_fuzz
+from cases.registry import is_covariance, is_rigid, is_sound
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from fusion.benchmarks import stability_cases_fuzz
-from fusion.benchmarks.stability_cases import is_covariance, is_rigid, is_sound
-from scenes import library
-from scenes import poses as se3
-from scenes.alignment.batch import align, costs
-from scenes.alignment.modes import covariance_of
 from scenes.errors import PalpateError
-from scenes.evidence import TOUCH, make
-from scenes.frames import Contacts
-from touch.localize import localize
+from scenes.evidence.align import align, costs
+from scenes.evidence.modes import covariance_of
+from scenes.evidence.table import TOUCH, make
+from scenes.geometry import poses as se3
+from scenes.recordings.frames import Contacts
+from scenes.synthesis import library
+from touch.localization import localize
 
 CASES = stability_cases_fuzz.CASES
 

@@ -1,6 +1,6 @@
 """Moving the world, units, order of rows and vertices, processes, threads."""
 
-from fusion.benchmarks import stability_cases_invariance
+from cases import invariance as stability_cases_invariance
 
 CASES = stability_cases_invariance.CASES
 

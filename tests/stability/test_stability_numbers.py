@@ -1,6 +1,6 @@
 """Hessians to condition 1e16, weights over 12 decades, noise of nothing and of everything."""
 
-from fusion.benchmarks import stability_cases_numbers
+from cases import numbers as stability_cases_numbers
 
 CASES = stability_cases_numbers.CASES
 

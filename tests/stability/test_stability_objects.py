@@ -1,6 +1,6 @@
 """Sizes from 5 mm to 2 m, defects of meshes, borders of the lattice."""
 
-from fusion.benchmarks import stability_cases_objects
+from cases import objects as stability_cases_objects
 
 CASES = stability_cases_objects.CASES
 

@@ -1,6 +1,6 @@
 """Rotations at and near 0 and pi, a million composed steps, 10 km from the origin."""
 
-from fusion.benchmarks import stability_cases_poses
+from cases import poses as stability_cases_poses
 
 CASES = stability_cases_poses.CASES
 

@@ -1,6 +1,6 @@
 """NaN, infinity, denormals, nothing, one row, a million, single precision, at every door."""
 
-from fusion.benchmarks import stability_cases_values
+from cases import values as stability_cases_values
 
 CASES = stability_cases_values.CASES
 

@@ -8,14 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases.values import view
 
 from fusion import estimate
-from fusion.benchmarks.stability_cases_values import view
-from scenes import library
-from scenes.alignment import kernels, solver_kernels
-from scenes.evidence import COLUMNS
-from scenes.frames import Contacts, Frame
-from touch.localize import localize
+from scenes.evidence import kernels, solver_kernels
+from scenes.evidence.table import COLUMNS
+from scenes.recordings.frames import Contacts, Frame
+from scenes.synthesis import library
+from touch.localization import localize
 from touch.recognition import identify
 
 

@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.objects import ObjectModel
+from scenes.geometry.objects import ObjectModel
 
 Array = NDArray[np.float64]
 

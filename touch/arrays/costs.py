@@ -17,10 +17,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes import poses as se3
 from scenes.errors import InputError
-from scenes.objects import ObjectModel
-from scenes.tactile import DEEPEST
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+from scenes.robot.tactile import DEEPEST
 from scenes.threads import run_chunks
 from touch.arrays import kernels, pressure_kernels
 from touch.arrays.cloud import CloudSettings, surface_cloud

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes import poses as se3
 from scenes.errors import InputError
+from scenes.geometry import poses as se3
 from touch.arrays.readings import Reading, alpha_of
 
 Array = NDArray[np.float64]

@@ -11,8 +11,8 @@ import math
 import numba
 import numpy as np
 
-from scenes.lattice import value_at
-from scenes.rotation_kernels import exp_times
+from scenes.geometry.lattice import value_at
+from scenes.geometry.rotation_kernels import exp_times
 
 
 @numba.njit(cache=True, nogil=True)

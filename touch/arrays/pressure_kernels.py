@@ -11,7 +11,7 @@ import math
 import numba
 import numpy as np
 
-from scenes.lattice import distance_at
+from scenes.geometry.lattice import distance_at
 
 # Reaches of a column into the layer are followed in so many steps of the distance itself (sphere tracing).
 TRACE_STEPS = 5

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.alignment.modes import Mode
-from scenes.objects import ObjectModel
+from scenes.evidence.modes import Mode
+from scenes.geometry.objects import ObjectModel
 from touch.arrays.costs import ArrayProblem, ForwardSettings, MatchingSettings
 from touch.arrays.readings import Reading
 

@@ -1,8 +1,8 @@
 """What an array reports, with where it is: the input of everything in this folder. SI units.
 
 A taxel's place lies on the undeformed skin. Pressing an object indents the soft layer by p / K (elastic foundation,
-scenes.tactile), so the object's surface runs through place + alpha p normal with alpha = -1 / K: the third column of T1
-eq. 5.1, for flat and curved layouts alike.
+scenes.robot.tactile), so the object's surface runs through place + alpha p normal with alpha = -1 / K: the third
+column of T1 eq. 5.1, for flat and curved layouts alike.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError
-from scenes.frames import Frame
-from scenes.tactile import SoftLayer
+from scenes.recordings.frames import Frame
+from scenes.robot.tactile import SoftLayer
 
 Array = NDArray[np.float64]
 

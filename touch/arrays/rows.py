@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes import evidence as tables
-from scenes.evidence import TOUCH, Evidence
-from scenes.frames import Contacts
+from scenes.evidence import table as tables
+from scenes.evidence.table import TOUCH, Evidence
+from scenes.recordings.frames import Contacts
 from touch.arrays.readings import Reading
 
 Array = NDArray[np.float64]

@@ -13,15 +13,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes import poses as se3
-from scenes.alignment.batch import Alignment, Prior, align
-from scenes.alignment.modes import Mode, distinct_modes
 from scenes.errors import InputError
+from scenes.evidence.align import Alignment, Prior, align
+from scenes.evidence.modes import Mode, distinct_modes
+from scenes.geometry import poses as se3
 from touch.arrays import kernels
 from touch.arrays.costs import COSTS, ArrayProblem
 from touch.arrays.ranking import RankingSettings, pattern_costs, reweighted
 from touch.arrays.rows import ArrayRowSettings, array_contacts, array_rows
-from touch.localize import LocalizeSettings, find_candidates, verdict_of
+from touch.localization import LocalizeSettings, find_candidates, verdict_of
 
 Array = NDArray[np.float64]
 

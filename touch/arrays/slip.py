@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes import poses as se3
 from scenes.errors import InputError
+from scenes.geometry import poses as se3
 from touch.arrays.descriptor import SMALLEST_VARIANCE, tangent_frame
 from touch.arrays.readings import Reading
 

@@ -1,0 +1,1 @@
+"""Tactile arrays measured."""

@@ -1,0 +1,1 @@
+"""Vision alone measured, and the scenes themselves."""

@@ -1,0 +1,1 @@
+"""Touch alone measured."""

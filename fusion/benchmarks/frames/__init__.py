@@ -1,0 +1,1 @@
+"""Both senses measured, frame by frame."""

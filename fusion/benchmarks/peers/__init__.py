@@ -1,0 +1,1 @@
+"""Time against error, beside other methods and libraries."""

@@ -1,0 +1,126 @@
+"""What an estimate says: the pose, how sure it is, what it cannot know, and how it got there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.evidence.modes import Mode
+
+Array = NDArray[np.float64]
+
+__all__ = ["ContactResidual", "Contribution", "Estimate", "Mode", "Stage"]
+
+VERDICTS = ("ok", "ambiguous", "lost")
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One line of the trace: what ran or was skipped, why, how long, on how many rows of evidence."""
+
+    name: str
+    ran: bool
+    why: str
+    ms: float = 0.0
+    rows: int = 0
+
+
+@dataclass(frozen=True)
+class ContactResidual:
+    """How one contact agrees: distance to the surface (mm, signed, outside positive), angle between the sensed
+    and the model's normal (degrees, NaN without a normal), probability that it lies.
+    """
+
+    sensor: str
+    residual_mm: float
+    normal_deg: float
+    outlier: bool
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """What one source of evidence ("vision", "touch" or "prior") added: rows it gave, and the answer's worst standard
+    deviations with everything and without it (m, rad), all from the rows before shared errors are solved for.
+    """
+
+    source: str
+    rows: int
+    position_with: float
+    position_without: float
+    rotation_with: float
+    rotation_without: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Its entry of result.json."""
+        return {
+            "source": self.source,
+            "rows": self.rows,
+            "sigma_position_mm": 1e3 * self.position_with,
+            "sigma_position_mm_without": 1e3 * self.position_without,
+            "sigma_rotation_deg": float(np.rad2deg(self.rotation_with)),
+            "sigma_rotation_deg_without": float(np.rad2deg(self.rotation_without)),
+        }
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The answer for one frame. All poses are camera_from_object unless named otherwise (4x4, metres)."""
+
+    frame: int
+    pose: Array
+    covariance: Array
+    modes: tuple[Mode, ...]
+    verdict: str
+    unobservable: tuple[str, ...] = ()
+    hand_from_object: Array | None = None
+    visible_fraction: float = float("nan")
+    trace: tuple[Stage, ...] = ()
+    contacts: tuple[ContactResidual, ...] = ()
+    pixel_rms_mm: float = float("nan")
+    notes: tuple[str, ...] = ()
+    dropped: dict[str, int] = field(default_factory=dict)
+    start: Array | None = None
+    contributions: tuple[Contribution, ...] = ()
+
+    @property
+    def time_ms(self) -> float:
+        """Milliseconds spent in all stages."""
+        return float(sum(stage.ms for stage in self.trace))
+
+    def to_json(self) -> dict[str, Any]:
+        """The frame's entry of result.json."""
+
+        def number(value: float) -> float | None:
+            return float(value) if np.isfinite(value) else None
+
+        def rows(array: Array | None) -> list[list[float]] | None:
+            return None if array is None else [[float(x) for x in row] for row in array]
+
+        return {
+            "frame": self.frame,
+            "verdict": self.verdict,
+            "camera_from_object": rows(self.pose),
+            "hand_from_object": rows(self.hand_from_object),
+            "covariance": rows(self.covariance),
+            "modes": [{"pose": rows(m.pose), "weight": m.weight, "cost": number(m.cost)} for m in self.modes],
+            "unobservable": list(self.unobservable),
+            "visible_fraction": number(self.visible_fraction),
+            "time_ms": self.time_ms,
+            "trace": [{"stage": s.name, "ran": s.ran, "why": s.why, "ms": s.ms, "rows": s.rows} for s in self.trace],
+            "contacts": [
+                {
+                    "sensor": c.sensor,
+                    "residual_mm": number(c.residual_mm),
+                    "normal_deg": number(c.normal_deg),
+                    "outlier": c.outlier,
+                }
+                for c in self.contacts
+            ],
+            "contributions": [c.to_json() for c in self.contributions],
+            "pixel_rms_mm": number(self.pixel_rms_mm),
+            "notes": list(self.notes),
+            "dropped": dict(self.dropped),
+        }

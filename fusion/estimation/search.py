@@ -1,0 +1,234 @@
+"""What a frame does not need is not done: searches that may end early, and what their answers must explain first.
+
+A search from many starts looks at a few of them first. When those agree on one minimum, and that minimum explains what
+was seen and felt to within its noise, more starts can only find what explains it no better, and are not looked at.
+
+Blur that opens a wide basin also levels what tells poses apart in it: a mug turns freely until its handle is sharp, and
+all starts slide into one place of that valley. So the valleys of the blurred cost are walked from the best minimum, and
+each step goes down without blur.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.evidence.align import Alignment, AlignSettings, Prior, align, terms
+from scenes.evidence.modes import Mode, ModeSettings, covariance_of, distinct_modes
+from scenes.evidence.near_symmetries import near_symmetries
+from scenes.evidence.search import SearchStage, leaders, search, thin
+from scenes.evidence.table import GATE_ABOVE, SIGMA, TOUCH, VISION, Evidence
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Care:
+    """How much is spent on minima that may be new."""
+
+    # Poses nearer to each other than this share of the distance at which modes are one go on as one.
+    together: float
+    # Of those that differ so many, the best first, are refined with all rows.
+    refined: int
+    # Rows that valleys are walked with: all steps, and those of them that stayed apart.
+    valley_rows: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class PlanSettings:
+    """When a search may end early."""
+
+    # Off: every stage looks at everything.
+    skipping: bool = True
+    # Starts looked at first. A minimum as wide as a tenth of the prior is missed by all of them with 3 %.
+    first_starts: int = 32
+    # Share of these that must end in the best minimum: a search from a prior usually finds two or three others.
+    agreeing: float = 0.3
+    # Least share of the object's pixels, and of the contacts, within three sigmas of the surface.
+    explained_pixels: float = 0.85
+    explained_contacts: float = 0.75
+    # Around a prior few minima compete; where nothing is known, many do, some of them alike.
+    near: Care = Care(0.5, 4, (80, 160))
+    wide: Care = Care(0.25, 6, (160, 160))
+    # Most that a pose may cost for what the camera saw past it and what must hide it (negative log likelihood, see
+    # vision.sight): 12 are an object all hidden, 16 a half hidden one of which 6 % were seen past.
+    past: float = 16.0
+    # Pixels below which vision cannot speak for an answer alone.
+    least_pixels: int = 60
+    # Modes below this share of the posterior are not solved jointly with calibration and bias: they cannot win.
+    negligible: float = 1e-3
+    # Valleys: directions in which the blurred cost lets a point at the object's radius move by this share of it (one
+    # standard deviation). Of these the widest are walked, both ways, by so many standard deviations.
+    valley_share: float = 0.1
+    valleys: int = 2
+    valley_steps: tuple[float, ...] = (0.5, 1.0, 1.5, 2.0)
+    # Longest of these steps, radians and shares of the radius: farther is another basin, which the starts cover.
+    longest_step: float = 1.2
+
+
+@dataclass(frozen=True)
+class Found:
+    """Modes of a search after refinement with all rows; starts looked at; why no more were, or what was doubted."""
+
+    modes: tuple[Mode, ...]
+    looked_at: int
+    why: str
+
+
+def find_modes(
+    model: ObjectModel,
+    rows: Evidence,
+    starts: Array,
+    stages: tuple[SearchStage, ...],
+    prior: Prior | None,
+    rank: Callable[[Array, float], Array],
+    settings: PlanSettings,
+    mode_settings: ModeSettings,
+) -> Found:
+    """Search from a few starts, and from the rest only when those leave a doubt.
+
+    starts (n, 4, 4), the likeliest first or in random order; rank(poses, blur) -> (n,) costs beyond the rows', in
+    the same units. Modes are camera_from_object.
+    """
+    few = settings.first_starts if settings.skipping and prior is not None else 0
+    merged = mode_settings.merge_share * model.radius
+    care = settings.wide if prior is None else settings.near
+    doubt = ""
+    if 0 < few < len(starts):
+        poses, standing = starts[:few], np.ones(few, dtype=np.float64)
+        for stage in stages:
+            how = AlignSettings(blur=stage.blur, blur_normal=stage.blur_normal, iterations=stage.iterations)
+            rough = align(model, thin(rows, stage.rows), poses, prior, how)
+            order = np.argsort(rough.costs + rank(rough.poses, stage.blur), kind="stable")
+            chosen, group = leaders(model, rough.poses[order], care.together * merged)
+            poses, standing = rough.poses[order[chosen]], np.asarray(np.bincount(group, standing[order]))
+        agreeing = float(standing[_displaced(model, poses, poses[0]) < merged].sum()) / few
+        first, past = _refined(model, rows, poses[: care.refined], prior, rank)
+        doubt = doubt_of(model, rows, first, past, agreeing, settings)
+        if not doubt:
+            first = _with_valleys(model, rows, first, stages[0], prior, rank, settings, mode_settings)
+            modes = distinct_modes(model, first, mode_settings)
+            return Found(modes, few, "the first agree and explain what was sensed")
+    found = search(model, rows, starts, stages, prior, rank=rank)
+    chosen, _ = leaders(model, found.poses, care.together * merged)
+    refined, _ = _refined(model, rows, found.poses[chosen], prior, rank)
+    refined = _with_valleys(model, rows, refined, stages[0], prior, rank, settings, mode_settings)
+    return Found(distinct_modes(model, refined, mode_settings), len(starts), doubt)
+
+
+def _with_valleys(
+    model: ObjectModel,
+    rows: Evidence,
+    found: Alignment,
+    stage: SearchStage,
+    prior: Prior | None,
+    rank: Callable[[Array, float], Array],
+    settings: PlanSettings,
+    mode_settings: ModeSettings,
+) -> Alignment:
+    """`found` and the minima along the valleys that `stage`'s blur makes through the best of them."""
+    steps = valley_steps(model, rows, found.poses[int(np.argmin(found.costs))], stage, prior, settings, mode_settings)
+    if not len(steps):
+        return found
+    care = settings.wide if prior is None else settings.near
+    apart = care.together * mode_settings.merge_share * model.radius
+    for few in care.valley_rows:
+        rough = align(model, thin(rows, few), steps, prior, AlignSettings(iterations=8))
+        likely = rough.costs + rank(rough.poses, 0.0)
+        order = np.argsort(likely, kind="stable")
+        chosen, _ = leaders(model, rough.poses[order], apart)
+        steps, likely = rough.poses[order[chosen]], likely[order[chosen]]
+    promising = steps[likely < likely[0] + mode_settings.cost_margin][: care.refined]
+    # what led back to a minimum that is known has nothing more to say
+    both = np.concatenate([found.poses, promising])
+    chosen, _ = leaders(model, both, apart)
+    new = chosen[chosen >= len(found.poses)]
+    if not len(new):
+        return found
+    more, _ = _refined(model, rows, both[new], prior, rank)
+    return found.joined(more)
+
+
+def valley_steps(
+    model: ObjectModel,
+    rows: Evidence,
+    pose: Array,
+    stage: SearchStage,
+    prior: Prior | None,
+    settings: PlanSettings,
+    mode_settings: ModeSettings,
+) -> Array:
+    """(n, 4, 4) poses along the directions in which a stage's blurred cost tells little about `pose` (4, 4), and those
+    that leave most of the object where it is.
+    """
+    blurred = AlignSettings(blur=stage.blur, blur_normal=stage.blur_normal)
+    hessian = terms(model, thin(rows, stage.rows), pose, prior, blurred)[2]
+    unit = np.array([1.0] * 3 + [model.radius] * 3)
+    values, vectors = np.linalg.eigh(covariance_of(model, hessian, mode_settings) / (unit * unit[:, None]))
+    widths = np.sqrt(np.maximum(values, 0.0))
+    free = np.flatnonzero(widths > settings.valley_share)[::-1][: settings.valleys]
+    lengths = np.array([sign * k for k in settings.valley_steps for sign in (1.0, -1.0)])
+    along = [np.clip(lengths * widths[i], -settings.longest_step, settings.longest_step) for i in free]
+    delta = [length[:, None] * (vectors[:, i] * unit) for i, length in zip(free, along)]
+    alike = pose @ near_symmetries(model)
+    return np.concatenate([se3.perturb(pose, np.concatenate(delta), model.centroid), alike]) if delta else alike
+
+
+def worth_solving(modes: tuple[Mode, ...], settings: PlanSettings) -> list[Array]:
+    """Poses of the modes that the joint solution could still put first."""
+    if not settings.skipping:
+        return [m.pose for m in modes]
+    return [m.pose for m in modes if m.weight >= settings.negligible or m is modes[0]]
+
+
+def _displaced(model: ObjectModel, poses: Array, pose: Array) -> Array:
+    """(n,) metres by which a point at the object's radius moves at most between `pose` and poses, modulo symmetry."""
+    delta = se3.difference(model.symmetries.nearest(poses, pose), pose, model.centroid)
+    return np.linalg.norm(delta[:, :3], axis=1) * model.radius + np.linalg.norm(delta[:, 3:], axis=1)
+
+
+def _refined(
+    model: ObjectModel, rows: Evidence, poses: Array, prior: Prior | None, rank: Callable[[Array, float], Array]
+) -> tuple[Alignment, Array]:
+    refined = align(model, rows, poses, prior, AlignSettings(iterations=30))
+    past = rank(refined.poses, 0.0)
+    return replace(refined, costs=refined.costs + past), past
+
+
+def doubt_of(
+    model: ObjectModel,
+    rows: Evidence,
+    found: Alignment,
+    past: Array,
+    agreeing: float,
+    settings: PlanSettings,
+) -> str:
+    """Why the best of a few aligned poses may not be the answer; empty when nothing speaks against it.
+
+    past (n,): what each costs for what the camera saw past it; agreeing: share of the starts that ended near the best.
+    """
+    best = int(np.argmin(found.costs))
+    pose = found.poses[best]
+    if agreeing < settings.agreeing:
+        return f"{agreeing:.0%} of the first agree"
+    if past[best] > settings.past:
+        return f"what the camera saw past the first costs {past[best]:.1f}"
+    on = rows.rows[:, GATE_ABOVE] > 0
+    distance = np.abs(model.field.distance(se3.apply(se3.inverse(pose), rows.points)))
+    near = distance < 3.0 * rows.rows[:, SIGMA]
+    for sense, name, least in (
+        (VISION, "pixels", settings.explained_pixels),
+        (TOUCH, "contacts", settings.explained_contacts),
+    ):
+        of = on & (rows.sense == sense)
+        share = float(near[of].mean()) if of.any() else 1.0
+        if share < least:
+            return f"{share:.0%} of the {name} explained"
+    if int((on & (rows.sense == VISION)).sum()) < settings.least_pixels:
+        return "few pixels of the object"
+    return ""

@@ -1,0 +1,1 @@
+"""The pose together with everything that makes the senses disagree."""

@@ -1,0 +1,66 @@
+"""A smooth error of depth over the image: a Gaussian process on a few inducing pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.geometry.cameras import Camera
+from vision.look.pixels import DepthModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DepthBias:
+    """inducing (k, 2) pixels; factor (k, k): the lower Cholesky factor of their covariance in units of the bias' own
+    standard deviation; length: of the correlation exp(-|u - v|^2 / (2 length^2)), pixels. k is 0 without a camera.
+    """
+
+    camera: Camera | None
+    inducing: Array
+    factor: Array
+    length: float
+
+    @staticmethod
+    def over(camera: Camera | None, points: Array, depth: DepthModel, spacing: float, most: int) -> DepthBias:
+        """Inducing pixels at most `most`, `spacing` correlation lengths apart or more, where points (n, 3) camera frame
+        are seen.
+        """
+        length = depth.bias_length
+        if camera is None or not len(points):
+            return DepthBias(camera, np.zeros((0, 2)), np.zeros((0, 0)), length)
+        from scipy.spatial import cKDTree
+
+        uv, _ = camera.project(points)
+        near = cKDTree(uv)
+        low, high = uv.min(axis=0), uv.max(axis=0)
+        step = spacing * length
+        while True:
+            counts = np.maximum(1, np.ceil((high - low) / step)).astype(int) + 1
+            if counts.prod() <= 4 * most:
+                axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts)]
+                grid = np.stack([x.ravel() for x in np.meshgrid(*axes)], axis=1)
+                grid = grid[near.query(grid)[0] < step]
+                if len(grid) <= most:
+                    break
+            step *= 1.2
+        kernel = _kernel(grid, grid, length) + 1e-6 * np.eye(len(grid))
+        return DepthBias(camera, grid, np.asarray(np.linalg.cholesky(kernel), dtype=np.float64), length)
+
+    def __len__(self) -> int:
+        return len(self.inducing)
+
+    def basis(self, points: Array) -> Array:
+        """(n, k) bias at the pixels of points (n, 3) per whitened unknown, in units of the bias' sigma."""
+        if self.camera is None or not len(self) or not len(points):
+            return np.zeros((len(points), len(self)))
+        uv, _ = self.camera.project(points)
+        return np.asarray(np.linalg.solve(self.factor, _kernel(self.inducing, uv, self.length)).T, dtype=np.float64)
+
+
+def _kernel(a: Array, b: Array, length: float) -> Array:
+    square = np.sum((a[:, None] - b[None]) ** 2, axis=-1)
+    return np.asarray(np.exp(-0.5 * square / length**2), dtype=np.float64)

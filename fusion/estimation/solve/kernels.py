@@ -1,0 +1,160 @@
+"""The compiled rows of the joint solution: what pixels say of a pose, a depth scale and a bias, and what touch does.
+
+A pixel at p is corrected by the depth scale s and the bias b of its place along its ray, p (1 - s) - b p / p_z, before
+its distance d to the surface is looked up. What lies beside a pixel, and what a mesh leaves out, counts along the ray:
+the residual is d divided by the cosine of the incidence.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from scenes.evidence.kernels import cost_terms
+from scenes.evidence.prior_kernels import prior_terms
+from scenes.evidence.row_kernels import robust
+from scenes.geometry.lattice import distance_at, seen_distance_at
+from scenes.geometry.rotation_kernels import exp_times
+
+# Rows that belong to the object with less than this weight say nothing: most free space is far from it.
+LEAST_WEIGHT = 1e-9
+
+
+@numba.njit(cache=True, nogil=True)
+def vision_rows(
+    lattice,
+    rows,
+    floors,
+    is_pixel,
+    sigma,
+    weight,
+    normals,
+    slope,
+    least_cosine,
+    has_camera,
+    rotation,
+    middle,
+    scale,
+    bias,
+    index,
+    jac,
+    along,
+    residuals,
+    information,
+):
+    """Cost of the vision rows at a pose; fills the first k entries of the outputs, and returns (cost, k).
+
+    lattice: see kernels.cost_terms. rows (n, 13): see scenes.evidence.table. floors (n, 2): row_kernels.loss_floor of
+    the gates above and below. is_pixel (n,): rows that are pixels of a surface. sigma (n,) m before slope (n,), the
+    factor that the incidence makes of it; weight (n,). normals (n, 3): of the surface met, object frame. rotation (3,
+    3), middle (3,): camera_from_object, of the centroid. scale; bias (n,) m.
+    Outputs, all (n, ...): index of the row; jac by (turn, move, scale); along: by its bias; residuals in m;
+    information: weight / sigma^2.
+    """
+    values, origin, spacing, centroid = lattice
+    total = 0.0
+    k = 0
+    for n in range(rows.shape[0]):
+        px, py, pz = rows[n, 0], rows[n, 1], rows[n, 2]
+        rx, ry, rz = px, py, pz
+        if has_camera:
+            rx, ry, rz = px / pz, py / pz, 1.0
+        yx = px - scale * px - bias[n] * rx - middle[0]
+        yy = py - scale * py - bias[n] * ry - middle[1]
+        yz = pz - scale * pz - bias[n] * rz - middle[2]
+        qx = rotation[0, 0] * yx + rotation[1, 0] * yy + rotation[2, 0] * yz + centroid[0]
+        qy = rotation[0, 1] * yx + rotation[1, 1] * yy + rotation[2, 1] * yz + centroid[1]
+        qz = rotation[0, 2] * yx + rotation[1, 2] * yy + rotation[2, 2] * yz + centroid[2]
+        nx, ny, nz = rows[n, 3], rows[n, 4], rows[n, 5]
+        if rows[n, 12] > 0.0:
+            vx = rotation[0, 0] * nx + rotation[1, 0] * ny + rotation[2, 0] * nz
+            vy = rotation[0, 1] * nx + rotation[1, 1] * ny + rotation[2, 1] * nz
+            vz = rotation[0, 2] * nx + rotation[1, 2] * ny + rotation[2, 2] * nz
+            d, ox, oy, oz = seen_distance_at(values, origin, spacing, qx, qy, qz, vx, vy, vz)
+        else:
+            d, ox, oy, oz = distance_at(values, origin, spacing, qx, qy, qz)
+        d -= rows[n, 11]
+        gate, floor = (rows[n, 9], floors[n, 0]) if d > 0.0 else (rows[n, 10], floors[n, 1])
+        if gate == 0.0:
+            continue
+        gx = rotation[0, 0] * ox + rotation[0, 1] * oy + rotation[0, 2] * oz
+        gy = rotation[1, 0] * ox + rotation[1, 1] * oy + rotation[1, 2] * oz
+        gz = rotation[2, 0] * ox + rotation[2, 1] * oy + rotation[2, 2] * oz
+        tx = ty = tz = 0.0
+        if is_pixel[n]:
+            mx, my, mz = normals[n, 0], normals[n, 1], normals[n, 2]
+            ax = rotation[0, 0] * mx + rotation[0, 1] * my + rotation[0, 2] * mz
+            ay = rotation[1, 0] * mx + rotation[1, 1] * my + rotation[1, 2] * mz
+            az = rotation[2, 0] * mx + rotation[2, 1] * my + rotation[2, 2] * mz
+            cosine = -(ax * nx + ay * ny + az * nz)
+            if cosine < least_cosine:
+                cosine = least_cosine
+            else:
+                # how the cosine falls as the object turns
+                tx = az * ny - ay * nz
+                ty = ax * nz - az * nx
+                tz = ay * nx - ax * ny
+            d /= cosine
+            gx /= cosine
+            gy /= cosine
+            gz /= cosine
+            tx *= d / cosine
+            ty *= d / cosine
+            tz *= d / cosine
+        width = sigma[n] * slope[n]
+        loss, belongs = robust((d / width) * (d / width) + 2.0 * math.log(slope[n]), gate, floor, 0.0)
+        total += 0.5 * weight[n] * loss
+        w = weight[n] * belongs
+        if w <= LEAST_WEIGHT:
+            continue
+        index[k] = n
+        jac[k, 0] = gy * yz - gz * yy - tx
+        jac[k, 1] = gz * yx - gx * yz - ty
+        jac[k, 2] = gx * yy - gy * yx - tz
+        jac[k, 3] = -gx
+        jac[k, 4] = -gy
+        jac[k, 5] = -gz
+        jac[k, 6] = -(gx * px + gy * py + gz * pz)
+        along[k] = -(gx * rx + gy * ry + gz * rz)
+        residuals[k] = d
+        information[k] = w / (width * width)
+        k += 1
+    return total, k
+
+
+@numba.njit(cache=True, nogil=True)
+def touch_rows(lattice, rows, bend, rotation, middle, xi, centre, prior, hessian, gradient, scratch):
+    """Cost of prepared touch rows (row_kernels.prepare), as the robot reports them, moved by xi (6,) about centre (3,).
+
+    Moving all contacts by xi is moving the object back. Fills hessian (6, 6) and gradient (6,) by the pose (turn, move;
+    camera axes). prior: one that says nothing; scratch (10, 3): working room.
+    """
+    turn = np.zeros((3, 3))
+    exp_times(xi, np.eye(3), turn)
+    back = np.zeros(3)
+    for i in range(3):
+        for j in range(3):
+            back[i] += turn[j, i] * (middle[j] - centre[j] - xi[3 + j])
+        back[i] += centre[i]
+    turned = turn.T @ rotation
+    cost = cost_terms(lattice, rows, 0.0, bend, turned, back, prior, True, hessian, gradient, scratch)
+    both = np.zeros((6, 6))
+    both[:3, :3] = turn
+    both[3:, 3:] = turn
+    gradient[:] = both @ gradient
+    hessian[:] = both @ hessian @ both.T
+    return cost
+
+
+@numba.njit(cache=True, nogil=True)
+def prior_row(rotation, middle, prior, hessian, gradient):
+    """Cost of a Gaussian on the pose; fills hessian (6, 6) and gradient (6,)."""
+    hessian[:] = 0.0
+    gradient[:] = 0.0
+    cost = prior_terms(rotation, middle, prior, True, hessian, gradient, np.zeros((10, 3)))
+    for i in range(6):
+        for j in range(i):
+            hessian[j, i] = hessian[i, j]
+    return cost

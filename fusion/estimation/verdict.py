@@ -1,0 +1,165 @@
+"""What may be said of an answer: its verdict, what it cannot know in words, and how each row agrees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation.answer import ContactResidual, Contribution, Mode
+from scenes.evidence import align as alignment
+from scenes.evidence.align import Prior
+from scenes.evidence.modes import covariance_of
+from scenes.evidence.table import POINT, SIGMA, TOUCH, VISION, Evidence, empty
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.frames import Contacts
+from vision.visibility import Visibility
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class VerdictSettings:
+    """When an answer is sure, and when it is none."""
+
+    # Share of the posterior that the first mode must hold to be called the answer.
+    sure_share: float = 0.9
+    # Standard deviations of a direction beyond which it counts as unknown: radians, metres.
+    unknown_angle: float = float(np.deg2rad(20.0))
+    unknown_distance: float = 0.015
+    # A contact this many sigmas off (and at least this far, metres) does not belong to the answer.
+    outlier_sigmas: float = 4.0
+    outlier_distance: float = 0.004
+    # Least share of contacts, and of the pixels taken for the object, that an answer must explain.
+    least_contacts: float = 0.5
+    least_pixels: float = 0.3
+    # Share of the object's own pixels through which the camera may see, noise at the outline included.
+    most_violated: float = 0.25
+    # Without touch, an answer from less than this share of the object is a guess.
+    least_visible: float = 0.12
+
+
+def contact_residuals(
+    model: ObjectModel, contacts: Contacts, pose: Array, settings: VerdictSettings | None = None
+) -> tuple[ContactResidual, ...]:
+    """How each contact (camera frame, corrected) agrees with the object at pose (4, 4)."""
+    settings = settings or VerdictSettings()
+    if not len(contacts):
+        return ()
+    local = se3.apply(se3.inverse(pose), contacts.points)
+    inward = np.where(contacts.has_normal[:, None], -np.nan_to_num(contacts.normals), 0.0) @ pose[:3, :3]
+    # a thin wall has two sides: the one that was touched is the one that the contact's normal leaves
+    distance, gradient = model.field.seen_distance_and_gradient(local, inward, contacts.has_normal)
+    normals = model.field.normals(local - distance[:, None] * gradient) @ pose[:3, :3].T
+    out = []
+    for i in range(len(contacts)):
+        angle = np.nan
+        if contacts.has_normal[i]:
+            n = contacts.normals[i]
+            angle = float(np.degrees(np.arctan2(np.linalg.norm(np.cross(n, normals[i])), n @ normals[i])))
+        limit = max(settings.outlier_sigmas * contacts.sigma_point[i], settings.outlier_distance)
+        out.append(ContactResidual(contacts.sensors[i], 1e3 * distance[i], angle, bool(abs(distance[i]) > limit)))
+    return tuple(out)
+
+
+def pixel_agreement(model: ObjectModel, seen: Evidence, pose: Array) -> tuple[float, float]:
+    """Share of the ON pixels within three sigmas of the surface at pose, and the RMS distance (m) of those."""
+    on = seen.rows[seen.rows[:, 9] > 0]
+    if not len(on):
+        return float("nan"), float("nan")
+    distance = model.field.distance(se3.apply(se3.inverse(pose), on[:, POINT]))
+    near = np.abs(distance) < 3 * on[:, SIGMA]
+    rms = float(np.sqrt(np.mean(distance[near] ** 2))) if near.any() else float("nan")
+    return float(near.mean()), rms
+
+
+def contributions(
+    model: ObjectModel, rows: Evidence, pose: Array, prior: Prior | None = None
+) -> tuple[Contribution, ...]:
+    """What vision, touch and a prior each add to the answer at pose (4, 4): how sure it is with them and without."""
+    parts = {
+        name: (int((rows.sense == sense).sum()), alignment.terms(model, rows.of(sense), pose)[2])
+        for name, sense in (("vision", VISION), ("touch", TOUCH))
+    }
+    if prior is not None:
+        parts["prior"] = (0, alignment.terms(model, empty(), pose, prior)[2])
+    whole = np.sum([information for _, information in parts.values()], axis=0)
+
+    def worst(information: Array) -> tuple[float, float]:
+        covariance = covariance_of(model, information)
+        turn, move = (float(np.sqrt(np.linalg.eigvalsh(covariance[k : k + 3, k : k + 3])[-1])) for k in (0, 3))
+        return move, turn
+
+    out = []
+    for name, (count, information) in parts.items():
+        if count or name == "prior":
+            (position, rotation), (position_less, rotation_less) = worst(whole), worst(whole - information)
+            out.append(Contribution(name, count, position, position_less, rotation, rotation_less))
+    return tuple(out)
+
+
+def unobservable(
+    model: ObjectModel, pose: Array, covariance: Array, settings: VerdictSettings | None = None
+) -> tuple[str, ...]:
+    """Directions the data leave open, in the object's own axes."""
+    settings = settings or VerdictSettings()
+    rotation = pose[:3, :3]
+    found = []
+    for block, limit, word in (
+        (slice(0, 3), settings.unknown_angle, "rotation about"),
+        (slice(3, 6), settings.unknown_distance, "translation along"),
+    ):
+        values, vectors = np.linalg.eigh(rotation.T @ covariance[block, block] @ rotation)
+        for value, vector in zip(values, vectors.T):
+            if np.sqrt(max(value, 0.0)) > limit:
+                found.append(f"{word} {_axis_name(vector)}")
+    # a ball turns about every axis, whichever two were declared
+    turns = np.eye(3) if model.symmetries.is_spherical else [a.direction for a in model.symmetries.axes[:1]]
+    for direction in turns:
+        name = f"rotation about {_axis_name(direction)}"
+        if name not in found:
+            found.append(name)
+    return tuple(found)
+
+
+def _axis_name(direction: Array) -> str:
+    largest = int(np.argmax(np.abs(direction)))
+    if abs(direction[largest]) > 0.94:  # within 20 degrees
+        return "xyz"[largest]
+    sign = np.sign(direction[largest])
+    return "({:.2f}, {:.2f}, {:.2f})".format(*(sign * direction + 0.0))
+
+
+def verdict(
+    model: ObjectModel,
+    modes: tuple[Mode, ...],
+    residuals: tuple[ContactResidual, ...],
+    pixel_share: float,
+    seeing: Visibility,
+    settings: VerdictSettings | None = None,
+) -> tuple[str, str]:
+    """The verdict and its reason: lost when the evidence is not explained, ambiguous when it fits several poses."""
+    settings = settings or VerdictSettings()
+    if not modes:
+        return "lost", "no evidence"
+    if residuals:
+        good = float(np.mean([not r.outlier for r in residuals]))
+        if good < settings.least_contacts:
+            return "lost", f"{good:.0%} of the contacts explained"
+    if np.isfinite(pixel_share) and pixel_share < settings.least_pixels and not residuals:
+        return "lost", f"{pixel_share:.0%} of the pixels explained"
+    if np.isfinite(seeing.violated) and seeing.violated > settings.most_violated:
+        return "lost", f"the camera sees past {seeing.violated:.0%} of the object"
+    if not residuals and np.isfinite(seeing.visible) and seeing.visible < settings.least_visible:
+        return "ambiguous", f"only {seeing.visible:.0%} of the object is seen and nothing touches it"
+    if modes[0].weight < settings.sure_share:
+        return "ambiguous", f"first of {len(modes)} modes holds {modes[0].weight:.0%}"
+    covariance = modes[0].covariance
+    open_directions = unobservable(model, modes[0].pose, covariance, settings)
+    symmetric = {f"rotation about {_axis_name(a.direction)}" for a in model.symmetries.axes[:1]}
+    hidden = [d for d in open_directions if d not in symmetric]
+    if hidden and not model.symmetries.is_spherical:
+        return "ambiguous", f"{', '.join(hidden)} unknown"
+    return "ok", f"first mode holds {modes[0].weight:.0%}"

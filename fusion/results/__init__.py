@@ -1,0 +1,1 @@
+"""What a person gets: files, reports, views, many captures at once."""

@@ -1,0 +1,164 @@
+"""The files an estimate leaves, out and in: poses.csv in BOP's format and result.json."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.advice.next_touch import next_touches
+from fusion.estimation.answer import ContactResidual, Estimate, Mode, Stage
+from fusion.truth.errors import Errors, Judge, json_number
+from scenes.errors import InputError
+from scenes.files.bop import PoseRow, numbers, write_json, write_poses
+from scenes.geometry import poses
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.captures import Capture
+from scenes.recordings.frames import Frame
+
+RESULT_VERSION = 1
+
+
+def frame_errors(judge: Judge, frame: Frame, answer: Estimate) -> Errors | None:
+    """Errors of the answer, None without ground truth."""
+    truth = frame.camera_from_object_truth
+    return None if truth is None else judge.errors(answer.pose, truth, answer.covariance)
+
+
+def result_json(
+    capture: str,
+    model: ObjectModel,
+    frames: Sequence[Frame],
+    answers: Sequence[Estimate],
+    errors: Sequence[Errors | None],
+) -> dict[str, Any]:
+    """The content of result.json; each frame with its own errors, and their medians under "errors" (empty without)."""
+    entries = []
+    for frame, answer, error in zip(frames, answers, errors, strict=True):
+        entry = answer.to_json()
+        entry["next_touch"] = [touch.to_json() for touch in next_touches(model, answer, frame)]
+        if error is not None:
+            entry["errors"] = error.to_json()
+        entries.append(entry)
+    known = [error.to_json() for error in errors if error is not None]
+    overall: dict[str, Any] = {}
+    if known:
+        for name in known[0]:
+            values = [value for entry in known if (value := entry[name]) is not None]
+            overall[f"median_{name}"] = float(np.median(values)) if values else None
+        overall["frames_with_truth"] = len(known)
+        overall["success_add_s_below_5mm"] = float(np.mean([e.add_s < 0.005 for e in errors if e is not None]))
+    return json_number(
+        {"version": RESULT_VERSION, "capture": capture, "object": model.name, "frames": entries, "errors": overall}
+    )
+
+
+def write_results(out: Path, capture: Capture, answers: Sequence[Estimate], content: dict[str, Any]) -> None:
+    """Write OUT/poses.csv and OUT/result.json; the folder is made when missing."""
+    out.mkdir(parents=True, exist_ok=True)
+    number, scene = capture.settings.object_id, capture.settings.notes.get("scene_id", 0)
+    scene = scene if isinstance(scene, int) else 0
+    write_poses(
+        out / "poses.csv",
+        [
+            PoseRow(scene, a.frame, number, a.modes[0].weight if a.modes else 0.0, a.pose, a.time_ms / 1e3)
+            for a in answers
+        ],
+    )
+    write_json(out / "result.json", content)
+
+
+def find_result(path: str | Path) -> Path | None:
+    """The result.json that a path means: the file, or the one in a folder of results; None when it is neither."""
+    path = Path(path)
+    if path.is_dir() and not (path / "capture.json").is_file():
+        path = path / "result.json"
+    return path if path.is_file() and path.suffix == ".json" else None
+
+
+def read_result(path: str | Path) -> tuple[dict[str, Any], list[Estimate]]:
+    """The content of a result.json and its answers; raises InputError for a file that is none.
+
+    Modes have the covariance of the whole: the file has no other.
+    """
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8-sig"))
+        answers = [_answer(entry) for entry in content["frames"]]
+    except OSError as error:
+        raise InputError(f"{path}: expected a result.json, it cannot be opened: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected UTF-8 text, got other bytes") from error
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        why = f"found no {error}" if isinstance(error, KeyError) else str(error)
+        raise InputError(f"{path}: expected a result.json as estimate writes it: {why}") from error
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    return content, answers
+
+
+def capture_of(result: Path, content: dict[str, Any], given: Path | None = None) -> Path:
+    """The capture that a result was made from: `given`, else where it was, else one of its name around the result.
+
+    Raises InputError when there is none.
+    """
+    if given is not None:
+        return given
+    name = str(content.get("capture", ""))
+    parents = [Path.cwd(), *list(result.resolve().parents)[:3]]
+    around = [folder / part for folder in parents for part in (name, f"captures/{name}", "capture")]
+    recorded = [Path(content["capture_path"])] if content.get("capture_path") else []
+    for candidate in [*recorded, *around]:
+        if (candidate / "capture.json").is_file():
+            return candidate
+    raise InputError(
+        f"{result}: expected its capture {name!r} where it was made or beside it, found none: --capture DIR"
+    )
+
+
+def _answer(entry: dict[str, Any]) -> Estimate:
+    pose = _pose(entry["camera_from_object"], "camera_from_object")
+    held = entry.get("hand_from_object")
+    spread = entry.get("covariance")
+    covariance = np.full((6, 6), np.nan) if spread is None else _covariance(spread)
+    contacts = tuple(
+        ContactResidual(str(c["sensor"]), _number(c["residual_mm"]), _number(c["normal_deg"]), bool(c["outlier"]))
+        for c in entry.get("contacts", [])
+    )
+    return Estimate(
+        frame=int(entry["frame"]),
+        pose=pose,
+        covariance=covariance,
+        modes=tuple(
+            Mode(_pose(m["pose"], "mode"), float(m["weight"]), _number(m.get("cost")), covariance)
+            for m in entry.get("modes", [])
+        ),
+        verdict=str(entry["verdict"]),
+        unobservable=tuple(map(str, entry.get("unobservable", []))),
+        hand_from_object=None if held is None else _pose(held, "hand_from_object"),
+        visible_fraction=_number(entry.get("visible_fraction")),
+        trace=tuple(
+            Stage(str(s["stage"]), bool(s["ran"]), str(s["why"]), float(s["ms"]), int(s["rows"]))
+            for s in entry.get("trace", [])
+        ),
+        contacts=contacts,
+        notes=tuple(map(str, entry.get("notes", []))),
+    )
+
+
+def _pose(rows: Any, what: str) -> NDArray[np.float64]:
+    return poses.check_pose(numbers(rows, 16, what).reshape(4, 4), what)
+
+
+def _covariance(rows: Any) -> NDArray[np.float64]:
+    array = np.array([[_number(x) for x in row] for row in rows], dtype=np.float64)
+    if array.shape != (6, 6):
+        raise InputError(f"covariance: expected 6x6 numbers, got {array.shape}")
+    return array
+
+
+def _number(value: Any) -> float:
+    return float("nan") if value is None else float(value)

@@ -1,0 +1,184 @@
+"""A live 3-D view of a capture in the browser, with the answers of a result when there is one. Camera frame, metres."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation.answer import Estimate
+from scenes.errors import InputError
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.captures import Capture
+from scenes.recordings.frames import Frame
+from vision.look.segments import all_points
+
+Array = NDArray[np.float64]
+
+LAYERS = ("cloud", "object", "truth", "hand", "contacts", "modes", "ellipsoid")
+COLOURS = {
+    "cloud": (150, 152, 160),
+    "object": (60, 168, 158),
+    "truth": (110, 140, 230),
+    "hand": (206, 184, 168),
+    "contacts": (200, 40, 140),
+    "modes": (230, 150, 60),
+    "ellipsoid": (230, 200, 70),
+}
+# Points of a frame that a browser draws without delay, and what is near enough to the object to matter (radii).
+MOST_POINTS = 60_000
+REACH = 6.0
+# Length (m) of a contact's normal, and frames a second of playing.
+NORMAL = 0.02
+RATE = 10.0
+# The ellipsoid holds 99 % of a Gaussian in three dimensions.
+SIGMAS = 3.37
+
+
+class Viewer:
+    """Serves one capture until it is stopped. shown: the names of the nodes of the frame that is on view."""
+
+    def __init__(
+        self, capture: Capture, model: ObjectModel, answers: Sequence[Estimate] = (), port: int = 8080
+    ) -> None:
+        """Start the server on this machine alone. Raises InputError without viser or for a port that is taken."""
+        try:
+            import viser
+        except ImportError as error:
+            raise InputError("view needs viser, which is not installed: pip install 'palpate[viewer]'") from error
+        self.capture, self.model = capture, model
+        self.answers = {answer.frame: answer for answer in answers}
+        self.shown: dict[str, Any] = {}
+        self._lock = threading.Lock()
+        try:
+            self.server = viser.ViserServer(host="127.0.0.1", port=port, label=capture.name, verbose=False)
+        except OSError as error:
+            raise InputError(f"port: expected a free one, {port} is not: {error}") from error
+        self.server.scene.set_up_direction("-y")
+        self._build_gui()
+        self.show(0)
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        return f"http://127.0.0.1:{self.server.get_port()}"
+
+    def _build_gui(self) -> None:
+        gui, last = self.server.gui, len(self.capture) - 1
+        self.slider: Any = gui.add_slider("Frame", 0, max(1, last), 1, 0, disabled=last == 0)
+        self.playing = gui.add_checkbox("Play", False, disabled=last == 0)
+        self.words = gui.add_markdown("")
+        self.toggles = {layer: gui.add_checkbox(layer.capitalize(), layer != "truth") for layer in LAYERS}
+        self.slider.on_update(lambda _: self.show(int(self.slider.value)))
+        for toggle in self.toggles.values():
+            toggle.on_update(lambda _: self._apply_toggles())
+
+    def show(self, position: int) -> None:
+        """Draw the frame at that position of the capture."""
+        with self._lock:
+            frame = self.capture[min(position, len(self.capture) - 1)]
+            answer = self.answers.get(frame.index)
+            for handle in self.shown.values():
+                handle.remove()
+            self.shown = {}
+            self._draw_seen(frame, answer)
+            self._draw_answer(answer)
+            self.words.content = _words(frame, answer)
+        self._apply_toggles()
+
+    def _draw_seen(self, frame: Frame, answer: Estimate | None) -> None:
+        """Cloud, true pose, hand and contacts."""
+        scene = self.server.scene
+        points = all_points(frame)
+        where = answer.pose if answer is not None else frame.camera_from_object_truth
+        where = where if where is not None else frame.prior
+        if where is not None and np.isfinite(where).all():
+            middle = se3.apply(where, self.model.centroid[None])[0]
+            points = points[np.linalg.norm(points - middle, axis=1) < REACH * self.model.radius]
+        points = points[:: max(1, len(points) // MOST_POINTS)]
+        if len(points):
+            self.shown["cloud"] = scene.add_point_cloud(
+                "/cloud", points.astype(np.float32), COLOURS["cloud"], point_size=0.001
+            )
+        if frame.camera_from_object_truth is not None:
+            self.shown["truth"] = self._placed("/truth", frame.camera_from_object_truth, "truth", wireframe=True)
+        if frame.hand is not None and frame.joints is not None and frame.world_from_hand is not None:
+            vertices, faces, _ = frame.hand.mesh(frame.joints)
+            moved = se3.apply(frame.camera_from_world @ frame.world_from_hand, vertices)
+            self.shown["hand"] = scene.add_mesh_simple("/hand", moved, faces, color=COLOURS["hand"], opacity=0.5)
+        contacts = frame.contacts.moved(frame.camera_from_world)
+        if len(contacts):
+            normals = np.nan_to_num(contacts.normals)
+            segments = np.stack([contacts.points, contacts.points + NORMAL * normals], axis=1)
+            self.shown["contacts"] = scene.add_point_cloud(
+                "/contacts", contacts.points, COLOURS["contacts"], point_size=0.004, point_shape="circle"
+            )
+            self.shown["contacts/normals"] = scene.add_line_segments(
+                "/normals", segments, COLOURS["contacts"], thickness=0.001
+            )
+
+    def _draw_answer(self, answer: Estimate | None) -> None:
+        """The estimate, its other modes, and how sure its place is."""
+        if answer is None or not np.isfinite(answer.pose).all():
+            return
+        self.shown["object"] = self._placed("/object", answer.pose, "object", opacity=0.9)
+        for k, mode in enumerate(answer.modes[1:], start=1):
+            self.shown[f"modes/{k}"] = self._placed(
+                f"/modes/{k}", mode.pose, "modes", opacity=0.15 + 0.5 * float(np.clip(mode.weight, 0, 1))
+            )
+        spread = np.asarray(answer.covariance)[3:, 3:]
+        if np.isfinite(spread).all():
+            vertices, faces = ellipsoid(spread)
+            middle = se3.apply(answer.pose, self.model.centroid[None])[0]
+            self.shown["ellipsoid"] = self.server.scene.add_mesh_simple(
+                "/ellipsoid", vertices + middle, faces, color=COLOURS["ellipsoid"], opacity=0.6
+            )
+
+    def _placed(self, name: str, pose: Array, layer: str, **options: Any) -> Any:
+        return self.server.scene.add_mesh_simple(
+            name,
+            self.model.vertices,
+            self.model.faces,
+            color=COLOURS[layer],
+            wxyz=se3.to_quaternion(pose[:3, :3]),
+            position=pose[:3, 3],
+            **options,
+        )
+
+    def _apply_toggles(self) -> None:
+        with self._lock:
+            for name, handle in self.shown.items():
+                handle.visible = bool(self.toggles[name.partition("/")[0]].value)
+
+    def run(self) -> None:
+        """Serve, and play when asked, until interrupted."""
+        while True:
+            time.sleep(1.0 / RATE)
+            if self.playing.value:
+                self.slider.value = (int(self.slider.value) + 1) % len(self.capture)
+
+    def stop(self) -> None:
+        """End the server."""
+        self.server.stop()
+
+
+def ellipsoid(covariance: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Vertices (n, 3) and faces (m, 3) of the ellipsoid about the origin that holds 99 % of a Gaussian."""
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    values, axes = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    root = axes * (SIGMAS * np.sqrt(np.maximum(values, 0.0)))
+    return np.asarray(ball.vertices) @ root.T, np.asarray(ball.faces, dtype=np.int64)
+
+
+def _words(frame: Frame, answer: Estimate | None) -> str:
+    if answer is None:
+        return f"frame {frame.index}: no answer"
+    modes = f", {len(answer.modes)} poses fit" if len(answer.modes) > 1 else ""
+    return f"frame {frame.index}: **{answer.verdict}**{modes}"

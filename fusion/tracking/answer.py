@@ -1,0 +1,142 @@
+"""What a track says of a frame, and its settings. Camera frame, metres, radians."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation import verdict as posterior
+from fusion.estimation.answer import Estimate, Mode, Stage
+from fusion.estimation.solve import joint
+from fusion.estimation.stages import EstimateSettings, hand_from_object
+from fusion.tracking.filter import Belief
+from fusion.tracking.motion import HandMotionSettings
+from fusion.tracking.slip import WatchSettings
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.frames import Frame
+from vision.tracking.by_vision import VelocitySettings
+from vision.tracking.look import LookSettings
+
+Array = NDArray[np.float64]
+
+# Pixels count half of what they do in one frame: frames share the edges of fingers that are taken for the object.
+RIGS = tuple(replace(rig, weight=0.5 * rig.weight) for rig in joint.JointSettings().rigs)
+
+
+@dataclass(frozen=True)
+class TrackSettings:
+    """Tracking with both senses; `first` is how the first frame, and a lost object, is found."""
+
+    first: EstimateSettings = field(default_factory=EstimateSettings)
+    look: LookSettings = field(default_factory=LookSettings)
+    velocity: VelocitySettings = field(default_factory=VelocitySettings)
+    hand: HandMotionSettings = field(default_factory=HandMotionSettings)
+    slip: WatchSettings = field(default_factory=WatchSettings)
+    # Object pixels of a frame, and blur (m) of the first of two passes: as wide as a slip in one frame.
+    pixels: int = 250
+    blur: float = 0.003
+    # The prior of a frame's own answer is the prediction widened by this much, so that a slip is not held back and
+    # directions that nothing tells of stay where they are (rad, m).
+    loose_angle: float = float(np.deg2rad(6.0))
+    loose_distance: float = 0.006
+    # A frame's own answer that is this many of those widths from the prediction is not trusted: the object is searched.
+    leap: float = 2.5
+    # The joint solution starts within a millimetre and knows the size of the shared errors from the first frames.
+    joint: joint.JointSettings = field(
+        default_factory=lambda: joint.JointSettings(steps=4, most_inducing=24, spacing=1.6, modes=1, rigs=RIGS)
+    )
+    level_frames: int = 3
+    # Factor on the variance that independent noise makes of a frame's answer: the noise of neighbouring pixels is not
+    # quite independent, and which pixels are taken for the object flickers from frame to frame.
+    noise: float = 1.6
+    # Variance that the next frame has, too, whatever is solved along, as a share of the independent: joint errors are
+    # 0.8 mm at the fingertips where contact noise is 0.9 mm, the mesh's own error is 0.4 mm.
+    lasting: float = 0.8
+    # Share of the first estimate's variance that later frames do not average out.
+    first_lasting: float = 0.6
+    # Modes carried from frame to frame, and how much of a mode's odds the next frame inherits: frames repeat
+    # one another's errors, so odds are not multiplied.
+    modes: int = 3
+    inherited: float = 0.6
+    # Lost: the share of explained pixels falls below this part of the usual one.
+    least_of_usual: float = 0.6
+    fewest_pixels: int = 40
+    # Frames without evidence for which a held object is still where the hand has carried it (30 = a second).
+    coast: int = 30
+    # Where a lost object is looked for first (rad, m); it is looked for everywhere in the second frame in which it is
+    # lost and then every so many.
+    near_angle: float = float(np.deg2rad(10.0))
+    near_distance: float = 0.02
+    global_every: int = 10
+    # Error that is left in the robot's frame after the hand was last seen (rad, m), and motion of what is seen
+    # relative to a fixed camera, per frame without a hand.
+    left_angle: float = float(np.deg2rad(0.15))
+    left_distance: float = 0.001
+
+    def leaps(self, step: Array) -> bool:
+        """Farther from the prediction (6,) than few steps are to be trusted: another place was found by chance."""
+        turn, move = np.linalg.norm(step[:3]), np.linalg.norm(step[3:])
+        return bool(turn > self.leap * self.loose_angle or move > self.leap * self.loose_distance)
+
+
+@dataclass(frozen=True)
+class TrackedEstimate(Estimate):
+    """An estimate that remembers. how: "started", "tracked", "carried" (nothing sensed: moved with the hand),
+    "re-initialised" or "lost"; slip: the object moves in the hand otherwise than its fingers; slip_statistic: the test
+    of it, above 1 is a slip; moved_in_hand: it moves against the palm, with the fingers or without.
+    """
+
+    how: str = "tracked"
+    slip: bool = False
+    slip_statistic: float = 0.0
+    moved_in_hand: bool = False
+
+    def to_json(self) -> dict[str, Any]:
+        """The frame's entry of result.json, with the track's own words under "tracking"."""
+        said = {
+            "how": self.how,
+            "slip": self.slip,
+            "slip_statistic": float(self.slip_statistic),
+            "moved_in_hand": self.moved_in_hand,
+        }
+        return {**super().to_json(), "tracking": said}
+
+
+def as_tracked(answer: Estimate, how: str) -> TrackedEstimate:
+    """An estimate as a member of a track."""
+    own = {name: getattr(answer, name) for name in Estimate.__dataclass_fields__}
+    return TrackedEstimate(**own, how=how)
+
+
+def as_carried(
+    model: ObjectModel,
+    frame: Frame,
+    predicted: Belief,
+    trace: tuple[Stage, ...],
+    held: bool,
+    by_hand: bool,
+    settings: TrackSettings,
+) -> TrackedEstimate:
+    """The answer of a frame in which nothing was sensed: where the prediction has the object.
+
+    held: it may still be believed; by_hand: the hand has carried it there, otherwise its last velocity.
+    """
+    covariance = predicted.covariance
+    why = "nothing sensed in this frame: " + ("moved with the hand" if by_hand else "at its last velocity")
+    return TrackedEstimate(
+        frame=frame.index,
+        pose=predicted.pose,
+        covariance=covariance,
+        modes=(Mode(predicted.pose, 1.0, 0.0, covariance),),
+        verdict="ambiguous" if held else "lost",
+        unobservable=posterior.unobservable(model, predicted.pose, covariance, settings.first.verdict),
+        hand_from_object=hand_from_object(frame, predicted.pose, np.eye(4)),
+        visible_fraction=0.0,
+        trace=trace,
+        notes=(why,),
+        start=predicted.pose,
+        how="carried",
+    )

@@ -1,0 +1,201 @@
+"""What a tracker believes from frame to frame, and when it stops believing that the object is held.
+
+Errors of an estimate are of two kinds. Independent noise of pixels and contacts averages out over frames; what all
+frames share (calibration, depth scale and bias, joint errors) does not, however many there are. A belief carries the
+two covariances apart: a Kalman update shrinks the first and passes the second through its gain (a consider filter,
+Schmidt 1966), so a long track is not sure of what a calibration got wrong. Chart: poses.perturb about the centroid,
+camera axes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.evidence.modes import Mode
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Belief:
+    """pose (4, 4) camera_from_object; own (6, 6): covariance that frames average out; shared (6, 6): what stays."""
+
+    pose: Array
+    own: Array
+    shared: Array
+
+    @property
+    def covariance(self) -> Array:
+        """(6, 6) of both together."""
+        return self.own + self.shared
+
+    def moved(self, camera_from_camera: Array) -> Belief:
+        """The same after a rigid motion (4, 4) of hand and object together."""
+        turn = block(camera_from_camera[:3, :3])
+        return Belief(camera_from_camera @ self.pose, turn @ self.own @ turn.T, turn @ self.shared @ turn.T)
+
+    def shifted(self, delta: Array, noise: Array, centre: Array) -> Belief:
+        """The same after a motion (6,) of the object alone, known with covariance noise (6, 6)."""
+        return Belief(se3.perturb(self.pose, delta, centre), self.own + noise, self.shared)
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One frame's own answer, without the prediction: pose (4, 4); own and shared as in a Belief."""
+
+    pose: Array
+    own: Array
+    shared: Array
+
+    @staticmethod
+    def of(pose: Array, independent: Array, shared: Array, noise: float, lasting: float) -> Measurement:
+        """From what independent noise and shared errors make of the frame's covariance (6, 6).
+
+        noise: factor on the former; lasting: share of it that the next frame has, too, on top.
+        """
+        return Measurement(pose, noise * independent, shared + lasting * independent)
+
+
+def block(rotation: Array) -> Array:
+    """(6, 6) that turns rotation and displacement alike."""
+    out = np.zeros((6, 6))
+    out[:3, :3] = out[3:, 3:] = rotation
+    return out
+
+
+def moved_modes(modes: tuple[Mode, ...], motion: Array) -> tuple[Mode, ...]:
+    """Modes after a rigid motion (4, 4) of hand and object together."""
+    turn = block(motion[:3, :3])
+    return tuple(replace(m, pose=motion @ m.pose, covariance=turn @ m.covariance @ turn.T) for m in modes)
+
+
+def scales(model: ObjectModel) -> Array:
+    """(6,) units in which a turn and a displacement of the object weigh alike: 1 rad and its radius."""
+    return np.repeat([1.0, model.radius], 3)
+
+
+def _scaled(matrix: Array, scale: Array) -> Array:
+    return 0.5 * (matrix + matrix.T) * scale * scale[:, None]
+
+
+def positive_part(matrix: Array, scale: Array) -> Array:
+    """The nearest positive semi-definite matrix (6, 6), in units of scale (6,)."""
+    values, vectors = np.linalg.eigh(_scaled(matrix, 1.0 / scale))
+    return _scaled((vectors * np.maximum(values, 0.0)) @ vectors.T, scale)
+
+
+def _root(matrix: Array, scale: Array) -> Array:
+    """Symmetric square root, in units of scale."""
+    values, vectors = np.linalg.eigh(_scaled(matrix, 1.0 / scale))
+    return (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+
+
+def update(model: ObjectModel, predicted: Belief, measured: Measurement) -> Belief:
+    """The belief after a frame's own answer.
+
+    The gain weighs the prediction's own covariance against the frame's, plus by how much the frame's shared error is
+    larger than the belief's (a frame of touch alone must not drag a seen object to where the calibration has it).
+    Shared errors are taken as one and the same source: A A^T with A = (I - K) S_predicted^1/2 + K S_measured^1/2.
+    """
+    scale = scales(model)
+    surplus = positive_part(measured.shared - predicted.shared, scale)
+    gain = np.linalg.solve(predicted.own + measured.own + surplus, predicted.own).T
+    rest = np.eye(6) - gain
+    innovation = se3.difference(measured.pose, predicted.pose, model.centroid)
+    own = rest @ predicted.own @ rest.T + gain @ measured.own @ gain.T
+    unitless = gain * scale / scale[:, None]
+    mixed = (np.eye(6) - unitless) @ _root(predicted.shared, scale) + unitless @ _root(measured.shared, scale)
+    shared = _scaled(mixed @ mixed.T, scale)
+    pose = se3.perturb(predicted.pose, gain @ innovation, model.centroid)
+    return Belief(pose, 0.5 * (own + own.T), shared)
+
+
+@dataclass(frozen=True)
+class SlipSettings:
+    """When an object that should be held has moved in the hand."""
+
+    # A squared innovation (chi-square, 6 degrees of freedom) above this in one frame: one in a million by chance.
+    alarm: float = 40.0
+    # Several frames together (Page's cumulative sum, 1954): what a frame may add without counting, and the limit.
+    allowance: float = 12.0
+    limit: float = 30.0
+    # Errors of two frames that no covariance speaks of: bent surfaces, other pixels (rad, m).
+    floor_angle: float = float(np.deg2rad(0.2))
+    floor_distance: float = 0.0002
+    # Motion below this is no slip, whatever its significance (rad, m).
+    least_angle: float = float(np.deg2rad(1.0))
+    least_distance: float = 0.0007
+    # Frames after a slip's last sign during which it is still going on.
+    lasts: int = 2
+
+
+class SlipTest:
+    """Compares each frame's own answer with a belief that never lets the object move in the hand.
+
+    That belief averages over all frames since the last slip: a slow slip, each step of it within the noise, adds up
+    against it. Page's cumulative sum of the squared innovations decides, and so does that of the fingertips' own motion
+    where no rigid motion of the object explains it.
+    """
+
+    def __init__(self, model: ObjectModel, length: float, settings: SlipSettings | None = None) -> None:
+        """length: correlation length of the depth bias in pixels, over which shared errors change."""
+        self.model = model
+        self.settings = settings or SlipSettings()
+        self._length = length
+        self._held: Belief | None = None
+        self._pixel: Array | None = None
+        self._sum = self._slid = 0.0
+        self._quiet = 1_000_000
+        self.statistic = 0.0
+
+    def restart(self, belief: Belief | None, pixel: Array | None) -> None:
+        """Forget; the object is held as `belief` has it, seen at `pixel` (2,) (None without a camera)."""
+        self._held, self._pixel = belief, pixel
+        self._sum = self._slid = self.statistic = 0.0
+
+    def predict(self, camera_from_camera: Array, delta: Array, noise: Array, sliding: float = 0.0) -> None:
+        """Move with the hand (4, 4), and by what the fingers do to the object (6,), camera axes, known to noise (6, 6);
+        sliding: chi-square by which the fingertips' own motion contradicts contacts that stick.
+        """
+        if self._held is not None:
+            self._held = self._held.moved(camera_from_camera).shifted(delta, noise, self.model.centroid)
+        self._slid = max(0.0, self._slid + sliding - 0.5 * self.settings.allowance)
+
+    def step(self, measured: Measurement, belief: Belief, pixel: Array | None) -> bool:
+        """Whether the object slips in this frame. belief: the tracker's own, to start from after a slip."""
+        if self._held is None:
+            self.restart(belief, pixel)
+            self._quiet += 1
+            return False
+        s, centre = self.settings, self.model.centroid
+        changed = 2.0 * (1.0 - self._correlation(pixel)) * measured.shared
+        floor = np.diag(np.repeat([s.floor_angle, s.floor_distance], 3) ** 2)
+        noise = measured.own + changed + floor
+        innovation = se3.difference(measured.pose, self._held.pose, centre)
+        square = float(innovation @ np.linalg.solve(self._held.own + noise, innovation))
+        self._sum = max(0.0, self._sum + square - s.allowance)
+        moved = max(np.linalg.norm(innovation[:3]) / s.least_angle, np.linalg.norm(innovation[3:]) / s.least_distance)
+        self.statistic = max(min(max(square / s.alarm, self._sum / s.limit), float(moved)), self._slid / s.limit)
+        if self.statistic > 1.0:
+            statistic = self.statistic
+            self.restart(belief, pixel)
+            self.statistic = statistic
+            self._quiet = 0
+            return True
+        self._held = update(self.model, self._held, replace(measured, own=noise))
+        if self._pixel is None:
+            self._pixel = pixel
+        elif pixel is not None:
+            self._pixel = 0.9 * self._pixel + 0.1 * pixel
+        self._quiet += 1
+        return self._quiet <= s.lasts
+
+    def _correlation(self, pixel: Array | None) -> float:
+        if pixel is None or self._pixel is None:
+            return 1.0
+        return float(np.exp(-0.5 * np.sum((pixel - self._pixel) ** 2) / self._length**2))

@@ -1,0 +1,95 @@
+"""Has the object moved in the hand? What a track's poses say, and what the patterns on the fingertips say.
+
+Three tests beside one another: against an object that goes along with the fingers, against one that keeps its place in
+the palm, and, where fingertips have taxel arrays, whether their pressure patterns have moved over the skin. The first
+two need frames that tell the pose well; a pattern moves by less than a pose can be known to, whatever the camera sees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.tracking.filter import Belief, Measurement, SlipSettings, SlipTest
+from fusion.tracking.motion import InHand
+from scenes.geometry.objects import ObjectModel
+from touch.arrays.readings import Reading
+from touch.arrays.slip import PatternSettings, PatternWatch
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class WatchSettings:
+    """When an object that should be held has moved in the hand."""
+
+    poses: SlipSettings = field(default_factory=SlipSettings)
+    patterns: PatternSettings = field(default_factory=PatternSettings)
+
+
+@dataclass(frozen=True)
+class Watched:
+    """What one frame says. slip: otherwise than the fingers; moved: against the palm, or a slip; statistic: above 1 is
+    a slip; by: who says so, in words, empty without a slip.
+    """
+
+    slip: bool = False
+    moved: bool = False
+    statistic: float = 0.0
+    by: str = ""
+
+
+class SlipWatch:
+    """All tests of one track."""
+
+    def __init__(self, model: ObjectModel, length: float, settings: WatchSettings | None = None) -> None:
+        """length: correlation length of the depth bias in pixels, over which shared errors change."""
+        settings = settings or WatchSettings()
+        self._fingers = SlipTest(model, length, settings.poses)
+        self._palm = SlipTest(model, length, settings.poses)
+        self._patterns = PatternWatch(settings.patterns)
+        # a slip that the patterns have said goes on for as long as one that the poses have
+        self._lasts = settings.poses.lasts
+        self._quiet = self._lasts + 1
+
+    def restart(self) -> None:
+        """Forget where the poses had the object in the hand. Patterns do not depend on what is believed of it."""
+        self._fingers.restart(None, None)
+        self._palm.restart(None, None)
+
+    def let_go(self) -> None:
+        """Forget the patterns, too."""
+        self.restart()
+        self._patterns.restart()
+        self._quiet = self._lasts + 1
+
+    def predict(self, motion: Array, expected: InHand, drift: Array) -> None:
+        """Move with the hand by motion (4, 4), and as the fingers do; drift (6, 6): of a wrong calibration."""
+        self._fingers.predict(motion, expected.motion, expected.sticking + drift, expected.sliding)
+        self._palm.predict(motion, np.zeros(6), expected.still + drift)
+
+    def carry(self, motion: Array) -> None:
+        """Move with the hand by motion (4, 4): a late frame's lesson comes to the present."""
+        for test in (self._fingers, self._palm):
+            test.predict(motion, np.zeros(6), np.zeros((6, 6)))
+
+    def feel(self, readings: Sequence[Reading]) -> Watched:
+        """What the arrays of the next frame say."""
+        change = self._patterns.step(readings)
+        self._quiet = 0 if change.slipped else self._quiet + 1
+        slip = self._quiet <= self._lasts
+        return Watched(slip, slip, change.statistic, "the fingertips' patterns have moved" if slip else "")
+
+    def step(self, measured: Measurement, belief: Belief, pixel: Array | None, felt: Watched) -> Watched:
+        """What a frame's own answer says, and what its arrays said; belief: the tracker's own, to start from."""
+        slip = self._fingers.step(measured, belief, pixel)
+        moved = self._palm.step(measured, belief, pixel) or slip
+        by = " and ".join(word for word in ("its poses do not go with the hand" if slip else "", felt.by) if word)
+        return Watched(slip or felt.slip, moved or felt.slip, max(self._fingers.statistic, felt.statistic), by)
+
+    def follow(self, belief: Belief, pixel: Array | None) -> None:
+        """After a slip the object is held as `belief` has it."""
+        self._fingers.restart(belief, pixel)

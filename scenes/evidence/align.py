@@ -1,0 +1,193 @@
+"""Batches of poses through the compiled kernel: shapes checked at the door, work spread over threads by poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.errors import InputError
+from scenes.evidence import kernels, solver_kernels
+from scenes.evidence.table import COLUMNS, Evidence
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+from scenes.threads import run_chunks
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class AlignSettings:
+    """One stage of alignment."""
+
+    # Added in quadrature to every row's sigma: metres on points, radians on normals. 0 is the final stage.
+    blur: float = 0.0
+    blur_normal: float = 0.0
+    # Residuals beyond this many sigmas count linearly instead of by the rows' gates; 0 = the gates decide.
+    huber: float = 0.0
+    # Share of a point's sigma by which its normal may have been felt elsewhere on a bent surface; 0 = normals are those
+    # exactly at the point.
+    bend: float = 1.0
+    # Steps tried per pose.
+    iterations: int = 30
+    # A step below both ends the work: 1e-5 rad on a 10 cm object is a micrometre.
+    tolerance_angle: float = 1e-5
+    tolerance_distance: float = 1e-6
+    # Longest single step, radians and shares of the object's radius: a Gauss-Newton model of a shape holds no further.
+    longest_angle: float = 0.5
+    longest_share: float = 0.5
+
+
+@dataclass(frozen=True)
+class Prior:
+    """A Gaussian on the pose: mean (4, 4) frame_from_object, information (6, 6) in the chart of poses.perturb
+    (rotation rad, displacement of the centroid m, both in the frame's axes).
+    """
+
+    pose: Array
+    information: Array
+
+    @staticmethod
+    def isotropic(pose: Array, sigma_angle: float, sigma_distance: float) -> Prior:
+        """From standard deviations per axis: radians and metres."""
+        if not (sigma_angle > 0 and sigma_distance > 0):
+            raise InputError(f"prior: expected sigmas above 0, got {sigma_angle} rad and {sigma_distance} m")
+        return Prior(pose, np.diag([sigma_angle**-2] * 3 + [sigma_distance**-2] * 3))
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Aligned poses (b, 4, 4), their costs (b,), Gauss-Newton Hessians (b, 6, 6) and steps tried (b,), same order."""
+
+    poses: Array
+    costs: Array
+    hessians: Array
+    iterations: NDArray[np.int64]
+
+    def take(self, index: NDArray[np.intp]) -> Alignment:
+        """The chosen poses."""
+        return Alignment(self.poses[index], self.costs[index], self.hessians[index], self.iterations[index])
+
+    def joined(self, other: Alignment) -> Alignment:
+        """These poses, then the other's."""
+        return Alignment(
+            np.concatenate([self.poses, other.poses]),
+            np.concatenate([self.costs, other.costs]),
+            np.concatenate([self.hessians, other.hessians]),
+            np.concatenate([self.iterations, other.iterations]),
+        )
+
+
+def _split(model: ObjectModel, poses: Array) -> tuple[Array, Array]:
+    poses = np.asarray(poses, dtype=np.float64).reshape(-1, 4, 4)
+    if not np.isfinite(poses).all():
+        raise InputError("alignment: expected finite poses")
+    return np.ascontiguousarray(poses[:, :3, :3]), poses[:, :3, :3] @ model.centroid + poses[:, :3, 3]
+
+
+def _join(model: ObjectModel, rotations: Array, middles: Array) -> Array:
+    out = np.zeros((len(rotations), 4, 4))
+    out[:, :3, :3] = rotations
+    out[:, :3, 3] = middles - rotations @ model.centroid
+    out[:, 3, 3] = 1.0
+    return out
+
+
+def lattice_of(model: ObjectModel) -> tuple:
+    """The object as the kernels take it: lattice values, origin, spacing (m), and the centroid."""
+    field = model.field
+    return field.values, field.origin, float(field.spacing), model.centroid
+
+
+def prior_of(model: ObjectModel, prior: Prior | None) -> tuple:
+    """A prior as the kernels take it: rotation, place of the centroid, information (zeros for None)."""
+    if prior is None:
+        return np.eye(3), np.zeros(3), np.zeros((6, 6))
+    shapes = np.shape(prior.pose), np.shape(prior.information)
+    if shapes != ((4, 4), (6, 6)) or not (np.isfinite(prior.pose).all() and np.isfinite(prior.information).all()):
+        raise InputError(f"prior: expected a finite pose (4, 4) and information (6, 6), got shapes {shapes}")
+    middle = prior.pose[:3, :3] @ model.centroid + prior.pose[:3, 3]
+    rotation = np.ascontiguousarray(prior.pose[:3, :3])
+    return rotation, middle, np.ascontiguousarray(prior.information, dtype=np.float64)
+
+
+def _scene(model: ObjectModel, evidence: Evidence, prior: Prior | None, settings: AlignSettings) -> tuple:
+    """The arguments that all kernels begin with: lattice, rows, stage, prior."""
+    rows = np.ascontiguousarray(evidence.rows, dtype=np.float64)
+    if rows.ndim != 2 or rows.shape[1] != COLUMNS or not np.isfinite(rows).all():
+        raise InputError(f"alignment: expected finite evidence of {COLUMNS} columns, got shape {rows.shape}")
+    stage = float(settings.blur), float(settings.blur_normal), float(settings.huber), float(settings.bend)
+    return lattice_of(model), rows, stage, prior_of(model, prior)
+
+
+def align(
+    model: ObjectModel,
+    evidence: Evidence,
+    starts: Array,
+    prior: Prior | None = None,
+    settings: AlignSettings | None = None,
+) -> Alignment:
+    """Move every start (b, 4, 4) frame_from_object to a local minimum of the evidence's cost.
+
+    evidence and prior in the same frame. The cost of a pose never rises. Along directions that
+    the evidence leaves free a pose may drift by part of the object's size; the Hessian tells which they are.
+    """
+    settings = settings or AlignSettings()
+    rotations, middles = _split(model, starts)
+    scene = _scene(model, evidence, prior, settings)
+    count = len(rotations)
+    limits = (
+        int(settings.iterations),
+        float(settings.tolerance_angle),
+        float(settings.tolerance_distance),
+        model.radius,
+        float(settings.longest_angle),
+        float(settings.longest_share * model.radius),
+    )
+    out_costs, hessians, used = np.zeros(count), np.zeros((count, 6, 6)), np.zeros(count, dtype=np.int64)
+
+    def work(part: slice) -> None:
+        solver_kernels.align_poses(  # type: ignore[call-arg]
+            *scene, limits, rotations[part], middles[part], out_costs[part], hessians[part], used[part]
+        )
+
+    run_chunks(work, count, smallest=max(1, 4000 // (len(evidence) * settings.iterations + 1)))
+    rotations = se3.project_to_rotation(rotations) if count else rotations
+    return Alignment(_join(model, rotations, middles), out_costs, hessians, used)
+
+
+def costs(
+    model: ObjectModel,
+    evidence: Evidence,
+    candidates: Array,
+    prior: Prior | None = None,
+    settings: AlignSettings | None = None,
+) -> Array:
+    """Costs (b,) of candidate poses (b, 4, 4) as they are."""
+    settings = settings or AlignSettings()
+    rotations, middles = _split(model, candidates)
+    scene = _scene(model, evidence, prior, settings)
+    out = np.zeros(len(rotations))
+
+    def work(part: slice) -> None:
+        kernels.cost_poses(*scene, rotations[part], middles[part], out[part])  # type: ignore[call-arg]
+
+    run_chunks(work, len(rotations), smallest=max(1, 8000 // (len(evidence) + 1)))
+    return out
+
+
+def terms(
+    model: ObjectModel,
+    evidence: Evidence,
+    pose: Array,
+    prior: Prior | None = None,
+    settings: AlignSettings | None = None,
+) -> tuple[float, Array, Array]:
+    """Cost, gradient (6,) and Gauss-Newton Hessian (6, 6) at one pose, in the chart of poses.perturb."""
+    settings = settings or AlignSettings()
+    rotations, middles = _split(model, pose)
+    scene = _scene(model, evidence, prior, settings)
+    hessian, gradient = np.zeros((6, 6)), np.zeros(6)
+    cost = kernels.terms_at(*scene, rotations[0], middles[0], hessian, gradient)  # type: ignore[call-arg]
+    return float(cost), gradient, hessian

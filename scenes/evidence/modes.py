@@ -1,0 +1,97 @@
+"""From many aligned poses to the few distinct ones, with their share of the posterior.
+
+Poses are told apart modulo the object's symmetries, in millimetres of its surface: the largest displacement of a point
+at the object's radius. Weights follow Laplace's method: exp(-cost) sqrt(det(2 pi H^-1)), H with a weak prior added
+so that a free direction has the width of everything it could be, not infinity.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.evidence.align import Alignment
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One pose that the data cannot tell from the others.
+
+    pose (4, 4) frame_from_object; weight: its share of the posterior, all modes sum to 1; cost: negative log
+    posterior density at the pose, up to a constant shared by all modes; covariance (6, 6): rotation (rad) then
+    translation (m) in the frame's axes, about the object's centroid.
+    """
+
+    pose: Array
+    weight: float
+    cost: float
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class ModeSettings:
+    """When two answers are one, and how wide an unknown direction is."""
+
+    # Displacement of the object's surface, as a share of its radius, under which two poses are one mode.
+    merge_share: float = 0.12
+    # Two poses whose mean is this many of their own standard deviations away are one mode, however far.
+    merge_sigmas: float = 3.0
+    # Width of a direction about which nothing is known: radians, and shares of the object's radius.
+    widest_angle: float = 1.0
+    widest_share: float = 1.0
+    # Modes whose cost is this much above the best have less than 1e-4 of its weight and are not listed.
+    cost_margin: float = 12.0
+    # As many modes as anyone will look at.
+    most: int = 24
+
+
+def covariance_of(model: ObjectModel, hessian: Array, settings: ModeSettings | None = None) -> Array:
+    """(6, 6) inverse of a Gauss-Newton Hessian regularised by the widest prior; finite for any Hessian."""
+    settings = settings or ModeSettings()
+    weak = np.array([settings.widest_angle] * 3 + [settings.widest_share * model.radius] * 3)
+    # scaled by the widths, the matrix is at least the identity: its inverse never fails
+    scaled = hessian * weak * weak[:, None] + np.eye(6)
+    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    inverse = (vectors / np.maximum(values, 1.0)) @ vectors.T
+    return inverse * weak * weak[:, None]
+
+
+def distinct_modes(model: ObjectModel, alignment: Alignment, settings: ModeSettings | None = None) -> tuple[Mode, ...]:
+    """Modes of an alignment's poses, highest posterior density (lowest cost) first; empty only for no poses.
+
+    The first is the maximum a posteriori: Laplace weights of minima inside one rough basin are too unsure to lead.
+    """
+    settings = settings or ModeSettings()
+    finite = np.isfinite(alignment.costs)
+    order = np.argsort(np.where(finite, alignment.costs, np.inf), kind="stable")[: int(finite.sum())]
+    if len(order) == 0:
+        return ()
+    best = alignment.costs[order[0]]
+    order = order[alignment.costs[order] <= best + settings.cost_margin]
+    kept: list[int] = []
+    pending = order[:400]
+    while len(pending) and len(kept) < settings.most:
+        lead = pending[0]
+        kept.append(int(lead))
+        rest = pending[1:]
+        if not len(rest):
+            break
+        equivalents = model.symmetries.nearest(alignment.poses[rest], alignment.poses[lead])
+        delta = se3.difference(equivalents, alignment.poses[lead], model.centroid)
+        moved = np.linalg.norm(delta[:, :3], axis=1) * model.radius + np.linalg.norm(delta[:, 3:], axis=1)
+        mahalanobis = np.einsum("ni,ij,nj->n", delta, alignment.hessians[lead], delta)
+        same = (moved < settings.merge_share * model.radius) | (mahalanobis < settings.merge_sigmas**2)
+        pending = rest[~same]
+    covariances = [covariance_of(model, alignment.hessians[i], settings) for i in kept]
+    log_weights = np.array([-alignment.costs[i] + 0.5 * np.linalg.slogdet(c)[1] for i, c in zip(kept, covariances)])
+    weights = np.exp(log_weights - log_weights.max())
+    weights /= weights.sum()
+    return tuple(
+        Mode(alignment.poses[i], float(w), float(alignment.costs[i]), c) for i, w, c in zip(kept, weights, covariances)
+    )

@@ -1,0 +1,93 @@
+"""Motions that leave most of an object where it was: the poses that a rough look confuses with the right one.
+
+A mug without its handle is round, a hammer's handle has two sides. While a search is blurred, such poses cost almost
+the same, and what tells them apart, a handle, is looked at last; so a search that has found one asks for the others.
+Unlike `scenes.geometry.symmetries`, they are no excuse: their errors count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.cache import remembered
+from scenes.evidence import table as evidence
+from scenes.evidence.align import AlignSettings, align
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+
+Array = NDArray[np.float64]
+
+# Raised whenever what is found below changes, so that old files are not read.
+CACHE_VERSION = 1
+
+
+@dataclass(frozen=True)
+class NearSettings:
+    """What is nearly the same."""
+
+    # Turns about each principal axis that are tried (rad): a handle is some 20 degrees wide.
+    step: float = float(np.deg2rad(15.0))
+    # Surface samples.
+    samples: int = 300
+    # Distance from the surface, as a share of the radius, within which a moved sample is where one was; and the least
+    # share of samples for which that must hold. A mug's handle is a sixth of its surface.
+    near_share: float = 0.05
+    least: float = 0.7
+    # Motions that differ by less than this (rad) are one.
+    same: float = float(np.deg2rad(8.0))
+
+
+_FOUND: WeakKeyDictionary[ObjectModel, Array] = WeakKeyDictionary()
+
+
+def near_symmetries(model: ObjectModel) -> Array:
+    """(k, 4, 4) object_from_object motions, the identity not among them; found at the first call for an object and kept
+    on disk.
+    """
+    found = _FOUND.get(model)
+    if found is None:
+        settings = NearSettings()
+        axes = [part for axis in model.symmetries.axes for part in (axis.point, axis.direction)]
+        arrays = remembered(
+            "alike",
+            (CACHE_VERSION, settings),
+            (model.vertices, model.faces, model.symmetries.discrete, *axes),
+            lambda: {"motions": find_near_symmetries(model, settings)},
+            lambda stored: stored["motions"].shape[1:] == (4, 4) and bool(np.isfinite(stored["motions"]).all()),
+        )
+        found = _FOUND[model] = arrays["motions"]
+    return found
+
+
+def find_near_symmetries(model: ObjectModel, settings: NearSettings | None = None) -> Array:
+    """(k, 4, 4) turns about the principal axes, settled where most of the surface lies on itself. k may be 0."""
+    settings = settings or NearSettings()
+    points, _ = model.sample_surface(settings.samples, seed=3)
+    # principal axes of the surface's inner half, which parts that stand out do not tilt
+    away = np.linalg.norm(points - model.centroid, axis=1)
+    inner = points[away <= np.quantile(away, 0.75)]
+    axes = [np.linalg.svd(cloud - cloud.mean(axis=0), full_matrices=False)[2] for cloud in (points, inner)]
+    angles = np.arange(settings.step, 2 * np.pi - 0.5 * settings.step, settings.step)
+    rotations = se3.exp_rotation((angles[:, None, None] * np.concatenate(axes)[None]).reshape(-1, 3))
+    starts = np.tile(np.eye(4), (len(rotations), 1, 1))
+    starts[:, :3, :3] = rotations
+    starts[:, :3, 3] = model.centroid - rotations @ model.centroid
+    near = settings.near_share * model.radius
+    # gates of three sigmas: what stands out does not pull
+    rows = evidence.make(points, 0.5 * near, evidence.TOUCH, gate_above=3.0, gate_below=3.0)
+    settled = align(model, rows, starts, settings=AlignSettings(iterations=15)).poses
+    shares = np.array([np.mean(np.abs(model.field.distance(se3.apply(pose, points))) < near) for pose in settled])
+    kept = [np.eye(4)]
+    for i in np.argsort(-shares, kind="stable"):
+        if shares[i] < settings.least:
+            break
+        # modulo what really is a symmetry: a bottle turned about its axis is the bottle
+        alike = model.symmetries.nearest(np.tile(settled[i], (len(kept), 1, 1)), np.array(kept))
+        turned = np.swapaxes(np.array(kept)[:, :3, :3], -1, -2) @ alike[:, :3, :3]
+        if se3.rotation_angle(turned).min() > settings.same:
+            kept.append(settled[i])
+    return np.array(kept[1:]).reshape(-1, 4, 4)

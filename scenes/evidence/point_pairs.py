@@ -1,0 +1,206 @@
+"""Poses from pairs of points with normals: a pair fixes a pose, and an object has few pairs that look like it.
+
+The invariants of a pair of oriented points are those of Drost et al., "Model globally, match locally" (CVPR 2010):
+their distance, the normals' slopes along it and towards each other, here with the sign of the twist so that mirror
+images are told apart. The pairs of an object are tabled once; the nearest to each pair of contacts, or of pixels,
+become hypotheses, which the table of evidence then ranks. Metres; normals point out of the object.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.frames import Contacts
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PairSettings:
+    """How fine the object's table of pairs is."""
+
+    # Oriented points on the surface; the table holds their square.
+    points: int = 500
+    # Pairs closer than this share of the object's radius fix no rotation.
+    shortest: float = 0.15
+    # What counts as alike: the distance as a share of the radius, and the normals' slopes (no unit).
+    distance_scale: float = 0.12
+    slope_scale: float = 0.25
+    # Pairs of contacts looked up, the farthest apart first.
+    pairs: int = 12
+    # Contacts that pairs are made of: all of them would be 5e9 pairs of 1e5 contacts.
+    most_contacts: int = 300
+
+
+class PairTable:
+    """Every ordered pair of points on an object, by its invariants."""
+
+    def __init__(self, model: ObjectModel, settings: PairSettings | None = None) -> None:
+        """Sampled evenly over the surface with a seed of its own: the same object gives the same table."""
+        self.settings = settings or PairSettings()
+        self.radius = model.radius
+        self.points, self.normals = _spread(
+            *model.sample_surface(4 * self.settings.points, seed=1), self.settings.points
+        )
+        first, second = np.nonzero(~np.eye(len(self.points), dtype=bool))
+        apart = np.linalg.norm(self.points[first] - self.points[second], axis=1)
+        far = apart > self.settings.shortest * self.radius
+        self.first, self.second = first[far], second[far]
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """Of the invariants of all pairs."""
+        from scipy.spatial import cKDTree
+
+        a, b = self.first, self.second
+        return cKDTree(self.invariants(self.points[a], self.normals[a], self.points[b], self.normals[b]))
+
+    def invariants(self, p1: Array, n1: Array, p2: Array, n2: Array) -> Array:
+        """(n, 5): distance and slopes of pairs (n, 3), scaled so that 1 is a noticeable difference."""
+        between = p2 - p1
+        length = np.linalg.norm(between, axis=1)
+        along = between / length[:, None]
+        slopes = [(n1 * along).sum(1), (n2 * along).sum(1), (n1 * n2).sum(1), (np.cross(n1, n2) * along).sum(1)]
+        return np.stack(
+            [length / (self.settings.distance_scale * self.radius), *(s / self.settings.slope_scale for s in slopes)], 1
+        )
+
+    def hypotheses(self, contacts: Contacts, count: int) -> tuple[Array, Array]:
+        """Rotations (h, 3, 3) and the object's origins (h, 3), about `count` of them: the poses that put pairs of the
+        object onto pairs of the contacts. None without two contacts that are apart and have normals.
+        """
+        known = np.flatnonzero(contacts.has_normal)
+        p, n = contacts.points, contacts.normals
+        # pairs grow with the square of the contacts: of very many, evenly chosen ones do
+        most = self.settings.most_contacts
+        known = known if len(known) <= most else known[np.linspace(0, len(known) - 1, most).astype(int)]
+        one, other = np.triu_indices(len(known), 1)
+        lengths = np.linalg.norm(p[known[one]] - p[known[other]], axis=1)
+        apart = np.flatnonzero(lengths > self.settings.shortest * self.radius)
+        longest = apart[np.argsort(-lengths[apart], kind="stable")[: self.settings.pairs]]
+        if not len(longest):
+            return np.zeros((0, 3, 3)), np.zeros((0, 3))
+        i, j = known[one[longest]], known[other[longest]]
+        return self.matching(p, n, i, j, max(1, count // len(longest)))
+
+    def matching(
+        self, points: Array, normals: Array, first: NDArray[np.int64], second: NDArray[np.int64], each: int
+    ) -> tuple[Array, Array]:
+        """Rotations (h, 3, 3) and the object's origins (h, 3) that put the `each` nearest pairs of the object onto each
+        pair first[k], second[k] of points (n, 3) with normals (n, 3) that are apart; those of one pair together.
+        """
+        invariants = self.invariants(points[first], normals[first], points[second], normals[second])
+        _, found = self.tree.query(invariants, k=min(each, len(self.first)))
+        found = found.reshape(len(first), -1)
+        a, b = self.first[found].ravel(), self.second[found].ravel()
+        rotations, origins = np.zeros((len(a), 3, 3)), np.zeros((len(a), 3))
+        repeat = np.repeat(np.arange(len(first)), found.shape[1])
+        match_pairs(self.points, self.normals, a, b, points, normals, first[repeat], second[repeat], rotations, origins)
+        return rotations, origins
+
+
+def _spread(points: Array, normals: Array, count: int) -> tuple[Array, Array]:
+    """`count` of the points (n, 3), far from one another: each next is the farthest from all before."""
+    chosen = np.zeros(min(count, len(points)), dtype=np.int64)
+    nearest = np.full(len(points), np.inf)
+    for k in range(1, len(chosen)):
+        nearest = np.minimum(nearest, ((points - points[chosen[k - 1]]) ** 2).sum(axis=1))
+        chosen[k] = int(np.argmax(nearest))
+    return points[chosen], normals[chosen]
+
+
+_TABLES: WeakKeyDictionary[ObjectModel, PairTable] = WeakKeyDictionary()
+
+
+def pair_table(model: ObjectModel) -> PairTable:
+    """The object's table, built at the first call and kept as long as the object."""
+    table = _TABLES.get(model)
+    if table is None:
+        table = PairTable(model)
+        _TABLES[model] = table
+    table.tree  # noqa: B018  (built here, not inside a timed search)
+    return table
+
+
+@numba.njit(cache=True, nogil=True)
+def match_pairs(
+    points: Array,
+    normals: Array,
+    first: NDArray[np.int64],
+    second: NDArray[np.int64],
+    contact_points: Array,
+    contact_normals: Array,
+    contact_first: NDArray[np.int64],
+    contact_second: NDArray[np.int64],
+    rotations: Array,
+    origins: Array,
+) -> None:
+    """Poses that lay pair h of the object onto pair h of the contacts: middles meet, directions agree, and the turn
+    about the direction fits both normals best. Fills rotations (h, 3, 3) and origins (h, 3).
+    """
+    e, f, v, x = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
+    turn = np.zeros((3, 3))
+    for h in range(first.shape[0]):
+        a, b, i, j = first[h], second[h], contact_first[h], contact_second[h]
+        for k in range(3):
+            e[k] = points[b, k] - points[a, k]
+            f[k] = contact_points[j, k] - contact_points[i, k]
+        e /= math.sqrt((e * e).sum())
+        f /= math.sqrt((f * f).sum())
+        # half turn about the bisector takes e to f; nearly opposite directions: about any line across e
+        v[:] = e + f
+        length = math.sqrt((v * v).sum())
+        if length < 1e-6:
+            axis = np.argmin(np.abs(e))
+            v[:] = -e[axis] * e
+            v[axis] += 1.0
+            length = math.sqrt((v * v).sum())
+        v /= length
+        rotation = rotations[h]
+        for k in range(3):
+            for m in range(3):
+                rotation[k, m] = 2.0 * v[k] * v[m] - (1.0 if k == m else 0.0)
+        # then about f: the angle that maximises the sum of the normals' dot products
+        cosine, sine = 0.0, 0.0
+        for side in range(2):
+            n = normals[a] if side == 0 else normals[b]
+            u = contact_normals[i] if side == 0 else contact_normals[j]
+            x[:] = 0.0
+            for k in range(3):
+                for m in range(3):
+                    x[k] += rotation[k, m] * n[m]
+            xf, uf, dot = (x * f).sum(), (u * f).sum(), (x * u).sum()
+            cosine += dot - xf * uf
+            sine += (
+                f[0] * (x[1] * u[2] - x[2] * u[1])
+                + f[1] * (x[2] * u[0] - x[0] * u[2])
+                + f[2] * (x[0] * u[1] - x[1] * u[0])
+            )
+        angle = math.atan2(sine, cosine)
+        c, s = math.cos(angle), math.sin(angle)
+        for k in range(3):
+            for m in range(3):
+                turn[k, m] = (1.0 - c) * f[k] * f[m] + (c if k == m else 0.0)
+        turn[0, 1] -= s * f[2]
+        turn[0, 2] += s * f[1]
+        turn[1, 0] += s * f[2]
+        turn[1, 2] -= s * f[0]
+        turn[2, 0] -= s * f[1]
+        turn[2, 1] += s * f[0]
+        rotation[:, :] = turn @ rotation
+        for k in range(3):
+            origins[h, k] = 0.5 * (contact_points[i, k] + contact_points[j, k])
+            for m in range(3):
+                origins[h, k] -= rotation[k, m] * 0.5 * (points[a, m] + points[b, m])

@@ -1,0 +1,77 @@
+"""The compiled prior: value, gradient and Hessian of a Gaussian on a pose."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from scenes.geometry.rotation_kernels import log_rotation
+
+
+@numba.njit(cache=True, nogil=True)
+def prior_terms(rotation, middle, prior, need, hessian, gradient, scratch):
+    """Half the squared Mahalanobis distance to the prior; its derivative uses the inverse left Jacobian of SO(3).
+
+    prior: its rotation (3, 3), middle (3,) and information (6, 6). Adds to gradient and the lower half of hessian.
+    """
+    prior_rotation, prior_middle, information = prior
+    any_information = 0.0
+    for i in range(6):
+        any_information += information[i, i]
+    if any_information == 0.0:
+        return 0.0
+    relative = scratch[1:4]
+    for i in range(3):
+        for j in range(3):
+            relative[i, j] = (
+                rotation[i, 0] * prior_rotation[j, 0]
+                + rotation[i, 1] * prior_rotation[j, 1]
+                + rotation[i, 2] * prior_rotation[j, 2]
+            )
+    delta = scratch[7:9].reshape(6)
+    phi = scratch[0]
+    log_rotation(relative, phi)
+    for i in range(3):
+        delta[i] = phi[i]
+        delta[3 + i] = middle[i] - prior_middle[i]
+    total = 0.0
+    for i in range(6):
+        for j in range(6):
+            total += 0.5 * delta[i] * information[i, j] * delta[j]
+    if not need:
+        return total
+    square = phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2]
+    angle = math.sqrt(square)
+    if square < 1e-6:
+        k = 1.0 / 12.0
+    else:
+        half = 0.5 * angle
+        # (1 - half cot half) / angle^2; at angle = pi the cotangent is 0
+        k = (1.0 - half * math.cos(half) / math.sin(half)) / square
+    jac = np.zeros((6, 6))
+    for i in range(3):
+        jac[3 + i, 3 + i] = 1.0
+        jac[i, i] = 1.0 - k * square
+        for j in range(3):
+            jac[i, j] += k * phi[i] * phi[j]
+    jac[0, 1] += 0.5 * phi[2]
+    jac[0, 2] -= 0.5 * phi[1]
+    jac[1, 0] -= 0.5 * phi[2]
+    jac[1, 2] += 0.5 * phi[0]
+    jac[2, 0] += 0.5 * phi[1]
+    jac[2, 1] -= 0.5 * phi[0]
+    for a in range(6):
+        for i in range(6):
+            along = 0.0
+            for j in range(6):
+                along += information[i, j] * delta[j]
+            gradient[a] += jac[i, a] * along
+        for b in range(a + 1):
+            total_h = 0.0
+            for i in range(6):
+                for j in range(6):
+                    total_h += jac[i, a] * information[i, j] * jac[j, b]
+            hessian[a, b] += total_h
+    return total

@@ -1,0 +1,152 @@
+"""Coarse to fine over many starts: few rows and much blur for many candidates, all rows and none for few."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.errors import InputError
+from scenes.evidence.align import Alignment, AlignSettings, Prior, align, costs
+from scenes.evidence.table import GATE_ABOVE, TOUCH, VISION, Evidence
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SearchStage:
+    """One pass of the search."""
+
+    # Blur of this pass: metres and radians (see AlignSettings).
+    blur: float
+    blur_normal: float
+    # Rows looked at (see `thin`).
+    rows: int
+    # Steps per pose (0: only ranked where they are), and poses that go on to the next pass.
+    iterations: int
+    keep: int
+
+
+def thin(evidence: Evidence, count: int) -> Evidence:
+    """Every contact, and of the vision rows and of touch's OUTSIDE rows about `count` each, carrying the weight of all.
+
+    Rows are taken evenly over the table; contacts are few and each tells another thing.
+    """
+    silent = evidence.rows[:, GATE_ABOVE] == 0.0
+    chosen, factors = [], []
+    for group, most in (
+        (np.flatnonzero((evidence.sense == TOUCH) & ~silent), len(evidence)),
+        (np.flatnonzero((evidence.sense == VISION) & ~silent), count),
+        (np.flatnonzero((evidence.sense == VISION) & silent), count // 2),
+        (np.flatnonzero((evidence.sense == TOUCH) & silent), count // 2),
+    ):
+        most = max(1, min(most, len(group)))
+        if len(group):
+            chosen.append(group[(np.arange(most) * len(group)) // most])
+            factors.append(np.full(most, len(group) / most))
+    if not chosen or sum(map(len, chosen)) == len(evidence):
+        return evidence
+    return evidence.take(np.concatenate(chosen)).reweighted(np.concatenate(factors))
+
+
+def rotation_grid(count: int, rng: np.random.Generator | None = None) -> Array:
+    """(count, 3, 3) rotations even over SO(3): super-Fibonacci spirals (Alexa, CVPR 2022), all turned at random."""
+    phi, psi = np.sqrt(2.0), 1.533751168755204288118041
+    s = np.arange(count) + 0.5
+    t = s / count
+    d = 2 * np.pi * s
+    r, q = np.sqrt(t), np.sqrt(1 - t)
+    alpha, beta = d / phi, d / psi
+    quaternions = np.stack([q * np.cos(beta), r * np.sin(alpha), r * np.cos(alpha), q * np.sin(beta)], axis=1)
+    rotations = se3.from_quaternion(quaternions)
+    if rng is not None:
+        rotations = se3.random_rotations(1, rng)[0] @ rotations
+    return rotations
+
+
+def starts_around(
+    model: ObjectModel, pose: Array, sigma_angle: float, sigma_distance: float, count: int, rng: np.random.Generator
+) -> Array:
+    """(count, 4, 4) draws from a Gaussian on the pose (rad and m per axis), the mean itself first."""
+    delta = rng.normal(size=(count, 6)) * ([sigma_angle] * 3 + [sigma_distance] * 3)
+    delta[:1] = 0.0
+    return se3.perturb(pose, delta, model.centroid)
+
+
+def search(
+    model: ObjectModel,
+    evidence: Evidence,
+    starts: Array,
+    stages: tuple[SearchStage, ...],
+    prior: Prior | None = None,
+    settings: AlignSettings | None = None,
+    rank: Callable[[Array, float], Array] | None = None,
+) -> Alignment:
+    """Run the stages; returns the last stage's survivors, best first, with their final costs and Hessians.
+
+    rank(poses, blur) -> (n,) is added to the costs when survivors are chosen (not when poses move).
+    """
+    settings = settings or AlignSettings()
+    poses = starts
+    result = None
+    for stage in stages:
+        rows = thin(evidence, stage.rows)
+        how = replace(settings, blur=stage.blur, blur_normal=stage.blur_normal, iterations=stage.iterations)
+        if stage.iterations:
+            result = align(model, rows, poses, prior, how)
+        else:
+            steps = np.zeros(len(poses), dtype=np.int64)
+            result = Alignment(poses, costs(model, rows, poses, prior, how), np.zeros((len(poses), 6, 6)), steps)
+        ranked = result.costs if rank is None else result.costs + rank(result.poses, stage.blur)
+        order = distinct_first(model, replace(result, costs=ranked), stage.keep)
+        result = result.take(order)
+        poses = result.poses
+    if result is None:
+        raise InputError("search: expected at least one stage, got none")
+    return result
+
+
+def distinct_first(model: ObjectModel, result: Alignment, keep: int) -> NDArray[np.intp]:
+    """Indices of the best `keep` poses, those that fell onto the same minimum counted once.
+
+    Poses are sorted by cost and binned by (cost, centroid) to a thousandth: starts that reached one minimum agree far
+    better than that, and different minima almost never do.
+    """
+    order = np.argsort(result.costs, kind="stable")
+    middles = result.poses[:, :3, :3] @ model.centroid + result.poses[:, :3, 3]
+    key = np.concatenate(
+        [
+            np.round(middles / (1e-3 * model.radius)),
+            np.round(result.poses[:, :3, 0] * 1e2),
+            np.round(result.poses[:, :3, 1] * 1e2),
+        ],
+        axis=1,
+    ).astype(np.int64)
+    _, first = np.unique(key[order], axis=0, return_index=True)
+    return order[np.sort(first)][:keep]
+
+
+def leaders(model: ObjectModel, poses: Array, apart: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Poses (n, 4, 4) that stand for those near them, modulo symmetry: their indices (k,), and of each pose the one in
+    0..k-1 that stands for it.
+
+    apart: metres by which a point at the object's radius moves at least between two that stand for others. Of poses
+    nearer than that the first leads: give the best first.
+    """
+    chosen: list[int] = []
+    group = np.full(len(poses), -1, dtype=np.intp)
+    middles = poses[:, :3, :3] @ model.centroid + poses[:, :3, 3]
+    while (group < 0).any():
+        lead = int(np.argmax(group < 0))
+        pending = np.flatnonzero(group < 0)
+        alike = model.symmetries.nearest(poses[pending], poses[lead])
+        # the chord 2 sin(angle / 2) of the turn is its angle as far as near and far are told
+        chord = np.linalg.norm(alike[:, :3, :3] - poses[lead, :3, :3], axis=(1, 2)) / np.sqrt(2.0)
+        moved = chord * model.radius + np.linalg.norm(middles[pending] - middles[lead], axis=1)
+        group[pending[(moved < apart) | (pending == lead)]] = len(chosen)
+        chosen.append(lead)
+    return np.array(chosen, dtype=np.intp), group

@@ -1,0 +1,135 @@
+"""Compiled Levenberg-Marquardt on poses: many starts, each worked by one thread from its first step to its last.
+
+So sums have one order, and bits do not depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from scenes.evidence.kernels import cost_terms
+from scenes.evidence.row_kernels import prepare
+from scenes.geometry.rotation_kernels import exp_times
+
+# Levenberg-Marquardt: start, factors and limits of the damping (relative to the Hessian's own diagonal).
+DAMPING_START = 1e-3
+DAMPING_DOWN = 0.25
+DAMPING_UP = 6.0
+DAMPING_MAX = 1e8
+
+
+@numba.njit(cache=True, nogil=True)
+def solve(hessian, gradient, damping, floor, factor, step):
+    """Step = -(H + damping diag(H) + floor)^-1 gradient by Cholesky; False when not positive definite."""
+    for i in range(6):
+        for j in range(i + 1):
+            total = hessian[i, j]
+            if i == j:
+                total += damping * hessian[i, i] + floor[i]
+            for k in range(j):
+                total -= factor[i, k] * factor[j, k]
+            if i == j:
+                if not total > 1e-12 * (hessian[i, i] + floor[i]):
+                    return False
+                factor[i, i] = math.sqrt(total)
+            else:
+                factor[i, j] = total / factor[j, j]
+    for i in range(6):
+        total = -gradient[i]
+        for k in range(i):
+            total -= factor[i, k] * step[k]
+        step[i] = total / factor[i, i]
+    for i in range(5, -1, -1):
+        total = step[i]
+        for k in range(i + 1, 6):
+            total -= factor[k, i] * step[k]
+        step[i] = total / factor[i, i]
+    return True
+
+
+@numba.njit(cache=True, nogil=True)
+def align_poses(lattice, rows, stage, prior, limits, rotations, middles, costs, hessians, used):
+    """Levenberg-Marquardt on poses, in place: rotations (b, 3, 3), middles (b, 3) -> costs (b,), hessians (b, 6, 6).
+
+    Stops at `iterations` tried steps, or when a step turns less than tolerance_angle (rad) and moves less than
+    tolerance_distance (m). Steps are shortened to longest_angle and longest_distance. radius (m) of the object scales
+    the floor of the damping, so that directions without information stay put. A step that raises the cost is undone.
+    rows, stage, lattice, prior: see kernels.cost_poses; limits: the numbers named here, in their order.
+    """
+    blur, blur_normal, huber, bend = stage
+    iterations, tolerance_angle, tolerance_distance, radius, longest_angle, longest_distance = limits
+    scratch = np.zeros((10, 3))
+    hessian = np.zeros((6, 6))
+    gradient = np.zeros(6)
+    new_hessian = np.zeros((6, 6))
+    new_gradient = np.zeros(6)
+    factor = np.zeros((6, 6))
+    step = np.zeros(6)
+    floor = np.zeros(6)
+    rotation = np.zeros((3, 3))
+    middle = np.zeros(3)
+    prepared = prepare(rows, blur, blur_normal)
+    for b in range(rotations.shape[0]):
+        cost = cost_terms(
+            lattice, prepared, huber, bend, rotations[b], middles[b], prior, True, hessian, gradient, scratch
+        )
+        damping = DAMPING_START
+        count = 0
+        while count < iterations:
+            count += 1
+            largest = 0.0
+            for i in range(3):
+                largest = max(largest, hessian[i, i] / (radius * radius), hessian[3 + i, 3 + i])
+            if largest <= 0.0:
+                break  # no row has anything to say here
+            for i in range(3):
+                floor[i] = 1e-9 * largest * radius * radius
+                floor[3 + i] = 1e-9 * largest
+            if not solve(hessian, gradient, damping, floor, factor, step):
+                damping = max(damping, 1e-6) * DAMPING_UP
+                if damping > DAMPING_MAX:
+                    break
+                continue
+            angle = math.sqrt(step[0] * step[0] + step[1] * step[1] + step[2] * step[2])
+            distance = math.sqrt(step[3] * step[3] + step[4] * step[4] + step[5] * step[5])
+            shorten = 1.0
+            if angle > longest_angle:
+                shorten = longest_angle / angle
+            if distance * shorten > longest_distance:
+                shorten = longest_distance / distance
+            for i in range(6):
+                step[i] *= shorten
+            exp_times(step, rotations[b], rotation)
+            for i in range(3):
+                middle[i] = middles[b, i] + step[3 + i]
+            new_cost = cost_terms(
+                lattice, prepared, huber, bend, rotation, middle, prior, True, new_hessian, new_gradient, scratch
+            )
+            if new_cost <= cost:
+                gain = cost - new_cost
+                cost = new_cost
+                for i in range(3):
+                    middles[b, i] = middle[i]
+                    for j in range(3):
+                        rotations[b, i, j] = rotation[i, j]
+                for i in range(6):
+                    gradient[i] = new_gradient[i]
+                    for j in range(6):
+                        hessian[i, j] = new_hessian[i, j]
+                damping = max(damping * DAMPING_DOWN, 1e-9)
+                if angle * shorten < tolerance_angle and distance * shorten < tolerance_distance:
+                    break
+                if gain < 1e-10 * (1.0 + cost) and shorten == 1.0 and damping < 1e-2:
+                    break
+            else:
+                damping *= DAMPING_UP
+                if damping > DAMPING_MAX or (angle < tolerance_angle and distance < tolerance_distance):
+                    break
+        costs[b] = cost
+        used[b] = count
+        for i in range(6):
+            for j in range(6):
+                hessians[b, i, j] = hessian[i, j]

@@ -1,0 +1,262 @@
+"""BOP's JSON and CSV files, in and out: the only place where millimetres become metres.
+
+scene_camera, scene_gt, models_info and the results' poses.csv of the BOP benchmark (Hodan et al., BOP: Benchmark for 6D
+object pose estimation, ECCV 2018; format described in bop_toolkit). Everything on this side is metres.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.errors import CaptureError, InputError
+from scenes.files.problems import Problem, Report
+from scenes.geometry import poses
+from scenes.geometry.symmetries import Axis, Symmetries
+
+Array = NDArray[np.float64]
+
+MM = 1e-3
+POSES_HEADER = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
+
+
+@dataclass(frozen=True)
+class SceneCamera:
+    """One entry of scene_camera.json.
+
+    matrix: K (3, 3), pixels; depth_scale: millimetres per count of the depth image;
+    camera_from_world (4, 4), None when not given; size (width, height), None when not given (not in BOP).
+    """
+
+    matrix: Array
+    depth_scale: float
+    camera_from_world: Array | None
+    size: tuple[int, int] | None
+
+
+@dataclass(frozen=True)
+class PoseRow:
+    """One row of poses.csv: camera_from_object (4, 4) metres; time in seconds, -1 when unknown."""
+
+    scene_id: int
+    im_id: int
+    obj_id: int
+    score: float
+    pose: Array
+    time: float
+
+
+def read_json(path: str | Path, report: Report) -> Any:
+    """The content of a JSON file, None after a report when there is none."""
+    try:
+        return json.loads(Path(path).read_text(encoding="utf-8-sig"))
+    except FileNotFoundError:
+        report(Problem(str(path), None, "expected a JSON file, found none"))
+    except UnicodeDecodeError:
+        report(Problem(str(path), None, "expected UTF-8 text, got other bytes"))
+    except OSError as error:
+        report(Problem(str(path), None, f"cannot be read: {error.strerror}"))
+    except (ValueError, RecursionError) as error:
+        report(Problem(str(path), None, f"expected JSON: {error}"))
+    return None
+
+
+def write_json(path: str | Path, content: Any) -> None:
+    """Strict JSON: NaN is refused, for a reader elsewhere would stumble over it."""
+    Path(path).write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def read_frames(path: str | Path, report: Report) -> dict[int, Any]:
+    """A JSON object keyed by frame number, as {frame: entry}."""
+    content = read_json(path, report)
+    if content is None:
+        return {}
+    if not isinstance(content, dict):
+        report(Problem(str(path), None, f"expected an object keyed by frame, got {type(content).__name__}"))
+        return {}
+    frames = {}
+    for key, entry in content.items():
+        if key.isdecimal():
+            frames[int(key)] = entry
+        else:
+            report(Problem(str(path), None, f"expected frame numbers as keys, got {key[:40]!r}"))
+    return frames
+
+
+def numbers(value: Any, count: int, what: str) -> Array:
+    """A flat (count,) array of finite numbers from JSON; raises InputError naming `what`."""
+    try:
+        array = np.array(value, dtype=np.float64).ravel()
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{what}: expected {count} numbers, got {str(value)[:60]}") from error
+    if len(array) != count or not np.isfinite(array).all():
+        raise InputError(f"{what}: expected {count} finite numbers, got {str(value)[:60]}")
+    return array
+
+
+def _rigid(entry: dict[str, Any], rotation: str, translation: str) -> Array:
+    for key in (rotation, translation):
+        if key not in entry:
+            raise InputError(f"expected {key}, got {', '.join(entry) or 'nothing'}")
+    matrix = numbers(entry[rotation], 9, rotation).reshape(3, 3)
+    return poses.check_pose(poses.make_pose(matrix, numbers(entry[translation], 3, translation) * MM), rotation)
+
+
+def camera_entry(entry: Any) -> SceneCamera:
+    """One frame of scene_camera.json; raises InputError."""
+    if not isinstance(entry, dict) or "cam_K" not in entry:
+        raise InputError(f"expected an object with cam_K, got {str(entry)[:60]}")
+    matrix = numbers(entry["cam_K"], 9, "cam_K").reshape(3, 3)
+    if matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or not np.allclose(matrix[2], (0, 0, 1)):
+        raise InputError(f"cam_K: expected fx 0 cx 0 fy cy 0 0 1 with focal lengths above 0, got {entry['cam_K']}")
+    if abs(matrix[0, 1]) > 1e-6 * matrix[0, 0]:
+        raise InputError(f"cam_K: expected no skew, got {matrix[0, 1]:.3g}")
+    scale = float(numbers(entry.get("depth_scale", 1.0), 1, "depth_scale")[0])
+    if scale <= 0:
+        raise InputError(f"depth_scale: expected millimetres per count above 0, got {scale}")
+    world = None
+    if "cam_R_w2c" in entry or "cam_t_w2c" in entry:
+        world = _rigid(entry, "cam_R_w2c", "cam_t_w2c")
+    size = None
+    if "width" in entry and "height" in entry:
+        width, height = numbers([entry["width"], entry["height"]], 2, "width, height")
+        size = (int(width), int(height))
+    return SceneCamera(matrix, scale, world, size)
+
+
+def camera_json(camera: SceneCamera) -> dict[str, Any]:
+    """The entry of scene_camera.json."""
+    entry: dict[str, Any] = {"cam_K": camera.matrix.ravel().tolist(), "depth_scale": camera.depth_scale}
+    if camera.camera_from_world is not None:
+        entry["cam_R_w2c"] = camera.camera_from_world[:3, :3].ravel().tolist()
+        entry["cam_t_w2c"] = (camera.camera_from_world[:3, 3] / MM).tolist()
+    if camera.size is not None:
+        entry["width"], entry["height"] = camera.size
+    return entry
+
+
+def truth_entry(entry: Any, object_id: int) -> tuple[Array, int] | None:
+    """camera_from_object (4, 4) and the row of the object among a frame's ground truths; None when it is not there."""
+    if not isinstance(entry, list) or not all(isinstance(row, dict) for row in entry):
+        raise InputError(f"expected a list of objects with obj_id, cam_R_m2c, cam_t_m2c, got {str(entry)[:60]}")
+    for index, row in enumerate(entry):
+        if row.get("obj_id", object_id) == object_id:
+            return _rigid(row, "cam_R_m2c", "cam_t_m2c"), index
+    return None
+
+
+def truth_json(pose: Array, object_id: int) -> list[dict[str, Any]]:
+    """A frame's entry of scene_gt.json."""
+    return [{"obj_id": object_id, "cam_R_m2c": pose[:3, :3].ravel().tolist(), "cam_t_m2c": (pose[:3, 3] / MM).tolist()}]
+
+
+def prior_entry(entry: Any) -> Array:
+    """A frame's camera_from_object in metres: 4x4 nested or 16 numbers; raises InputError."""
+    return poses.check_pose(numbers(entry, 16, "prior").reshape(4, 4), "prior")
+
+
+def read_priors(path: str | Path, report: Report) -> dict[int, Array]:
+    """A prior.json: frame -> camera_from_object (4, 4) metres."""
+
+    def checked(frame: int, entry: Any) -> Array | None:
+        try:
+            return prior_entry(entry)
+        except InputError as error:
+            report(Problem(str(path), frame, str(error)))
+            return None
+
+    priors = {frame: checked(frame, entry) for frame, entry in read_frames(path, report).items()}
+    return {frame: prior for frame, prior in priors.items() if prior is not None}
+
+
+def symmetries_entry(entry: dict[str, Any]) -> Symmetries:
+    """The symmetries of one object of models_info.json, in metres; raises InputError."""
+    discrete = [np.eye(4)]
+    for rows in entry.get("symmetries_discrete", []):
+        member = numbers(rows, 16, "symmetries_discrete").reshape(4, 4)
+        member[:3, 3] *= MM
+        discrete.append(poses.check_pose(member, "symmetries_discrete"))
+    axes = []
+    for row in entry.get("symmetries_continuous", []):
+        if not isinstance(row, dict) or "axis" not in row:
+            raise InputError(f"symmetries_continuous: expected objects with axis and offset, got {str(row)[:60]}")
+        axis = numbers(row["axis"], 3, "symmetries_continuous axis")
+        length = float(np.linalg.norm(axis))
+        if length < 1e-9:
+            raise InputError("symmetries_continuous axis: expected a direction, got zero")
+        axes.append(Axis(numbers(row.get("offset", [0, 0, 0]), 3, "symmetries_continuous offset") * MM, axis / length))
+    return Symmetries(np.array(discrete), tuple(axes))
+
+
+def model_json(vertices: Array, diameter: float, symmetries: Symmetries) -> dict[str, Any]:
+    """One object's entry of models_info.json (millimetres), from metres."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    entry: dict[str, Any] = {"diameter": diameter / MM}
+    for name, a, b in zip("xyz", low, high, strict=True):
+        entry[f"min_{name}"], entry[f"size_{name}"] = float(a) / MM, float(b - a) / MM
+    members = []
+    for member in symmetries.discrete:
+        if not np.allclose(member, np.eye(4), atol=1e-12):
+            scaled = np.array(member)
+            scaled[:3, 3] /= MM
+            members.append(scaled.ravel().tolist())
+    if members:
+        entry["symmetries_discrete"] = members
+    if symmetries.axes:
+        entry["symmetries_continuous"] = [
+            {"axis": axis.direction.tolist(), "offset": (axis.point / MM).tolist()} for axis in symmetries.axes
+        ]
+    return entry
+
+
+def write_poses(path: str | Path, rows: Iterable[PoseRow]) -> None:
+    """Write poses.csv in BOP's format: R row-major, t in millimetres, time in seconds."""
+    with Path(path).open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(POSES_HEADER)
+        for row in rows:
+            rotation = " ".join(repr(x) for x in row.pose[:3, :3].ravel().tolist())
+            translation = " ".join(repr(x) for x in (row.pose[:3, 3] / MM).tolist())
+            cells = (row.scene_id, row.im_id, row.obj_id, repr(float(row.score)), rotation, translation)
+            writer.writerow([*cells, repr(float(row.time))])
+
+
+def read_poses(path: str | Path) -> list[PoseRow]:
+    """Read poses.csv; raises CaptureError with file and line."""
+    try:
+        lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise CaptureError(f"{path}: expected UTF-8 text, got other bytes") from error
+    except OSError as error:
+        raise CaptureError(f"{path}: expected a poses.csv, it cannot be opened: {error.strerror}") from error
+    table = csv.DictReader(lines)
+    missing = [name for name in POSES_HEADER if name not in (table.fieldnames or [])]
+    if missing:
+        raise CaptureError(f"{path}: expected the header {','.join(POSES_HEADER)}, missing {', '.join(missing)}")
+    rows = []
+    for row in table:
+        where = f"{path}, line {table.line_num}"
+        try:
+            rotation = numbers(_split(row["R"]), 9, "R").reshape(3, 3)
+            translation = numbers(_split(row["t"]), 3, "t") * MM
+            pose = poses.check_pose(poses.make_pose(rotation, translation), "R")
+            ids = [int(row[name]) for name in POSES_HEADER[:3]]
+            score, time = float(row["score"]), float(row["time"])
+        except (InputError, TypeError, ValueError) as error:
+            raise CaptureError(f"{where}: {error}") from error
+        if not math.isfinite(score):
+            raise CaptureError(f"{where}: expected a finite score, got {score}")
+        rows.append(PoseRow(ids[0], ids[1], ids[2], score, pose, time))
+    return rows
+
+
+def _split(cell: str | None) -> list[str]:
+    return (cell or "").split()

@@ -1,0 +1,190 @@
+"""The CSV files of a capture: their columns, read with every problem named by file and line. SI units.
+
+An optional cell may be empty (or `nan`): it reads as NaN, "unknown". A required cell must hold a finite number.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.files.problems import Problem, Report
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column: its header, what its cells hold ("index", "number" or "text"), and whether they may be empty."""
+
+    name: str
+    kind: str = "number"
+    optional: bool = False
+
+
+def _numbers(*names: str, optional: bool = False) -> tuple[Column, ...]:
+    return tuple(Column(name, "number", optional) for name in names)
+
+
+FRAME = Column("frame", "index")
+SENSOR = Column("sensor", "text")
+POSE_NAMES = tuple(f"m{row}{column}" for row in range(4) for column in range(4))
+
+JOINTS = (FRAME, Column("joint", "text"), Column("position"))
+HAND_POSES = (FRAME, *_numbers(*POSE_NAMES))
+CONTACTS = (
+    FRAME,
+    SENSOR,
+    *_numbers("x", "y", "z"),
+    *_numbers("nx", "ny", "nz", "fx", "fy", "fz", "sigma_point", "sigma_normal", optional=True),
+)
+# A list of contacts by itself: one frame, sensors that need no name.
+LOOSE_CONTACTS = (Column("frame", "index", optional=True), Column("sensor", "text", optional=True), *CONTACTS[2:])
+NO_CONTACT = (FRAME, SENSOR, *_numbers("x", "y", "z", "radius"))
+WRENCHES = (FRAME, SENSOR, *_numbers("fx", "fy", "fz", "mx", "my", "mz"))
+NO_FACES: NDArray[np.int64] = np.zeros((0, 3), dtype=np.int64)
+TACTILE = (Column("taxel", "index"), Column("pressure"))
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of a CSV: numbers (and indices) and texts by column name, each n long; `lines`, where each row was."""
+
+    file: str
+    numbers: dict[str, Array] = field(default_factory=dict)
+    texts: dict[str, list[str]] = field(default_factory=dict)
+    lines: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def stack(self, *names: str) -> Array:
+        """(n, k) of the named number columns."""
+        return np.stack([self.numbers[name] for name in names], axis=1) if len(self) else np.zeros((0, len(names)))
+
+    def frames(self) -> NDArray[np.int64]:
+        """(n,) the frame of each row, 0 where it is not said; empty for a table without that column."""
+        return (
+            np.nan_to_num(self.numbers["frame"]).astype(np.int64) if "frame" in self.numbers else np.zeros(0, np.int64)
+        )
+
+    def of_frame(self, frame: int) -> Table:
+        """The rows of one frame, in the file's order."""
+        rows = np.flatnonzero(self.frames() == frame)
+        return Table(
+            self.file,
+            {name: values[rows] for name, values in self.numbers.items()},
+            {name: [values[i] for i in rows] for name, values in self.texts.items()},
+            self.lines[rows],
+        )
+
+
+def read_table(path: str | Path, columns: Sequence[Column], report: Report) -> Table:
+    """Read the known columns of a CSV with a header (others are ignored).
+
+    Reports an unreadable file, a missing column, a row of the wrong length, a cell that is not what its column holds;
+    rows with a problem are left out of the table when `report` returns.
+    """
+    file = str(path)
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        report(Problem(file, None, "expected UTF-8 text, got other bytes"))
+        return Table(file)
+    except OSError as error:
+        report(Problem(file, None, f"cannot be read: {error.strerror}"))
+        return Table(file)
+    rows = csv.reader(text.splitlines())
+    header = [name.strip() for name in next(rows, [])]
+    if not header:
+        needed = ",".join(c.name for c in columns if not c.optional)
+        report(Problem(file, None, f"expected the header {needed}, got an empty file"))
+        return Table(file)
+    missing = [c.name for c in columns if not c.optional and c.name not in header]
+    if missing:
+        got = ",".join(header)[:80]
+        report(Problem(file, None, f"expected the column{'s'[: len(missing) > 1]} {', '.join(missing)}, got {got}"))
+        return Table(file)
+    try:
+        return _parse(file, rows, header, columns, report)
+    except csv.Error as error:
+        report(Problem(file, None, f"line {rows.line_num}: {error}"))
+        return Table(file)
+
+
+def _parse(file: str, rows: Any, header: list[str], columns: Sequence[Column], report: Report) -> Table:
+    at = {c.name: header.index(c.name) for c in columns if c.name in header}
+    numbers: dict[str, list[float]] = {c.name: [] for c in columns if c.kind != "text"}
+    texts: dict[str, list[str]] = {c.name: [] for c in columns if c.kind == "text"}
+    lines: list[int] = []
+    for row in rows:
+        line = rows.line_num
+        if not any(cell.strip() for cell in row):
+            continue
+        if len(row) != len(header):
+            report(Problem(file, None, f"line {line}: expected {len(header)} cells, got {len(row)}"))
+            continue
+        values = {c.name: row[at[c.name]].strip() if c.name in at else "" for c in columns}
+        frame = int(values["frame"]) if values.get("frame", "").isdecimal() else None
+        parsed: dict[str, float] = {}
+        wrong = []
+        for column in columns:
+            if column.kind == "text":
+                if not values[column.name] and not column.optional:
+                    wrong.append(f"column {column.name}: expected a name, got nothing")
+                continue
+            number, complaint = _number(values[column.name], column)
+            parsed[column.name] = number
+            if complaint:
+                wrong.append(f"column {column.name}: {complaint}")
+        for complaint in wrong:
+            report(Problem(file, frame, f"line {line}, {complaint}"))
+        if wrong:
+            continue
+        for name, value in parsed.items():
+            numbers[name].append(value)
+        for name in texts:
+            texts[name].append(values[name])
+        lines.append(line)
+    return Table(
+        file,
+        {name: np.array(values, dtype=np.float64) for name, values in numbers.items()},
+        texts,
+        np.array(lines, dtype=np.int64),
+    )
+
+
+def _number(text: str, column: Column) -> tuple[float, str]:
+    """The value, and what is wrong with it ("" when nothing)."""
+    if column.optional and (not text or text.lower() == "nan"):
+        return float("nan"), ""
+    try:
+        value = float(text)
+    except ValueError:
+        return float("nan"), f"expected a number, got {text[:40]!r}" if text else "expected a number, got nothing"
+    if not np.isfinite(value):
+        return value, f"expected a finite number, got {text}"
+    if column.kind == "index" and (value < 0 or value != int(value)):
+        return value, f"expected a whole number from 0, got {text}"
+    return value, ""
+
+
+def write_table(path: str | Path, columns: Sequence[Column], rows: Iterable[Sequence[object]]) -> None:
+    """Write rows in the columns' order; floats so that they read back the same, NaN as an empty cell."""
+    with Path(path).open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([column.name for column in columns])
+        for row in rows:
+            writer.writerow([_cell(value) for value in row])
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float | np.floating):
+        return "" if np.isnan(value) else repr(float(value))
+    return str(value)

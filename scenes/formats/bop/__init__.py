@@ -1,0 +1,1 @@
+"""BOP data sets to and from captures."""

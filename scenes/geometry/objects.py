@@ -1,0 +1,218 @@
+"""A known rigid object: its mesh in metres, its signed-distance lattice, surface samples and symmetries."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.errors import MeshError, unknown
+from scenes.files.problems import UNREADABLE
+from scenes.geometry import distance_field, mesh_repair
+from scenes.geometry.distance_field import DistanceField
+from scenes.geometry.surface import Surface
+from scenes.geometry.symmetries import Symmetries
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int64]
+
+METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
+
+# What a hand can meet. Outside, the unit is almost surely wrong.
+SMALLEST_DIAMETER = 0.005
+LARGEST_DIAMETER = 2.0
+# Above this, the hull of all vertices costs seconds and only the outer ones are asked for the largest extent.
+MANY_VERTICES = 100_000
+
+
+class ObjectModel:
+    """A closed rigid object in its own frame, metres.
+
+    Attributes: name; vertices (n, 3); faces (m, 3), wound outwards; centroid (3,) of the volume; diameter, largest
+    extent across the vertices; symmetries; mended, what was repaired when it was read, in words.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        vertices: Array,
+        faces: Faces,
+        symmetries: Symmetries | None = None,
+        mended: tuple[str, ...] = (),
+    ) -> None:
+        """Use `load` or `from_mesh`, which check and repair."""
+        self.name = name
+        self.vertices = np.ascontiguousarray(vertices, dtype=np.float64)
+        self.faces = np.ascontiguousarray(faces, dtype=np.int64)
+        self.symmetries = symmetries or Symmetries.none()
+        self.mended = mended
+
+    @staticmethod
+    def load(path: str | Path, unit: str = "m", name: str | None = None) -> ObjectModel:
+        """Read any mesh that trimesh reads, and the OFF files that strict parsers refuse.
+
+        unit: "m", "cm", "mm" or "inch", of the file's numbers. Raises MeshError for a file that is not a mesh, has no
+        triangles, cannot be closed, or whose size tells that the unit is wrong.
+        """
+        path = Path(path)
+        if unit not in METRES_PER_UNIT:
+            raise unknown("unit", unit, METRES_PER_UNIT)
+        if not path.is_file():
+            raise MeshError(f"{path}: expected a mesh file, found none")
+        vertices, faces = _read_mesh(path)
+        return ObjectModel.from_mesh(vertices * METRES_PER_UNIT[unit], faces, name or path.stem, where=str(path))
+
+    @staticmethod
+    def from_mesh(
+        vertices: Array,
+        faces: Faces,
+        name: str = "object",
+        symmetries: Symmetries | None = None,
+        where: str | None = None,
+    ) -> ObjectModel:
+        """Check, repair and keep a mesh given as vertices (n, 3) metres and faces (m, 3)."""
+        where = where or name
+        vertices, faces, mended = mesh_repair.close(vertices, faces, where)
+        model = ObjectModel(name, vertices, faces, symmetries, tuple(mended))
+        check_size(model.diameter, where)
+        return model
+
+    @cached_property
+    def diameter(self) -> float:
+        """Largest distance between two vertices, metres."""
+        from scipy.spatial import ConvexHull, QhullError
+        from scipy.spatial.distance import cdist, pdist
+
+        vertices = self.vertices if len(self.vertices) <= MANY_VERTICES else _outer(self.vertices)
+        try:
+            hull = vertices[ConvexHull(vertices).vertices]
+        except QhullError:
+            hull = vertices
+        if len(hull) <= 2000:
+            pairs = pdist(hull)
+            row = int(np.searchsorted(np.cumsum(np.arange(len(hull) - 1, 0, -1)), int(pairs.argmax()), side="right"))
+            longest, end = float(pairs.max()), hull[row]
+        else:
+            # those of a pair farther apart than a first guess lie far from the middle
+            guess = float(pdist(hull[:: len(hull) // 1000 + 1]).max())
+            away = np.linalg.norm(hull - hull.mean(axis=0), axis=1)
+            first, second = hull[away >= 0.5 * guess], hull[away >= guess - away.max()]
+            reach = np.concatenate([cdist(first[i : i + 1000], second).max(axis=1) for i in range(0, len(first), 1000)])
+            longest, end = float(reach.max()), first[int(reach.argmax())]
+        if len(vertices) < len(self.vertices):  # from the end that was found, among all of them
+            longest = max(longest, float(np.linalg.norm(self.vertices - end, axis=1).max()))
+        return longest
+
+    @cached_property
+    def _moments(self) -> tuple[float, Array]:
+        corners = self.vertices[self.faces] - self.vertices.mean(axis=0)
+        volumes = np.einsum("ni,ni->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
+        total = float(volumes.sum())
+        centre = (volumes[:, None] * corners.sum(axis=1) / 4.0).sum(axis=0) / total
+        return total, centre + self.vertices.mean(axis=0)
+
+    @property
+    def volume(self) -> float:
+        """Cubic metres."""
+        return self._moments[0]
+
+    @property
+    def centroid(self) -> Array:
+        """(3,) centre of the volume: the point about which poses are perturbed and covariances expressed."""
+        return self._moments[1]
+
+    @cached_property
+    def radius(self) -> float:
+        """Distance of the farthest vertex from the centroid, metres."""
+        return float(np.linalg.norm(self.vertices - self.centroid, axis=1).max())
+
+    @cached_property
+    def area(self) -> float:
+        """Of the surface, square metres."""
+        corners = self.vertices[self.faces]
+        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        return float(0.5 * np.linalg.norm(cross, axis=1).sum())
+
+    @cached_property
+    def field(self) -> DistanceField:
+        """The signed-distance lattice; built at the first use, then read from the disk cache."""
+        return distance_field.load_or_build(self.vertices, self.faces)
+
+    @cached_property
+    def face_normals(self) -> Array:
+        """(m, 3) outward unit normals."""
+        corners = self.vertices[self.faces]
+        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        return cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
+
+    @cached_property
+    def surface(self) -> Surface:
+        """Exact closest points on the mesh (slower than `field`, for the last digits)."""
+        return Surface(self.vertices, self.faces)
+
+    def __getstate__(self) -> dict[str, object]:
+        """Everything but the ray-casting scene, which does not pickle and is rebuilt where it is needed."""
+        return {key: value for key, value in self.__dict__.items() if key != "surface"}
+
+    def sample_surface(self, count: int, seed: int = 0) -> tuple[Array, Array]:
+        """Points (count, 3) uniform over the surface's area and their outward normals (count, 3)."""
+        rng = np.random.default_rng(seed)
+        corners = self.vertices[self.faces]
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        face = rng.choice(len(self.faces), size=count, p=area / area.sum())
+        u, v = rng.random((2, count))
+        root = np.sqrt(u)
+        weights = np.stack([1 - root, root * (1 - v), root * v], axis=1)
+        return np.einsum("nk,nkd->nd", weights, corners[face]), self.face_normals[face]
+
+    def symmetry_poses(self, steps: int = 36) -> Array:
+        """(k, 4, 4) object_from_object that leave the object unchanged."""
+        return self.symmetries.poses(steps)
+
+
+def _outer(vertices: Array) -> Array:
+    """Of vertices (n, 3), the farthest from the middle in each of 7,200 directions: enough for the largest extent."""
+    local = vertices - 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    away = np.linalg.norm(local, axis=1)
+    height = np.clip((local[:, 2] / np.maximum(away, 1e-300) + 1) * 30, 0, 59).astype(np.int64)
+    turn = np.clip((np.arctan2(local[:, 1], local[:, 0]) / np.pi + 1) * 60, 0, 119).astype(np.int64)
+    order = np.lexsort((-away, height * 120 + turn))
+    _, first = np.unique((height * 120 + turn)[order], return_index=True)
+    return vertices[order[first]]
+
+
+def check_size(diameter: float, where: str) -> None:
+    """Raise MeshError when an object of `diameter` metres cannot be in a hand, and name the likely unit."""
+    if SMALLEST_DIAMETER <= diameter <= LARGEST_DIAMETER:
+        return
+    # too large: numbers of a smaller unit read as metres; too small: metres read as a smaller unit
+    smaller = [(unit, METRES_PER_UNIT[unit]) for unit in ("mm", "cm", "inch")]
+    guesses = [f"{diameter:.3g} {unit}" for unit, factor in smaller if 0.02 <= diameter * factor <= 0.5]
+    guesses += [f"{diameter / factor:.3g} m" for _, factor in smaller if 0.02 <= diameter / factor <= 0.5]
+    hint = f" ({guesses[0]}?)" if guesses else ""
+    raise MeshError(
+        f"{where}: expected an object of {SMALLEST_DIAMETER * 1e3:.0f} mm to {LARGEST_DIAMETER:.0f} m,"
+        f" got a diameter of {diameter:.4g} m{hint}: is the unit right?"
+    )
+
+
+def _read_mesh(path: Path) -> tuple[Array, Faces]:
+    if path.suffix.lower() == ".off":
+        from scenes.files.off import read_off
+
+        data = read_off(path)
+        return data.points, data.faces
+    import trimesh
+
+    try:
+        mesh = trimesh.load(path, force="mesh", process=False)
+    except UNREADABLE as error:
+        raise MeshError(f"{path}: expected a mesh file, got one that cannot be read: {error}") from error
+    vertices = getattr(mesh, "vertices", None)
+    faces = getattr(mesh, "faces", None)
+    if vertices is None or faces is None or len(faces) == 0:
+        count = 0 if vertices is None else len(vertices)
+        raise MeshError(f"{path}: expected a mesh with triangles, got {count} vertices and no triangle")
+    return np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)

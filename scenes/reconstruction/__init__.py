@@ -1,0 +1,1 @@
+"""A mesh from views of an object without a model."""

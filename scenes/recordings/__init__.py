@@ -1,0 +1,1 @@
+"""Frames, and captures on disk."""

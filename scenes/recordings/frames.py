@@ -1,0 +1,207 @@
+"""What one instant of a recording holds: plain data, no files. SI units; world frame where not said.
+
+A `Frame` carries only what was recorded; every sensor is optional and `None` (or empty) when absent.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scenes.errors import InputError
+from scenes.geometry.poses import FARTHEST
+
+if TYPE_CHECKING:
+    from scenes.geometry.cameras import Camera
+    from scenes.robot.hands import Hand
+
+Array = NDArray[np.float64]
+
+# What a contact is worth when the recording does not say (T1 section 4.3: 0.9 mm and 5 degrees).
+DEFAULT_SIGMA_POINT = 0.9e-3
+DEFAULT_SIGMA_NORMAL = np.deg2rad(5.0)
+# Sigmas (m, rad) that a number may stand for: finer than an atom or wider than the Earth they are mistakes, and squares
+# of what they divide overflow.
+SIGMAS = (1e-12, 1e12)
+
+
+def _numbers(values: ArrayLike, name: str) -> Array:
+    """The values as a float64 array of their own; raises InputError for what is none."""
+    try:
+        if np.iscomplexobj(values):
+            raise TypeError("got complex ones")
+        return np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"contacts: expected {name} as real numbers: {error}") from error
+
+
+class Contacts:
+    """Points that lie on the object's surface, sensed by touch.
+
+    Attributes (one row a contact): points (n, 3) metres; normals (n, 3) unit, out of the object, rows of
+    NaN where unknown; sigma_point (n,) metres; sigma_normal (n,) radians; sensors, n names (may repeat);
+    forces (n, 3) newtons, NaN where unknown. sigma_known: False when no sigma was given and the default stands in.
+    """
+
+    def __init__(
+        self,
+        points: ArrayLike,
+        normals: ArrayLike | None = None,
+        sigma_point: ArrayLike | None = None,
+        sigma_normal: ArrayLike | None = None,
+        sensors: list[str] | None = None,
+        forces: ArrayLike | None = None,
+        sigma_known: bool | None = None,
+    ) -> None:
+        """Check and keep; raises InputError for wrong shapes, points that are no places or a sigma that is none."""
+        places = _numbers(points, "points")
+        if places.size and (places.ndim > 2 or places.shape[-1] != 3):
+            raise InputError(f"contacts: expected points of shape (n, 3), got {places.shape}")
+        self.points = places.reshape(-1, 3) if places.size else np.zeros((0, 3))
+        n = len(self.points)
+        bad = ~(np.abs(self.points) < FARTHEST).all(axis=1)  # NaN is not below it either
+        if bad.any():
+            raise InputError(f"contacts: expected finite points, got row {int(np.argmax(bad))} = {self.points[bad][0]}")
+        self.normals = self._rows(normals, n, 3, "normals")
+        with np.errstate(invalid="ignore", over="ignore"):
+            length = np.linalg.norm(self.normals, axis=1)
+            known = np.isfinite(length) & (length > 1e-9)
+        self.normals[~known] = np.nan
+        self.normals[known] /= length[known, None]
+        given = sigma_point is not None and not np.isnan(_numbers(sigma_point, "sigma_point")).all()
+        self.sigma_known = given if sigma_known is None else sigma_known
+        self.forces = self._rows(forces, n, 3, "forces")
+        self.sigma_point = self._sigma(sigma_point, n, DEFAULT_SIGMA_POINT, "sigma_point")
+        self.sigma_normal = self._sigma(sigma_normal, n, DEFAULT_SIGMA_NORMAL, "sigma_normal")
+        self.sensors = list(sensors) if sensors is not None else [f"contact{i}" for i in range(n)]
+        if len(self.sensors) != n:
+            raise InputError(f"contacts: expected {n} sensor names, got {len(self.sensors)}")
+
+    @staticmethod
+    def _rows(values: ArrayLike | None, n: int, width: int, name: str) -> Array:
+        array = np.zeros(0) if values is None else _numbers(values, name)
+        if array.size == 0:
+            return np.full((n, width), np.nan)
+        if array.shape != (n, width):
+            raise InputError(f"contacts: expected {name} of shape ({n}, {width}), got {array.shape}")
+        return array
+
+    @staticmethod
+    def _sigma(values: ArrayLike | None, n: int, default: float, name: str) -> Array:
+        array = np.array(default) if values is None else _numbers(values, name)
+        if array.ndim > 1 or array.size not in (1, n):
+            raise InputError(f"contacts: expected one {name} or {n} of them, got shape {array.shape}")
+        array = np.array(np.broadcast_to(array.ravel() if n else np.zeros(0), (n,)))
+        array[np.isnan(array)] = default
+        low, high = SIGMAS
+        if not ((array >= low) & (array <= high)).all():
+            wrong = array[~((array >= low) & (array <= high))][0]
+            raise InputError(f"contacts: expected {name} above 0, from {low:g} to {high:g}, got {wrong:g}")
+        return array
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @property
+    def has_normal(self) -> NDArray[np.bool_]:
+        """(n,) true where the outward normal is known."""
+        return np.isfinite(self.normals[:, 0])
+
+    def take(self, rows: ArrayLike) -> Contacts:
+        """The chosen rows (indices or mask), in that order."""
+        chosen = np.asarray(rows)
+        index = np.arange(len(self))[chosen if chosen.size else chosen.astype(np.intp)]
+        return Contacts(
+            self.points[index],
+            self.normals[index],
+            self.sigma_point[index],
+            self.sigma_normal[index],
+            [self.sensors[i] for i in index],
+            self.forces[index],
+            self.sigma_known,
+        )
+
+    def moved(self, target_from_source: Array) -> Contacts:
+        """The same contacts in another frame."""
+        rotation, translation = target_from_source[:3, :3], target_from_source[:3, 3]
+        return Contacts(
+            self.points @ rotation.T + translation,
+            self.normals @ rotation.T,
+            self.sigma_point,
+            self.sigma_normal,
+            self.sensors,
+            self.forces @ rotation.T,
+            self.sigma_known,
+        )
+
+    @staticmethod
+    def concatenate(parts: list[Contacts]) -> Contacts:
+        """All rows of all parts, in order."""
+        if not parts:
+            return Contacts(np.zeros((0, 3)))
+        return Contacts(
+            np.concatenate([p.points for p in parts]),
+            np.concatenate([p.normals for p in parts]),
+            np.concatenate([p.sigma_point for p in parts]),
+            np.concatenate([p.sigma_normal for p in parts]),
+            [name for p in parts for name in p.sensors],
+            np.concatenate([p.forces for p in parts]),
+            all(p.sigma_known for p in parts if len(p)),  # a part without contacts says nothing of the others
+        )
+
+
+@dataclass(frozen=True)
+class EmptyRegions:
+    """Balls felt to be empty: points (n, 3) world, metres; radius (n,) metres; sensors, n names."""
+
+    points: Array
+    radius: Array
+    sensors: list[str]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+@dataclass(frozen=True)
+class Wrench:
+    """Raw force (3,) N and torque (3,) N m of one force/torque sensor, in the sensor's frame."""
+
+    sensor: str
+    force: Array
+    torque: Array
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One instant of a capture.
+
+    camera: intrinsics, None when there is no camera. camera_from_world (4, 4).
+    depth (h, w) float32 metres along z, 0 = no reading. rgb (h, w, 3) uint8. mask (h, w) bool, the object's pixels.
+    cloud (n, 3) world frame. joints: name -> radians or metres. world_from_hand (4, 4).
+    camera_from_object_truth and prior (4, 4): ground truth and coarse start, when the recording has them;
+    hand_from_object_truth (4, 4): where a simulated hand really holds it.
+    where: file and frame, for messages.
+    """
+
+    index: int
+    where: str = ""
+    camera: Camera | None = None
+    camera_from_world: Array = field(default_factory=lambda: np.eye(4))
+    depth: NDArray[np.float32] | None = None
+    rgb: NDArray[np.uint8] | None = None
+    mask: NDArray[np.bool_] | None = None
+    cloud: Array | None = None
+    cloud_colours: NDArray[np.uint8] | None = None
+    hand: Hand | None = None
+    joints: dict[str, float] | None = None
+    world_from_hand: Array | None = None
+    contacts: Contacts = field(default_factory=lambda: Contacts(np.zeros((0, 3))))
+    no_contact: EmptyRegions | None = None
+    wrenches: tuple[Wrench, ...] = ()
+    tactile: dict[str, Array] = field(default_factory=dict)
+    prior: Array | None = None
+    camera_from_object_truth: Array | None = None
+    hand_from_object_truth: Array | None = None

@@ -1,0 +1,117 @@
+"""What capture.json says of a capture, and the object model that it names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from scenes.errors import CaptureError, InputError
+from scenes.files import bop
+from scenes.files.problems import Problem, Report, refuse
+from scenes.geometry.objects import METRES_PER_UNIT, ObjectModel
+from scenes.recordings.writing import FORMAT, VERSION
+
+WORLDS = ("camera", "robot base")
+
+# models_info.json and the mesh may be rounded or sampled differently; more than this and a unit is wrong.
+LARGEST_DIAMETER_RATIO = 1.5
+# What recordings have that are not captures yet: BOP, YCBInEOAT, ROS 2, handover, plain images.
+RECORDING_ENDINGS = (".bag", ".mcap", ".db3", ".ini", ".off")
+RECORDINGS = ("scene_camera.json", "cam_K.txt", "metadata.yaml", "cloud.off", "depth", "rgb")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """capture.json: object id, model file (inside the folder) and its unit, name; hand files or None; world; notes."""
+
+    object_id: int
+    model: str
+    unit: str
+    name: str
+    hand: tuple[str, str | None] | None
+    world: str
+    notes: dict[str, Any]
+
+
+def read_model(folder: Path, settings: Settings) -> ObjectModel:
+    """The capture's object, with the symmetries of models_info.json when there is one beside the mesh.
+
+    Raises PalpateError for a missing or impossible mesh, or one whose size contradicts models_info.json.
+    """
+    path = folder / settings.model
+    if not path.is_file():
+        raise CaptureError(f"{folder / 'capture.json'}: expected the object's mesh at {path}, found none")
+    model = ObjectModel.load(path, unit=settings.unit, name=settings.name)
+    info_path = path.parent / "models_info.json"
+    if not info_path.is_file():
+        return model
+    content = bop.read_json(info_path, refuse)
+    info = content.get(str(settings.object_id)) if isinstance(content, dict) else None
+    if not isinstance(info, dict):
+        raise CaptureError(f"{info_path}: expected an entry for object {settings.object_id}, found none")
+    try:
+        symmetries = bop.symmetries_entry(info)
+        stated = float(bop.numbers(info.get("diameter", model.diameter / bop.MM), 1, "diameter")[0]) * bop.MM
+    except InputError as error:
+        raise CaptureError(f"{info_path}, object {settings.object_id}: {error}") from error
+    if stated <= 0 or max(stated / model.diameter, model.diameter / stated) > LARGEST_DIAMETER_RATIO:
+        raise CaptureError(
+            f"{path}: expected a diameter of {stated / bop.MM:.4g} mm as models_info.json says, got"
+            f" {model.diameter / bop.MM:.4g} mm when its numbers are read as {settings.unit}: is the unit right?"
+        )
+    return ObjectModel(model.name, model.vertices, model.faces, symmetries, model.mended)
+
+
+def recording_hint(folder: Path) -> str:
+    """What to say of a folder that is no capture but looks like a recording of another format, or holds one."""
+    for depth in ("", "*/", "*/*/"):
+        found = next((path for name in RECORDINGS for path in sorted(folder.glob(depth + name))), None)
+        if found is not None:
+            return f": `palpate convert {found.parent} OUT` may make one of what looks like another format's recording"
+    return ""
+
+
+def read_settings(folder: Path, report: Report) -> Settings:
+    """What capture.json says; raises CaptureError when there is none, reports each field that is not as it must be."""
+    if not folder.is_dir():
+        found = "a file" if folder.exists() else "nothing"
+        hint = f": `palpate convert {folder} OUT` may make one of it" if folder.suffix in RECORDING_ENDINGS else ""
+        raise CaptureError(f"{folder}: expected the folder of a capture, found {found}{hint}")
+    path = folder / "capture.json"
+    if not path.is_file():
+        hint = recording_hint(folder)
+        raise CaptureError(f"{folder}: expected a capture (a folder with capture.json), found no capture.json{hint}")
+    content = bop.read_json(path, refuse)
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise CaptureError(f'{path}: expected "format": "{FORMAT}", got {str(content)[:60]}')
+    if content.get("version") != VERSION:
+        raise CaptureError(f"{path}: expected version {VERSION}, got {content.get('version')!r}")
+
+    def checked(good: bool, expected: str, got: Any) -> None:
+        if not good:
+            report(Problem(str(path), None, f"expected {expected}, got {got!r}"))
+
+    target = content.get("object")
+    target = target if isinstance(target, dict) else {}
+    model, unit, number = target.get("model"), target.get("unit", "m"), target.get("id", 1)
+    checked(isinstance(model, str), '"object" with "id", "model" and "unit"', content.get("object"))
+    checked(isinstance(unit, str) and unit in METRES_PER_UNIT, f"a unit of {', '.join(METRES_PER_UNIT)}", unit)
+    checked(isinstance(number, int), "a whole number as the object's id", number)
+    hand = content.get("hand")
+    checked(hand is None or (isinstance(hand, dict) and isinstance(hand.get("urdf"), str)), "a hand with a urdf", hand)
+    world = content.get("world", "camera")
+    checked(world in WORLDS, f"a world of {' or '.join(WORLDS)}", world)
+    files = (
+        (hand["urdf"], hand.get("sensors")) if isinstance(hand, dict) and isinstance(hand.get("urdf"), str) else None
+    )
+    notes = content.get("notes")
+    return Settings(
+        number if isinstance(number, int) else 1,
+        model if isinstance(model, str) else "",
+        unit if isinstance(unit, str) and unit in METRES_PER_UNIT else "m",
+        str(target.get("name") or Path(str(model)).stem),
+        files,
+        world if world in WORLDS else "camera",
+        notes if isinstance(notes, dict) else {},
+    )

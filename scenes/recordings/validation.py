@@ -1,0 +1,185 @@
+"""Every problem of a capture at once, and the suspicion that a unit is wrong.
+
+Validation reads the capture with the very code that an estimate reads it with, only that problems are collected.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.errors import CaptureError, PalpateError
+from scenes.files.problems import Problem
+from scenes.geometry import poses
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.captures import Capture
+from scenes.recordings.frames import Frame
+
+__all__ = ["Problem", "check_scale", "check_usable", "scale_problem", "validate"]
+
+Array = NDArray[np.float64]
+
+# Sizes or distances that disagree by more than this were written in different units (the closest confusion is m and
+# cm, a factor of 10; a half-hidden view or a rough start explains a factor of 2).
+SUSPICIOUS_RATIO = 5.0
+# A cloud may show the whole scene: only a size that no table-top has is suspicious then.
+LARGEST_SCENE_RATIO = 50.0
+# Focal lengths (of the image's larger side) between a fisheye's and a telescope's; anything else is not in pixels.
+FOCAL_LENGTHS = (0.1, 50.0)
+# A joint that is farther than this (rad) beyond its limits was given in degrees.
+FULL_TURN = 2.0 * np.pi
+# No sensor reaches farther (m) from its own origin; one that does is elsewhere than the hand's pose says.
+FARTHEST_CONTACT = 0.2
+# Fewer points may show a small part of what they are of.
+FEWEST_POINTS = 30
+
+
+def validate(folder: str | Path) -> list[Problem]:
+    """Every problem of a capture, in the order of its files and frames; an empty list means that it can be used."""
+    problems: list[Problem] = []
+    try:
+        capture = Capture(folder, problems.append)
+    except CaptureError as error:
+        return [*problems, Problem(str(folder), None, str(error))]
+    model = _attempt(capture, problems)
+    for number in capture.frame_ids:
+        frame = capture.frame(number)
+        if not any(problem.frame == number for problem in problems):  # what follows from the broken is not news
+            problems += _frame_problems(capture, frame)
+        message = None if model is None else scale_problem(frame, model)
+        if message is not None:
+            problems.append(Problem(str(capture.path), number, message))
+    return list(dict.fromkeys(problems))
+
+
+def _attempt(capture: Capture, problems: list[Problem]) -> ObjectModel | None:
+    try:
+        return capture.model
+    except PalpateError as error:
+        problems.append(Problem(str(capture.path / capture.settings.model), None, str(error)))
+        return None
+
+
+def _frame_problems(capture: Capture, frame: Frame) -> list[Problem]:
+    """What is well formed and still useless: nothing sensed, a depth image without a reading, joints out of range."""
+    found = []
+    depth_file = str(capture.path / f"depth/{frame.index:06d}.png")
+    if frame.depth is not None and not (frame.depth > 0).any():
+        found.append(Problem(depth_file, frame.index, "expected depth readings, got an image of zeros"))
+    sensed = (frame.depth is not None, frame.cloud is not None, len(frame.contacts) > 0, len(frame.wrenches) > 0)
+    if not any(sensed) and not frame.tactile:
+        expected = "expected a depth image, a cloud, contacts, wrenches or tactile arrays, found none"
+        found.append(Problem(str(capture.path), frame.index, expected))
+    if frame.hand is not None and frame.joints is not None:
+        for joint, excess in frame.hand.limit_excess(frame.joints).items():
+            message = f"expected {joint} within its limits, got {excess:.3g} beyond"
+            found.append(Problem(str(capture.path / "joints.csv"), frame.index, message))
+    if frame.hand is not None and frame.joints is not None and frame.world_from_hand is None:
+        message = "expected the hand's pose for its joints, found none"
+        found.append(Problem(str(capture.path / "hand_poses.csv"), frame.index, message))
+    away = _from_sensors(frame)
+    if len(away) and np.median(away) > FARTHEST_CONTACT:
+        message = f"expected contacts at the hand's sensors, got {np.median(away):.2g} m off: is its pose inverted?"
+        found.append(Problem(str(capture.path / "hand_poses.csv"), frame.index, message))
+    return found
+
+
+def _from_sensors(frame: Frame) -> Array:
+    """(k,) distances (m) of the contacts from the sensors they are named after, of those that the hand has."""
+    if frame.hand is None or frame.joints is None or frame.world_from_hand is None:
+        return np.zeros(0)
+    contacts, places = frame.contacts, frame.hand.hand_from_sensor(frame.joints)
+    known = [(point, places[name]) for point, name in zip(contacts.points, contacts.sensors) if name in places]
+    return np.array([np.linalg.norm(point - (frame.world_from_hand @ pose)[:3, 3]) for point, pose in known])
+
+
+def check_usable(frame: Frame, model: ObjectModel, vision: bool = True) -> None:
+    """Raise CaptureError for a frame that no estimate should be made of: a depth image without a single reading (when
+    `vision` is asked for), or sizes that tell of a wrong unit.
+    """
+    if vision and frame.depth is not None and not (frame.depth > 0).any():
+        raise CaptureError(f"{frame.where or f'frame {frame.index}'}: expected depth readings, got an image of zeros")
+    check_scale(frame, model)
+
+
+def check_scale(frame: Frame, model: ObjectModel) -> None:
+    """Raise CaptureError, naming both sizes, when the model's unit and the frame's cannot both be metres."""
+    message = scale_problem(frame, model)
+    if message is not None:
+        raise CaptureError(f"{frame.where or f'frame {frame.index}'}: {message}")
+
+
+def scale_problem(frame: Frame, model: ObjectModel) -> str | None:
+    """What makes one suspect a wrong unit in this frame, with both sizes; None when all agree.
+
+    Compared with the image: the focal lengths. With the hand's limits: the joints. With the object's diameter: the
+    extents of the contacts and of the cloud. With the poses known from ground truth and prior: the depths around the
+    object's projection and the contacts' distance from it.
+    """
+    camera = frame.camera
+    if camera is not None and frame.depth is not None:
+        side = max(frame.depth.shape)
+        if not all(FOCAL_LENGTHS[0] < focal / side < FOCAL_LENGTHS[1] for focal in (camera.fx, camera.fy)):
+            size = f"{frame.depth.shape[1]}x{frame.depth.shape[0]}"
+            return f"expected cam_K in pixels, got focal lengths of {camera.fx:.4g}, {camera.fy:.4g} for {size} pixels"
+    if frame.hand is not None and frame.joints is not None:
+        for joint, excess in frame.hand.limit_excess(frame.joints).items():
+            if excess > FULL_TURN:
+                return f"expected joints in rad, got {joint} {excess:.3g} beyond its limits: degrees read as rad?"
+    diameter = model.diameter
+    points = frame.contacts.points
+    if len(points) > 1:
+        extent = _extent(points)
+        if extent > SUSPICIOUS_RATIO * diameter:
+            return _says("contacts spread over", extent, "an object of", diameter)
+    if frame.cloud is not None and len(frame.cloud) > 1:
+        extent, few = _extent(frame.cloud), len(frame.cloud) < FEWEST_POINTS
+        if extent > LARGEST_SCENE_RATIO * diameter or (extent < diameter / SUSPICIOUS_RATIO and not few):
+            return _says("a cloud that spreads over", extent, "an object of", diameter)
+    known = (("ground truth", frame.camera_from_object_truth), ("prior", frame.prior))
+    found = (_pose_problem(frame, pose, model, source) for source, pose in known if pose is not None)
+    return next((message for message in found if message is not None), None)
+
+
+def _pose_problem(frame: Frame, pose: Array, model: ObjectModel, source: str) -> str | None:
+    """What makes a pose (4, 4), by its source, of another unit than the contacts or the depth image."""
+    centre, diameter = poses.apply(pose, model.centroid[None])[0], model.diameter
+    if len(frame.contacts):
+        felt = poses.apply(frame.camera_from_world, frame.contacts.points)
+        away = float(np.linalg.norm(felt - centre, axis=1).min())
+        if away > SUSPICIOUS_RATIO * diameter:
+            return _says("contacts no nearer than", away, f"the centre, by the {source}, of an object of", diameter)
+    seen = _depth_at(frame, centre, diameter)
+    if seen is not None and max(seen / centre[2], centre[2] / seen) > SUSPICIOUS_RATIO:
+        hint = "are depth_scale and the pose's unit right?"
+        return _says("depth readings about", seen, f"an object, by the {source}, at", float(centre[2]), hint)
+    return None
+
+
+def _says(what: str, size: float, other: str, reference: float, hint: str | None = None) -> str:
+    ratio = size / reference
+    unit = "mm" if max(ratio, 1 / ratio) > 200.0 else "cm"
+    hint = hint or f"{unit} read as m?"
+    return f"expected sizes that agree, got {what} {size:.4g} m and {other} {reference:.4g} m: {hint}"
+
+
+def _extent(points: Array) -> float:
+    """Diagonal of the box of the points; of a large cloud without the farthest 2 % on each side, which may be stray."""
+    cut = 2.0 if len(points) >= FEWEST_POINTS else 0.0
+    low, high = np.percentile(points, [cut, 100.0 - cut], axis=0)
+    return float(np.linalg.norm(high - low))
+
+
+def _depth_at(frame: Frame, centre: Array, diameter: float) -> float | None:
+    """Median depth (m) of the pixels about the object's centre; None without enough of them."""
+    if frame.depth is None or frame.camera is None or centre[2] <= 0:
+        return None
+    (u, v), reach = frame.camera.project(centre[None])[0][0], 0.5 * diameter * frame.camera.fx / centre[2]
+    # an object that a wrong unit puts onto the lens would fill the image: look at what is there
+    rows = slice(max(0, int(v - reach)), max(0, int(v + reach) + 1))
+    columns = slice(max(0, int(u - reach)), max(0, int(u + reach) + 1))
+    patch = frame.depth[rows, columns]
+    patch = patch[patch > 0]
+    return float(np.median(patch)) if len(patch) >= FEWEST_POINTS else None

@@ -1,0 +1,215 @@
+"""Write frames as a capture that `scenes.recordings.captures` reads back: the folder appears whole or not at all."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scenes.errors import CaptureError, InputError, unknown
+from scenes.files import bop, images, tables
+from scenes.files.ply import write_ply
+from scenes.geometry.objects import METRES_PER_UNIT, ObjectModel
+from scenes.recordings.frames import Frame
+from scenes.robot.hands import Hand
+
+FORMAT = "palpate-capture"
+VERSION = 1
+OBJECT_ID = 1
+
+
+def write_capture(
+    folder: str | Path,
+    frames: Iterable[Frame],
+    model: ObjectModel,
+    hand: Hand | None = None,
+    world: str = "camera",
+    depth_scale: float | Mapping[int, float] = 0.1,
+    model_unit: str = "m",
+    with_mask: bool = True,
+    notes: Mapping[str, Any] | None = None,
+    object_id: int = OBJECT_ID,
+) -> Path:
+    """Write a capture and return its folder; frames are written as they come, so an iterator may be long.
+
+    world: "camera" or "robot base". depth_scale: millimetres per count of the depth images (0.1 reaches 6.5 m), one for
+    all or by the number of every frame that has a camera. object_id: BOP's number of the object, from 0.
+    model_unit: unit of the mesh file, one of m, cm, mm, inch. with_mask: write the frames' masks where they have one.
+    notes: kept in capture.json (how it was made). An older capture of the same name is replaced once the new one is
+    complete; raises CaptureError for a folder that holds anything else, InputError for frames that do not fit.
+    """
+    folder = Path(folder)
+    if model_unit not in METRES_PER_UNIT:
+        raise unknown("unit", model_unit, METRES_PER_UNIT)
+    refuse_foreign_folder(folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    try:
+        partial.chmod(0o755)
+        _write_model(partial, model, model_unit, object_id)
+        _write_hand(partial, hand)
+        count = _Recorder(partial, world, depth_scale, with_mask, object_id).write(frames)
+        if count == 0:
+            raise InputError(f"{folder}: expected at least one frame to write, got none")
+        bop.write_json(
+            partial / "capture.json",
+            {
+                "format": FORMAT,
+                "version": VERSION,
+                "object": {"id": object_id, "model": model_file(object_id), "unit": model_unit, "name": model.name},
+                "hand": None if hand is None else {"urdf": "hand/hand.urdf", "sensors": "hand/sensors.json"},
+                "world": world,
+                **({"notes": dict(notes)} if notes else {}),
+            },
+        )
+        _swap(partial, folder)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return folder
+
+
+def model_file(object_id: int) -> str:
+    """Where a capture keeps its mesh, by BOP's number of the object."""
+    return f"models/obj_{object_id:06d}.ply"
+
+
+def refuse_foreign_folder(folder: Path) -> None:
+    """Raise CaptureError when `folder` exists and is neither empty nor a capture: nothing of the user's is lost."""
+    if folder.is_dir():
+        if any(folder.iterdir()) and not (folder / "capture.json").is_file():
+            raise CaptureError(f"{folder}: expected a new, empty or capture folder to write to, it holds other files")
+    elif folder.exists():
+        raise CaptureError(f"{folder}: expected a folder to write to, found a file")
+
+
+def _swap(partial: Path, folder: Path) -> None:
+    """Rename: the target is absent only between two renames, and never half written."""
+    old = None
+    if folder.exists():
+        old = Path(tempfile.mkdtemp(prefix=f".{folder.name}.old.", dir=folder.parent))
+        folder.rename(old / "capture")
+    partial.rename(folder)
+    if old is not None:
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def _write_model(folder: Path, model: ObjectModel, unit: str, object_id: int) -> None:
+    (folder / "models").mkdir()
+    write_ply(folder / model_file(object_id), model.vertices / METRES_PER_UNIT[unit], model.faces)
+    info = {str(object_id): bop.model_json(model.vertices, model.diameter, model.symmetries)}
+    bop.write_json(folder / "models" / "models_info.json", info)
+
+
+def _write_hand(folder: Path, hand: Hand | None) -> None:
+    if hand is not None:
+        hand.save(folder / "hand")
+
+
+class _Recorder:
+    """Collects the rows of the CSVs and JSONs while images and clouds go to disk frame by frame."""
+
+    def __init__(
+        self, folder: Path, world: str, depth_scale: float | Mapping[int, float], with_mask: bool, object_id: int
+    ) -> None:
+        self.folder, self.world, self.depth_scale, self.with_mask = folder, world, depth_scale, with_mask
+        self.object_id = object_id
+        self.cameras: dict[str, Any] = {}
+        self.truths: dict[str, Any] = {}
+        self.priors: dict[str, Any] = {}
+        self.rows: dict[str, list[tuple[object, ...]]] = {}
+
+    def write(self, frames: Iterable[Frame]) -> int:
+        """Write them all; returns how many there were."""
+        seen: set[int] = set()
+        for frame in frames:
+            if frame.index in seen or frame.index < 0:
+                raise InputError(f"{self.folder}: expected frame numbers from 0, each once, got {frame.index} again")
+            seen.add(frame.index)
+            self._frame(frame)
+        for name, entries in (
+            ("scene_camera.json", self.cameras),
+            ("scene_gt.json", self.truths),
+            ("prior.json", self.priors),
+        ):
+            if entries:
+                bop.write_json(self.folder / name, entries)
+        for name, columns in (
+            ("joints.csv", tables.JOINTS),
+            ("hand_poses.csv", tables.HAND_POSES),
+            ("contacts.csv", tables.CONTACTS),
+            ("no_contact.csv", tables.NO_CONTACT),
+            ("wrenches.csv", tables.WRENCHES),
+        ):
+            if name in self.rows:
+                tables.write_table(self.folder / name, columns, self.rows[name])
+        return len(seen)
+
+    def _add(self, name: str, *rows: tuple[object, ...]) -> None:
+        if rows:
+            self.rows.setdefault(name, []).extend(rows)
+
+    def _scale(self, number: int) -> float:
+        """Millimetres per count of the frame's depth image."""
+        if not isinstance(self.depth_scale, Mapping):
+            return self.depth_scale
+        if number not in self.depth_scale:
+            raise InputError(f"frame {number}: expected a depth_scale of every frame with a camera, found none of this")
+        return self.depth_scale[number]
+
+    def _frame(self, frame: Frame) -> None:
+        number, key = f"{frame.index:06d}", str(frame.index)
+        moved = not np.allclose(frame.camera_from_world, np.eye(4), atol=1e-9)
+        if self.world == "camera" and moved:
+            raise InputError(f'frame {key}: expected camera_from_world to be the identity in a world of "camera"')
+        if frame.depth is not None and frame.camera is None:
+            raise InputError(f"frame {key}: expected a camera for the depth image")
+        if frame.camera is not None:
+            scale = self._scale(frame.index)
+            size = (frame.camera.width, frame.camera.height)
+            pose = frame.camera_from_world if self.world != "camera" else None
+            self.cameras[key] = bop.camera_json(bop.SceneCamera(frame.camera.matrix, scale, pose, size))
+            if frame.depth is not None:
+                images.write_depth(self.folder / "depth" / f"{number}.png", frame.depth, scale)
+        if frame.rgb is not None:
+            images.write_rgb(self.folder / "rgb" / f"{number}.png", frame.rgb)
+        if frame.mask is not None and self.with_mask:
+            images.write_mask(self.folder / "mask_visib" / f"{number}_000000.png", frame.mask)
+        if frame.cloud is not None:
+            (self.folder / "clouds").mkdir(exist_ok=True)
+            write_ply(self.folder / "clouds" / f"{number}.ply", frame.cloud, colours=frame.cloud_colours)
+        if frame.camera_from_object_truth is not None:
+            self.truths[key] = bop.truth_json(frame.camera_from_object_truth, self.object_id)
+        if frame.prior is not None:
+            self.priors[key] = frame.prior.tolist()
+        self._hand(frame)
+        self._touch(frame)
+
+    def _hand(self, frame: Frame) -> None:
+        self._add("joints.csv", *((frame.index, name, float(x)) for name, x in (frame.joints or {}).items()))
+        if frame.world_from_hand is not None:
+            self._add("hand_poses.csv", (frame.index, *frame.world_from_hand.ravel().tolist()))
+
+    def _touch(self, frame: Frame) -> None:
+        felt = frame.contacts
+        sigmas = np.stack([felt.sigma_point, felt.sigma_normal], axis=1)
+        if not felt.sigma_known:
+            sigmas[:] = np.nan
+        numbers = np.concatenate([felt.points, felt.normals, felt.forces, sigmas], axis=1).tolist()
+        self._add("contacts.csv", *((frame.index, name, *row) for name, row in zip(felt.sensors, numbers)))
+        empty = frame.no_contact
+        if empty is not None:
+            numbers = np.concatenate([empty.points, empty.radius[:, None]], axis=1).tolist()
+            self._add("no_contact.csv", *((frame.index, name, *row) for name, row in zip(empty.sensors, numbers)))
+        self._add(
+            "wrenches.csv",
+            *((frame.index, w.sensor, *map(float, w.force), *map(float, w.torque)) for w in frame.wrenches),
+        )
+        for sensor, pressure in frame.tactile.items():
+            path = self.folder / "tactile" / sensor / f"{frame.index:06d}.csv"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            rows = [(taxel, float(p)) for taxel, p in enumerate(pressure) if np.isfinite(p)]
+            tables.write_table(path, tables.TACTILE, rows)

@@ -1,0 +1,1 @@
+"""Hands, their sensors and fingertips."""

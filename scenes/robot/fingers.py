@@ -1,0 +1,197 @@
+"""The fingers of a hand as a grasp planner sees them, and how they close on an object.
+
+A finger ends in a touch sensor with a surface: sphere, ellipsoid, cylinder or mesh (see `tips`). Its closing joints
+bend; its posture joints (abduction, opposition) stay where the grasp puts them. Poses are hand_from_object; metres and
+radians.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.errors import InputError
+from scenes.geometry import poses
+from scenes.geometry.objects import ObjectModel
+from scenes.robot.hands import Hand
+from scenes.robot.tips import COARSE, Tip, tip_of
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+POSTURE_WORDS = ("abduction", "opposition", "spread", "rotation", "yaw", "wrist")
+
+
+@dataclass(frozen=True)
+class Finger:
+    """sensor: name of its touch sensor; tip_link and links: rows of hand.link_names; closing: columns of
+    hand.joint_names, from the root outwards; tip: its shape, in the sensor's frame; link_from_tip (4, 4); centre (3,)
+    of the tip in the tip link and its mean radius.
+    """
+
+    sensor: str
+    tip_link: int
+    links: tuple[int, ...]
+    closing: tuple[int, ...]
+    tip: Tip
+    link_from_tip: Array
+    centre: Array
+    radius: float
+
+    @property
+    def is_thumb(self) -> bool:
+        """Whether it is the finger that works against the others."""
+        return "thumb" in self.sensor.lower()
+
+
+@lru_cache(maxsize=16)
+def find_fingers(hand: Hand) -> tuple[Finger, ...]:
+    """The hand's fingers, one for each sensor with a surface at the end of a chain of its own.
+
+    Joints whose names speak of posture, joints of several fingers and sliding joints do not close. Raises InputError
+    when there is no thumb (a sensor with "thumb" in its name) and another finger to hold something between.
+    """
+    tips = [s for s in hand.sensors.values() if s.surface is not None]
+    rows = {s.name: hand.link_names.index(s.link) for s in tips}
+    shared = np.sum([hand.moved_by[row] for row in set(rows.values())], axis=0) > 1 if tips else np.zeros(0)
+    fingers: list[Finger] = []
+    for sensor in tips:
+        row = rows[sensor.name]
+        own = hand.moved_by[row] & np.logical_not(shared)
+        closing = tuple(
+            int(j) for j in np.nonzero(own)[0] if not any(w in hand.joint_names[j].lower() for w in POSTURE_WORDS)
+        )
+        if not closing or any(f.tip_link == row for f in fingers):
+            continue
+        links = tuple(int(i) for i in np.nonzero((hand.moved_by & own).any(axis=1))[0])
+        tip = tip_of(sensor)
+        assert tip is not None
+        pose = sensor.link_from_sensor
+        fingers.append(
+            Finger(sensor.name, row, links, closing, tip, pose, poses.apply(pose, tip.centre[None])[0], tip.radius)
+        )
+    if not any(f.is_thumb for f in fingers) or all(f.is_thumb for f in fingers):
+        got = ", ".join(f.sensor for f in fingers) or "none"
+        raise InputError(f"hand {hand.name!r}: expected tip sensors with a surface on a thumb and a finger, got {got}")
+    return tuple(fingers)
+
+
+class Clearance:
+    """Distances between a hand's links and an object, over many configurations at once.
+
+    Hand links are sampled; so are the cores of tips, which for a sphere is its centre.
+    """
+
+    def __init__(self, hand: Hand, model: ObjectModel, spacing: float, only_fingers: bool = False) -> None:
+        """spacing: of the samples on the links, metres; only_fingers: leave out the links that no finger moves."""
+        self.hand, self.model = hand, model
+        self.fingers = find_fingers(hand)
+        points, _, link = hand.surface_samples(spacing, corners=False)
+        rows = {i for f in self.fingers for i in f.links} if only_fingers else set(link.tolist())
+        order = [i for i in np.argsort(link, kind="stable") if link[i] in rows]
+        points, link = points[order], link[order]
+        self._links = np.unique(link)
+        self._blocks = [points[link == i] for i in self._links]
+        self._starts = np.concatenate([[0], np.cumsum([len(b) for b in self._blocks])[:-1]])
+        self._tip_rows = [f.tip_link for f in self.fingers]
+        self._centres = np.array([f.centre for f in self.fingers])
+        self._cores = [poses.apply(f.link_from_tip, f.tip.samples(COARSE)) for f in self.fingers]
+        self._core_starts = np.concatenate([[0], np.cumsum([len(core) for core in self._cores])[:-1]])
+        self._rounding = np.array([f.tip.rounding for f in self.fingers])
+
+    def tip_centres(self, hand_from_link: Array) -> Array:
+        """(n, f, 3) centres of the tips, hand frame."""
+        tips = hand_from_link[:, self._tip_rows]
+        return np.einsum("nfij,fj->nfi", tips[..., :3, :3], self._centres) + tips[..., :3, 3]
+
+    def links_and_tips(self, configurations: Array, hand_from_object: Array) -> tuple[Array, Array]:
+        """Clearance of each link (n, l), tips included, and of each tip (n, f); metres, by the lattice.
+
+        configurations (n, j), hand_from_object (n, 4, 4).
+        """
+        hand_from_link = self.hand.link_poses(configurations)
+        object_from_hand = poses.inverse(hand_from_object)
+        frames = object_from_hand[:, None] @ hand_from_link
+        blocks = [poses.apply(frames[:, i], points) for i, points in zip(self._links, self._blocks)]
+        cores = [poses.apply(frames[:, row], core) for row, core in zip(self._tip_rows, self._cores)]
+        n = len(configurations)
+        samples = np.concatenate(blocks, axis=1)
+        count = samples.shape[1]
+        everything = np.concatenate([samples, *cores], axis=1)
+        distance = self.model.field.distance(everything.reshape(-1, 3)).reshape(n, -1)
+        links = np.full((n, len(self.hand.link_names)), np.inf)
+        links[:, self._links] = np.minimum.reduceat(distance[:, :count], self._starts, axis=1)
+        tips = np.minimum.reduceat(distance[:, count:], self._core_starts, axis=1) - self._rounding
+        for f, finger in enumerate(self.fingers):
+            links[:, finger.tip_link] = np.minimum(links[:, finger.tip_link], tips[:, f])
+        return links, tips
+
+
+@lru_cache(maxsize=16)
+def reach_bounds(hand: Hand) -> Array:
+    """(l, j) metres a radian: no point of link l moves faster than this when joint j turns, in any posture."""
+    points, _, link = hand.surface_samples()
+    joints = hand.robot.joints
+    bounds = np.zeros((len(hand.link_names), len(hand.joint_names)))
+    size = np.zeros(len(hand.link_names))
+    np.maximum.at(size, link, np.linalg.norm(points, axis=1))
+    for sensor in hand.sensors.values():
+        row = hand.link_names.index(sensor.link)
+        tip = tip_of(sensor)
+        reach = 0.0 if tip is None else tip.extent
+        size[row] = max(size[row], float(np.linalg.norm(sensor.link_from_sensor[:3, 3])) + reach)
+    parent = {i + 1: hand.link_names.index(joint.parent) for i, joint in enumerate(joints)}
+    for row in range(1, len(hand.link_names)):
+        farthest, current = size[row], row
+        while current:  # each joint on the way to the root turns all that is beyond it
+            factor = hand.coupling_of(joints[current - 1].name)
+            turning = joints[current - 1].kind != "prismatic"
+            bounds[row] += np.abs(factor) * (farthest if turning else 1.0)
+            farthest += float(np.linalg.norm(joints[current - 1].parent_from_joint[:3, 3]))
+            current = parent[current]
+    return bounds
+
+
+def close(
+    clearance: Clearance,
+    hand_from_object: Array,
+    start: Array,
+    speed: Array,
+    touch: float = 2.5e-4,
+    haste: float = 1.5,
+    steps: int = 60,
+) -> tuple[Array, Array, Array]:
+    """Close all fingers of many grasps until they touch, by conservative advancement (Mirtich 1996).
+
+    hand_from_object (n, 4, 4); start (n, j) joint values; speed (n, j), 0 for joints that stay. A joint stops when a
+    link beyond it touches (clearance below `touch` metres) or at its limit; joints farther out go on. With `haste` 1
+    no step is longer than the clearance allows; a little more is faster and rarely goes in by a few tenths.
+    Returns joint values (n, j), clearance of links (n, l) and of tips (n, f).
+    """
+    hand = clearance.hand
+    bounds = reach_bounds(hand)
+    q = start.copy()
+    moving = speed > 0
+    links, tips = clearance.links_and_tips(q, hand_from_object)
+    rows = np.arange(len(q))
+    for _ in range(steps):
+        touching = links[rows] < touch
+        moving[rows] &= ~((touching[:, :, None] & hand.moved_by).any(axis=1))
+        moving[rows] &= q[rows] < hand.limits[:, 1] - 1e-9
+        rows = rows[moving[rows].any(axis=1)]
+        if len(rows) == 0:
+            break
+        velocity = np.where(moving[rows], speed[rows], 0.0)
+        fastest = velocity @ bounds.T
+        room = haste * np.maximum(links[rows], 0.5 * touch)
+        allowed = np.where(fastest > 0, room / np.maximum(fastest, 1e-12), 1e9)
+        for finger in clearance.fingers:
+            step = allowed[:, list(finger.links)].min(axis=1)
+            own = list(finger.closing)
+            here = np.ix_(rows, np.array(own))
+            q[here] = np.minimum(q[here] + step[:, None] * velocity[:, own], hand.limits[own, 1])
+        links[rows], tips[rows] = clearance.links_and_tips(q[rows], hand_from_object[rows])
+    return q, links, tips

@@ -1,0 +1,176 @@
+"""Touch sensors of a hand: where each sits, what it measures, and the layout file `sensors.json` in and out."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.errors import InputError
+from scenes.files.ply import write_ply
+from scenes.files.problems import UNREADABLE
+from scenes.geometry import poses
+
+Array = NDArray[np.float64]
+
+KINDS = ("wrench", "array", "point")
+# What each surface must say, metres; a mesh's file is named relative to sensors.json, and its convex hull counts.
+SURFACES = {"sphere": ("radius",), "ellipsoid": ("radii",), "cylinder": ("radius", "length"), "mesh": ("file",)}
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """One touch sensor, fixed to a link.
+
+    kind: "wrench" (force and torque), "array" (pressures of taxels) or "point" (contact points as such).
+    link_from_sensor (4, 4). surface: {"sphere": {"radius": r}}, {"ellipsoid": {"radii": [a, b, c]}},
+    {"cylinder": {"radius": r, "length": l}} (along z) or {"mesh": {"file": path}}, in the sensor frame, metres; None
+    when unknown. A mesh may hold "vertices" and "faces" instead of a file. taxels (k, 6): position and outward normal
+    in the sensor frame, or None. soft_layer: its material as the file gives it, or None.
+    """
+
+    name: str
+    link: str
+    kind: str
+    link_from_sensor: Array
+    surface: dict[str, dict[str, Any]] | None = None
+    taxels: Array | None = None
+    soft_layer: dict[str, Any] | None = None
+
+    @property
+    def radius(self) -> float | None:
+        """Radius of a spherical surface, metres; None for every other sensor."""
+        return float(self.surface["sphere"]["radius"]) if self.surface and "sphere" in self.surface else None
+
+    def to_json(self) -> dict[str, Any]:
+        """Its entry of sensors.json."""
+        entry: dict[str, Any] = {"link": self.link, "kind": self.kind}
+        entry["link_from_sensor"] = [float(x) for x in self.link_from_sensor.ravel()]
+        if self.surface is not None:
+            entry["surface"] = self.surface
+        if self.taxels is not None:
+            entry["taxels"] = self.taxels.tolist()
+        if self.soft_layer is not None:
+            entry["soft_layer"] = self.soft_layer
+        return entry
+
+
+def read_sensors(path: str | Path) -> dict[str, Sensor]:
+    """All sensors of a sensors.json by name, in the file's order; InputError names file and sensor."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: expected a sensors file, found none")
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: expected JSON, got malformed text: {error}") from error
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: expected an object of sensors by name, got {type(data).__name__}")
+    return {name: _parse(name, entry, f"{path}: sensor {name!r}", path.parent) for name, entry in data.items()}
+
+
+def write_sensors(path: str | Path, sensors: dict[str, Sensor]) -> None:
+    """Write sensors.json, and the convex hulls of fingertip meshes beside it, in the folder "tips"."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    entries = {name: sensor.to_json() for name, sensor in sensors.items()}
+    for number, (name, sensor) in enumerate(sensors.items()):
+        if sensor.surface is not None and "mesh" in sensor.surface:
+            vertices, faces = surface_hull(sensor.surface, f"sensor {name!r}")
+            file = f"tips/{number:02d}.ply"
+            (path.parent / "tips").mkdir(exist_ok=True)
+            write_ply(path.parent / file, vertices, faces)
+            entries[name]["surface"] = {"mesh": {"file": file}}
+    path.write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")
+
+
+def surface_hull(surface: dict[str, dict[str, Any]], where: str) -> tuple[Array, NDArray[np.int64]]:
+    """Vertices (n, 3) m and faces (m, 3), wound outwards, of the convex hull of a mesh as a fingertip, sensor frame.
+
+    Raises InputError, beginning with `where`, for a file that is missing or holds no solid.
+    """
+    values = surface["mesh"]
+    if "vertices" in values:
+        return np.asarray(values["vertices"], dtype=np.float64), np.asarray(values["faces"], dtype=np.int64)
+    path = Path(values["file"])
+    if not path.is_file():
+        raise InputError(f"{where}: expected the mesh of its surface, found no file {path}")
+    return _hull_of(path, path.stat().st_mtime_ns, where)
+
+
+@lru_cache(maxsize=32)
+def _hull_of(path: Path, changed: int, where: str) -> tuple[Array, NDArray[np.int64]]:
+    """Read once for every state of the file."""
+    import trimesh
+    from scipy.spatial import QhullError
+
+    try:
+        mesh: Any = trimesh.load(path, force="mesh", process=False)
+        hull = mesh.convex_hull
+    except (*UNREADABLE, QhullError) as error:
+        said = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"{where}: expected a solid mesh in {path}, got {said}") from error
+    return np.asarray(hull.vertices, dtype=np.float64), np.asarray(hull.faces, dtype=np.int64)
+
+
+def _parse(name: str, entry: Any, where: str, folder: Path) -> Sensor:
+    if not isinstance(entry, dict):
+        raise InputError(f"{where}: expected an object with link, kind and link_from_sensor, got {entry!r}")
+    link, kind = entry.get("link"), entry.get("kind")
+    if not isinstance(link, str) or not link:
+        raise InputError(f"{where}: expected the name of its link, got {link!r}")
+    if kind not in KINDS:
+        raise InputError(f"{where}: expected kind {', '.join(KINDS)}, got {kind!r}")
+    pose = _floats(entry.get("link_from_sensor", np.eye(4).ravel().tolist()), f"{where}: link_from_sensor")
+    if pose.size != 16:
+        raise InputError(f"{where}: link_from_sensor: expected 16 numbers, row by row, got {pose.size}")
+    taxels = None
+    if entry.get("taxels") is not None:
+        taxels = _floats(entry["taxels"], f"{where}: taxels")
+        if taxels.ndim != 2 or taxels.shape[1] != 6:
+            raise InputError(f"{where}: taxels: expected rows of x, y, z, nx, ny, nz, got shape {taxels.shape}")
+    if kind == "array" and taxels is None:
+        raise InputError(f"{where}: expected taxels for an array, got none")
+    soft_layer = entry.get("soft_layer")
+    if soft_layer is not None and not isinstance(soft_layer, dict):
+        raise InputError(f"{where}: soft_layer: expected an object, got {soft_layer!r}")
+    link_from_sensor = poses.check_pose(pose.reshape(4, 4), f"{where}: link_from_sensor")
+    return Sensor(name, link, kind, link_from_sensor, _surface(entry.get("surface"), where, folder), taxels, soft_layer)
+
+
+def _surface(surface: Any, where: str, folder: Path) -> dict[str, dict[str, Any]] | None:
+    if surface is None:
+        return None
+    where = f"{where}: surface"
+    if not isinstance(surface, dict) or len(surface) != 1:
+        raise InputError(f"{where}: expected one of {', '.join(SURFACES)}, got {surface!r}")
+    kind, values = next(iter(surface.items()))
+    if kind not in SURFACES:
+        raise InputError(f"{where}: expected one of {', '.join(SURFACES)}, got {kind!r}")
+    for key in SURFACES[kind]:
+        value = values.get(key) if isinstance(values, dict) else None
+        if value is None:
+            raise InputError(f"{where}: {kind}: expected a value {key!r}, got {values!r}")
+        if kind == "mesh":
+            if not isinstance(value, str):
+                raise InputError(f"{where}: mesh: expected a file name, got {value!r}")
+            return {kind: {"file": str((folder / value).resolve())}}
+        numbers = _floats(value, f"{where}: {kind} {key}").ravel()
+        if len(numbers) != (3 if key == "radii" else 1) or (numbers <= 0).any():
+            raise InputError(f"{where}: {kind} {key}: expected lengths above 0 in metres, got {value!r}")
+    return {kind: dict(values)}
+
+
+def _floats(values: Any, where: str) -> Array:
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{where}: expected numbers, got {values!r}") from error
+    if not np.isfinite(array).all():
+        raise InputError(f"{where}: expected finite numbers, got {values!r}")
+    return array

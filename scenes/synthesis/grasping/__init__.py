@@ -1,0 +1,1 @@
+"""A hand that closes on an object, and hides as much of it as asked."""

@@ -1,0 +1,83 @@
+"""A grasp, and a camera to see it from, with the object hidden by just so much."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.errors import InputError
+from scenes.geometry import poses
+from scenes.geometry.objects import ObjectModel
+from scenes.geometry.rendering import Renderer
+from scenes.robot.hands import Hand
+from scenes.synthesis.grasping.grasps import Grasp, plan_grasp
+from scenes.synthesis.settings import SynthesisSettings
+from scenes.synthesis.views import find_view
+
+Array = NDArray[np.float64]
+
+# Below this hidden share the later grasps tried are those of three fingers (no unit).
+FEW_FINGERS_BELOW = 0.35
+
+
+def place(
+    model: ObjectModel,
+    hand: Hand,
+    occlusion: float,
+    rng: np.random.Generator,
+    renderer: Renderer,
+    settings: SynthesisSettings,
+) -> tuple[Grasp, Array]:
+    """A grasp and camera_from_hand (4, 4) at which the hand hides the asked share of the object's own pixels.
+
+    renderer: holds the mesh "object"; gets the hand's. Raises InputError when nothing tried hides as much, with the
+    range that was reached.
+    """
+    reached: list[float] = []
+    held: list[Grasp] = []
+    refusal: InputError | None = None
+
+    def look(grasp: Grasp, foreground: float, climbs: int) -> Array | None:
+        vertices, faces, _ = hand.mesh(grasp.joints)
+        renderer.add("hand", vertices, faces)
+        scene = {"object": grasp.hand_from_object, "hand": np.eye(4)}
+        target = poses.apply(grasp.hand_from_object, model.centroid[None])[0]
+        views = replace(settings.views, foreground=foreground, climbs=climbs)
+        view, shares = find_view(
+            renderer, scene, "object", target, model.radius, occlusion, settings.camera, rng, views
+        )
+        reached.extend(shares)
+        return view
+
+    for attempt in range(settings.grasps):
+        # Whole-hand grasps touch with most fingers; those of few fingers hide less
+        kind = "tripod" if occlusion < FEW_FINGERS_BELOW and attempt >= settings.grasps // 2 else "power"
+        try:
+            held.append(plan_grasp(hand, model, seed=int(rng.integers(2**31)), kind=kind))
+        except InputError as error:
+            refusal = error
+            continue
+        # Planning costs more than looking: after a few grasps, the same ones from closer along the arm
+        last = len(held) % settings.relax_after == 0 or attempt == settings.grasps - 1
+        trials = [(held[-1], settings.foregrounds[0])]
+        if last:
+            trials += [(g, f) for f in settings.foregrounds[1:] for g in held[-settings.relax_after :]]
+        for grasp, foreground in trials:
+            view = look(grasp, foreground, 0)
+            if view is not None:
+                return grasp, view
+    # Chance met no view: walk to one, with the camera as far from the hand as will do
+    for foreground in settings.climb_foregrounds:
+        for grasp in held:
+            view = look(grasp, foreground, settings.views.climbs)
+            if view is not None:
+                return grasp, view
+    if not reached and refusal is not None:
+        raise refusal
+    span = f"{min(reached):.2f} to {max(reached):.2f}" if reached else "none"
+    raise InputError(
+        f"occlusion: expected a share of {model.name!r} that hand {hand.name!r} can hide, got {occlusion:.2f};"
+        f" {len(held)} grasps reached {span}"
+    )

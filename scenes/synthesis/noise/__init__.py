@@ -1,0 +1,1 @@
+"""What sensors do to the truth."""

@@ -1,0 +1,77 @@
+"""The picture of a synthetic scene: background, clutter, depth with its errors, colour, mask. Camera frame, metres."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.geometry import poses
+from scenes.geometry.objects import ObjectModel
+from scenes.geometry.rendering import Renderer, shade
+from scenes.synthesis.noise import presets as noise_models
+from scenes.synthesis.noise.presets import DepthErrors, NoisePreset
+from scenes.synthesis.settings import SynthesisSettings
+
+Array = NDArray[np.float64]
+
+COLOURS = {"object": (206, 116, 58), "hand": (222, 186, 164), "background": (138, 142, 146)}
+FINGER_COLOUR = (196, 160, 140)
+CLUTTER_COLOURS = ((96, 132, 168), (150, 120, 168), (104, 150, 110), (190, 170, 96), (168, 104, 110), (120, 120, 120))
+
+
+def photograph(
+    scene: dict[str, Array],
+    renderer: Renderer,
+    preset: NoisePreset,
+    rng: np.random.Generator,
+    settings: SynthesisSettings,
+    errors: DepthErrors | None = None,
+) -> dict[str, Any]:
+    """depth, and rgb and mask when asked for, of a scene of camera_from_mesh poses."""
+    rendering = renderer.render(settings.camera, scene)
+    depth = noise_models.observe_depth(rendering, settings.camera, preset, rng, errors)
+    depth = np.where(depth < settings.depth_unit * np.iinfo(np.uint16).max, depth, 0.0)  # what 16 bits can hold
+    image: dict[str, Any] = {"depth": (np.rint(depth / settings.depth_unit) * settings.depth_unit).astype(np.float32)}
+    if settings.mask:
+        image["mask"] = rendering.mask("object")
+    if settings.rgb:
+        image["rgb"] = shade(rendering, {name: _colour(name) for name in scene})
+    return image
+
+
+def _colour(name: str) -> tuple[int, int, int]:
+    if name.startswith("clutter"):
+        return CLUTTER_COLOURS[int(name.removeprefix("clutter")) % len(CLUTTER_COLOURS)]
+    return COLOURS.get(name, FINGER_COLOUR)
+
+
+def add_background(
+    model: ObjectModel,
+    scene: dict[str, Array],
+    renderer: Renderer,
+    rng: np.random.Generator,
+    settings: SynthesisSettings,
+    others: tuple[Array, ...] = (),
+) -> Array:
+    """Add a wide wall behind object and hand; returns its camera_from_mesh.
+
+    others: points (n, 3), camera frame, that must be before it too (where things will move).
+    """
+    centre = poses.apply(scene["object"], model.centroid[None])[0]
+    turn = rng.uniform(0.0, 2 * np.pi)
+    tilt = settings.background_tilt * np.sqrt(rng.uniform())
+    normal = np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), -np.cos(tilt)])
+    # Far enough for nothing to stick into it
+    behind = min(float((renderer.vertices(name, pose) @ normal).min()) for name, pose in scene.items())
+    behind = min([behind, *(float((points @ normal).min()) for points in others)])
+    gap = rng.uniform(*settings.background_distance)
+    level = min(float(centre @ normal) - gap * float(np.cos(tilt)), behind - 0.01)
+    place = centre * (level / float(centre @ normal))
+    right = np.cross(np.eye(3)[np.argmin(np.abs(normal))], normal)
+    right /= np.linalg.norm(right)
+    size = 30.0  # m: fills the image at any tilt allowed
+    corners = size * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], dtype=np.float64)
+    renderer.add("background", corners, [[0, 1, 2], [0, 2, 3]])
+    return poses.make_pose(np.stack([right, np.cross(normal, right), normal], axis=1), place)

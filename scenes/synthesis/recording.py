@@ -1,0 +1,373 @@
+"""Whole recordings of an object in a hand, or behind other things, hidden by the asked share, with ground truth.
+
+The camera frame is the world frame. The picture, the object and the true hand agree exactly; what the robot reports
+(joints, hand pose, contacts, wrenches, pressures) passes through its errors: measured joints, then the error of the
+camera-robot calibration, which moves hand and contacts alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.errors import InputError
+from scenes.geometry import poses
+from scenes.geometry.objects import ObjectModel
+from scenes.geometry.rendering import Renderer
+from scenes.recordings.frames import Contacts, EmptyRegions, Frame, Wrench
+from scenes.synthesis.grasping.hiding import place
+from scenes.synthesis.loose_fingers import lay_fingers, random_contacts
+from scenes.synthesis.noise import presets as noise_models
+from scenes.synthesis.noise.presets import LastingErrors, NoisePreset
+from scenes.synthesis.photography import add_background, photograph
+from scenes.synthesis.settings import SynthesisSettings
+from scenes.synthesis.views import draw_views
+from scenes.threads import thread_count
+
+if TYPE_CHECKING:
+    from scenes.recordings.captures import Capture
+    from scenes.robot.hands import Hand
+    from scenes.synthesis.grasping.grasps import Grasp
+    from scenes.synthesis.motion import MotionSettings, Step
+
+__all__ = ["OCCLUDERS", "TOUCH_KINDS", "SynthesisSettings", "synthesize", "synthesize_frames"]
+
+Array = NDArray[np.float64]
+
+TOUCH_KINDS = ("point", "wrench", "array", "empty")
+OCCLUDERS = ("hand", "fingers", "object", "border", "none")
+CLUTTER = "clutter"
+
+
+def synthesize(
+    folder: str | Path,
+    model: ObjectModel,
+    hand: Hand | None = None,
+    frames: int = 1,
+    occlusion: float = 0.6,
+    touch: tuple[str, ...] = ("point",),
+    noise: str | NoisePreset = "lab",
+    seed: int = 0,
+    occluders: str | None = None,
+    settings: SynthesisSettings | None = None,
+    motion: str | None = None,
+    taxels: str | Array = "fingertip",
+) -> Capture:
+    """Make frames as `synthesize_frames` does, write them as a capture, and read it back.
+
+    Raises InputError as `synthesize_frames`, CaptureError when the folder cannot be written.
+    """
+    from scenes.recordings.captures import read_capture, write_capture
+
+    settings = settings or SynthesisSettings()
+    recording = _Recording(model, hand, occlusion, touch, noise, seed, occluders, settings, taxels)
+    named = noise_models.preset(noise).name
+    notes = {"object": model.name, "occlusion": occlusion, "noise": named, "touch": list(touch), "seed": seed}
+    notes |= {"occluders": recording.occluders} if occluders else {}
+    made = recording.frames(frames, motion)
+    notes |= {"motion": recording.motion_notes} if motion else {}
+    write_capture(folder, made, model, hand=recording.hand, depth_scale=settings.depth_unit * 1e3, notes=notes)
+    return read_capture(folder)
+
+
+def synthesize_frames(
+    model: ObjectModel,
+    hand: Hand | None = None,
+    frames: int = 1,
+    occlusion: float = 0.6,
+    touch: tuple[str, ...] = ("point",),
+    noise: str | NoisePreset = "lab",
+    seed: int = 0,
+    occluders: str | None = None,
+    settings: SynthesisSettings | None = None,
+    motion: str | None = None,
+    taxels: str | Array = "fingertip",
+) -> list[Frame]:
+    """Frames of one object; nothing touches the disk.
+
+    Without a `motion` they are independent: another grasp, view and draw of the noise each, and frame i depends on seed
+    and i only. With one ("carry", "turn", "slip", "leave"; see scenes.synthesis.motion) one grasp is recorded at 30
+    frames a second by one camera and robot with their lasting errors; the asked occlusion is that of the first frame,
+    which alone has a prior.
+
+    occlusion: share (0 to 1) of the object's own in-image pixels that something hides, held within 0.03.
+    occluders: "hand" (grasping, forearm included), "fingers" (loose ones that no frame tells of), "object" (a second
+    one), "border" (the image ends before the object does) or "none"; by default the hand when there is one, else loose
+    fingers. "+clutter" after it lets other things stand about. touch: "point" gives contacts, "wrench" wrenches of
+    the fingertips, "array" pressures of taxels (`taxels`: "fingertip" of 12, "pad" of 3 x 8, or (k, 6) of one's own),
+    "empty" the regions where fingers feel nothing. Raises InputError for arguments out of range and for an occlusion
+    that cannot be reached, with what could be.
+    """
+    settings = settings or SynthesisSettings()
+    recording = _Recording(model, hand, occlusion, touch, noise, seed, occluders, settings, taxels)
+    return list(recording.frames(frames, motion))
+
+
+class _Recording:
+    """The arguments of `synthesize_frames`, checked, and what all frames share."""
+
+    def __init__(
+        self,
+        model: ObjectModel,
+        hand: Hand | None,
+        occlusion: float,
+        touch: tuple[str, ...],
+        noise: str | NoisePreset,
+        seed: int,
+        occluders: str | None,
+        settings: SynthesisSettings,
+        taxels: str | Array,
+    ) -> None:
+        self.model, self.hand, self.occlusion, self.touch = model, hand, occlusion, touch
+        self.preset = noise_models.preset(noise)
+        self.seed, self.settings = seed, settings
+        self.occluders = occluders or ("hand" if hand is not None else "fingers")
+        self.kind, _, extra = self.occluders.partition("+")
+        self.clutter = extra == CLUTTER
+        if extra not in ("", CLUTTER) or self.kind not in OCCLUDERS:
+            names = ", ".join(OCCLUDERS)
+            raise InputError(f"occluders: expected one of {names}, or with +{CLUTTER}, got {self.occluders!r}")
+        _check(hand, occlusion, touch, self.kind)
+        if "array" in touch and hand is not None and not any(s.kind == "array" for s in hand.sensors.values()):
+            from scenes.robot.tactile import with_arrays
+
+            self.hand = with_arrays(hand, taxels)
+        self.renderer = Renderer({"object": (model.vertices, model.faces)})
+        self.motion_notes: dict[str, Any] = {}
+
+    def frames(self, count: int, motion: str | None, settings: MotionSettings | None = None) -> Iterator[Frame]:
+        """All frames, made as they are asked for."""
+        if count < 1:
+            raise InputError(f"frames: expected at least 1, got {count}")
+        if motion is not None:
+            return self._sequence(count, motion, settings)
+        return self._independent(count)
+
+    def _independent(self, count: int) -> Iterator[Frame]:
+        children = np.random.SeedSequence(self.seed).spawn(count + 1)
+        errors = self._lasting(np.random.default_rng(children[count])) if self.settings.one_robot else None
+        for index, child in enumerate(children[:count]):
+            rng = np.random.default_rng(child)
+            if self.kind == "hand":
+                assert self.hand is not None
+                grasp, camera_from_hand = place(
+                    self.model, self.hand, self.occlusion, rng, self.renderer, self.settings
+                )
+                yield self._held(index, grasp, camera_from_hand, rng, errors)
+            else:
+                yield self._loose(index, rng, errors)
+
+    def _sequence(self, count: int, motion: str, settings: MotionSettings | None) -> Iterator[Frame]:
+        from scenes.synthesis.motion import plan_motion
+
+        if self.kind != "hand" or self.hand is None:
+            raise InputError(f"motion: expected a hand that carries the object, got occluders {self.occluders!r}")
+        plan, *children = np.random.SeedSequence(self.seed).spawn(count + 1)
+        rng = np.random.default_rng(plan)
+        grasp, camera_from_hand = place(self.model, self.hand, self.occlusion, rng, self.renderer, self.settings)
+        camera = self.settings.camera
+        steps, self.motion_notes = plan_motion(
+            motion, count, grasp, camera_from_hand, self.hand, self.model, camera, rng, settings
+        )
+        scene = self._scene(grasp, camera_from_hand)
+        around = {}
+        if self.settings.background:
+            corners = [self.renderer.vertices("hand", step.camera_from_hand) for step in steps[:: max(1, count // 20)]]
+            around["background"] = add_background(self.model, scene, self.renderer, rng, self.settings, tuple(corners))
+        if self.clutter:
+            around |= self._stand_about({**scene, **around}, rng)
+        return self._recorded(steps, children, self._drifting(count, rng), around, int(rng.integers(2**31)))
+
+    def _drifting(self, count: int, rng: np.random.Generator) -> list[LastingErrors]:
+        """The lasting errors of each frame."""
+        errors = [self._lasting(rng)]
+        while len(errors) < count:
+            errors.append(errors[-1].drifted(self.preset.touch, rng))
+        return errors
+
+    def _recorded(
+        self,
+        steps: list[Step],
+        children: list[np.random.SeedSequence],
+        errors: list[LastingErrors],
+        around: dict[str, Array],
+        forces_seed: int,
+    ) -> Iterator[Frame]:
+        """Frames of one posture of the hand do not depend on one another: each thread makes one."""
+
+        def make(index: int) -> Frame:
+            rng, step = np.random.default_rng(children[index]), steps[index]
+            frame = self._held(index, step.grasp, step.camera_from_hand, rng, errors[index], around, forces_seed)
+            return frame if index == 0 else replace(frame, prior=None)
+
+        threads = thread_count()
+        with ThreadPoolExecutor(threads) as pool:
+            begin = 0
+            while begin < len(steps):
+                grasp = steps[begin].grasp
+                self._scene(grasp, steps[begin].camera_from_hand)
+                end = begin + 1
+                while end < len(steps) and end - begin < 2 * threads and steps[end].grasp is grasp:
+                    end += 1
+                yield from pool.map(make, range(begin, end))
+                begin = end
+
+    def _lasting(self, rng: np.random.Generator) -> LastingErrors:
+        hand = self.hand
+        joints = [] if hand is None else hand.joint_names
+        sensors = [] if hand is None else list(hand.sensors)
+        return noise_models.draw_lasting_errors(self.preset, self.settings.camera, joints, sensors, rng)
+
+    def _scene(self, grasp: Grasp, camera_from_hand: Array) -> dict[str, Array]:
+        """camera_from_mesh of object and hand; the renderer's hand takes the grasp's posture."""
+        assert self.hand is not None
+        vertices, faces, _ = self.hand.mesh(grasp.joints)
+        self.renderer.add("hand", vertices, faces)
+        return {"object": camera_from_hand @ grasp.hand_from_object, "hand": camera_from_hand}
+
+    def _stand_about(self, scene: dict[str, Array], rng: np.random.Generator) -> dict[str, Array]:
+        from scenes.synthesis.clutter import stand_about
+
+        return stand_about(self.renderer, scene, self.settings.camera, rng, self.settings)
+
+    def _image(
+        self,
+        scene: dict[str, Array],
+        rng: np.random.Generator,
+        errors: LastingErrors | None,
+        around: dict[str, Array] | None,
+    ) -> dict[str, Any]:
+        if around is None:
+            around = {}
+            if self.settings.background:
+                around["background"] = add_background(self.model, scene, self.renderer, rng, self.settings)
+            if self.clutter:
+                around |= self._stand_about({**scene, **around}, rng)
+        depth_errors = None if errors is None else errors.depth
+        return photograph({**scene, **around}, self.renderer, self.preset, rng, self.settings, depth_errors)
+
+    def _held(
+        self,
+        index: int,
+        grasp: Grasp,
+        camera_from_hand: Array,
+        rng: np.random.Generator,
+        errors: LastingErrors | None = None,
+        around: dict[str, Array] | None = None,
+        forces_seed: int | None = None,
+    ) -> Frame:
+        from scenes.synthesis import touch as feel
+
+        hand, preset, settings = self.hand, self.preset, self.settings
+        assert hand is not None
+        camera_from_object = camera_from_hand @ grasp.hand_from_object
+        scene = {"object": camera_from_object, "hand": camera_from_hand}
+        image = self._image(scene, rng, errors, around)
+        turning = feel.turning(hand, grasp.joints)
+        if errors is None:
+            joints = {**grasp.joints, **noise_models.observe_joints(turning, preset.robot, rng)}
+            error = noise_models.camera_from_robot_error(preset.robot, rng)
+        else:
+            joints = {**grasp.joints, **{name: x + errors.joints.get(name, 0.0) for name, x in turning.items()}}
+            error = errors.camera_from_robot
+        world_from_hand = error @ camera_from_hand
+        contacts, tactile, empty = Contacts(np.zeros((0, 3))), {}, None
+        wrenches: tuple[Wrench, ...] = ()
+        if "wrench" in self.touch or "array" in self.touch:
+            same = rng if forces_seed is None else np.random.default_rng(forces_seed)
+            forces = feel.press_forces(grasp, same, settings)
+            if "wrench" in self.touch:
+                wrenches = feel.wrenches(hand, grasp, forces, preset, rng, settings, errors)
+            if "array" in self.touch:
+                dead = None if forces_seed is None else feel.draw_dead(hand, preset, np.random.default_rng(forces_seed))
+                tactile = feel.pressures(hand, self.model, grasp, forces, preset, rng, dead)
+        if "point" in self.touch:
+            exact = feel.carried(hand, grasp, joints)
+            contacts = noise_models.observe_contacts(exact, preset.touch, rng, errors).moved(world_from_hand)
+        if "empty" in self.touch:
+            empty = _moved(feel.empty_regions(hand, grasp, joints), world_from_hand)
+        return Frame(
+            index=index,
+            where=f"synthetic {self.model.name}, frame {index}",
+            camera=settings.camera,
+            hand=hand,
+            joints=joints,
+            world_from_hand=world_from_hand,
+            contacts=contacts,
+            wrenches=wrenches,
+            tactile=tactile,
+            no_contact=empty,
+            prior=self._prior(camera_from_object, rng),
+            camera_from_object_truth=camera_from_object,
+            hand_from_object_truth=grasp.hand_from_object,
+            **image,
+        )
+
+    def _loose(self, index: int, rng: np.random.Generator, errors: LastingErrors | None) -> Frame:
+        model, settings = self.model, self.settings
+        scene = self._before(rng)
+        image = self._image(scene, rng, errors, None)
+        shift = noise_models.camera_from_robot_error(self.preset.robot, rng)
+        shift = shift if errors is None else errors.camera_from_robot
+        count = settings.loose_contacts if "point" in self.touch else 0
+        exact = random_contacts(model, count, rng).moved(scene["object"])
+        return Frame(
+            index=index,
+            where=f"synthetic {model.name}, frame {index}",
+            camera=settings.camera,
+            contacts=noise_models.observe_contacts(exact, self.preset.touch, rng, errors).moved(shift),
+            prior=self._prior(scene["object"], rng),
+            camera_from_object_truth=scene["object"],
+            **image,
+        )
+
+    def _before(self, rng: np.random.Generator) -> dict[str, Array]:
+        """camera_from_mesh of the object and of what hides it."""
+        from scenes.synthesis import clutter
+
+        settings, camera, share = self.settings, self.settings.camera, self.occlusion
+        if self.kind == "border":
+            return {"object": clutter.beyond_border(self.renderer, self.model, share, rng, settings)}
+        refusal: InputError | None = None
+        for view in draw_views(settings.grasps, camera, self.model.radius, rng, settings.views):
+            pose = view.camera_from_scene(self.model.centroid)
+            try:
+                if self.kind == "none" or (self.kind == "object" and share <= 0):
+                    return {"object": pose}
+                if self.kind == "object":
+                    hider = clutter.second_object(self.renderer, self.model, pose, share, camera, rng)
+                    return {"object": pose, "clutter0": hider}
+                fingers = lay_fingers(self.renderer, "object", pose, share, camera, rng, settings.fingers)
+                return {"object": pose, **fingers}
+            except InputError as error:
+                refusal = error
+        raise refusal or InputError("occlusion: expected at least one view to be tried")
+
+    def _prior(self, truth: Array, rng: np.random.Generator) -> Array:
+        settings = self.settings
+        return poses.displaced(truth, settings.prior_angle, settings.prior_distance, self.model.centroid, rng)
+
+
+def _moved(regions: EmptyRegions | None, world_from_hand: Array) -> EmptyRegions | None:
+    if regions is None:
+        return None
+    return replace(regions, points=poses.apply(world_from_hand, regions.points))
+
+
+def _check(hand: Hand | None, occlusion: float, touch: tuple[str, ...], kind: str) -> None:
+    if kind == "hand" and hand is None:
+        raise InputError("occluders: expected a hand to hide the object with, got none")
+    if not 0.0 <= occlusion <= 0.97:
+        raise InputError(f"occlusion: expected a share from 0 to 0.97, got {occlusion}")
+    unknown = [name for name in touch if name not in TOUCH_KINDS]
+    if unknown:
+        raise InputError(f"touch: expected kinds among {', '.join(TOUCH_KINDS)}, got {unknown[0]!r}")
+    needs = [name for name in touch if name != "point"]
+    if needs and (hand is None or kind != "hand"):
+        raise InputError(f"touch: expected a hand whose fingertips measure for {needs[0]!r}, got none")

@@ -1,0 +1,115 @@
+"""The pages of the documentation, typed as they stand: their commands, their Python, and what they say is printed."""
+
+from __future__ import annotations
+
+import re
+
+import docs_commands
+import numpy as np
+import pytest
+from docs_commands import ROOT, matches
+
+from fusion.cli.parser import build_parser
+from scenes.files.ply import write_ply
+from scenes.synthesis import library
+from scenes.synthesis.recording import synthesize
+
+DOCS = ROOT / "docs"
+README = ROOT / "README.md"
+PAGES = [README, *sorted(DOCS.glob("*.md"))]
+# Pages whose blocks are run below, and those that another test runs or whose recordings and minutes no test has: of
+# these every command is held against the parser.
+RUN_HERE = {"tutorial.md", "faq.md", "README.md", "commands.md"}
+ONLY_PARSED = {
+    "formats.md": "test_formats_docs.py runs it on recordings that it makes",
+    "benchmarks.md": "benches take minutes to hours, and some need recorded contact sets",
+    "scenes.md": "one block, which downloads",
+}
+
+
+def test_the_tutorial_ends_at_the_object(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = docs_commands.run(DOCS / "tutorial.md", tmp_path)
+    moved = names["answer"].pose[:3, 3] - names["truth"][:3, 3]
+    assert np.linalg.norm(moved) < 0.003
+    assert (tmp_path / "out/bracket/report.html").is_file()
+
+
+@pytest.mark.slow
+def test_mistakes_are_told_as_the_page_says(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    docs_commands.run(DOCS / "faq.md", tmp_path)
+
+
+@pytest.mark.slow
+def test_every_command_has_an_example_that_works(tmp_path, monkeypatch):
+    """In their order; the folder of meshes to tell apart is the reader's."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "meshes").mkdir()
+    for name in ("drill", "mug", "hammer"):
+        model = library.make(name)
+        write_ply(tmp_path / f"meshes/{name}.ply", model.vertices, model.faces)
+    docs_commands.run(DOCS / "commands.md", tmp_path)
+    assert (tmp_path / "out/all/index.html").is_file()
+    assert (tmp_path / "drill.ply").is_file()
+
+
+def test_the_front_page(tmp_path, monkeypatch):
+    """Its Python, with a drill, a capture of it and contacts."""
+    monkeypatch.chdir(tmp_path)
+    drill = library.make("drill")
+    write_ply(tmp_path / "drill.ply", drill.vertices, drill.faces)
+    synthesize(tmp_path / "captures/drill", drill, occlusion=0.3, noise="clean", seed=1)
+    points, normals = drill.sample_surface(6, seed=0)
+    names = docs_commands.run(README, tmp_path, {"points": points, "normals": normals})
+    assert names["answer"].verdict in ("ok", "ambiguous")
+    assert len(names["where"].modes) >= 1
+
+
+def test_pages_are_known():
+    """A new page is run, or it is said why not."""
+    told = RUN_HERE | set(ONLY_PARSED)
+    unknown = [page.name for page in PAGES if docs_commands.all_blocks(page) and page.name not in told]
+    silent = {"api.md", "method.md"}
+    assert set(unknown) <= silent
+    for name in silent:
+        assert not [b for b in docs_commands.all_blocks(DOCS / name) if b.language in ("sh", "python")]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_command_is_one(page):
+    """Names and options of every call of palpate on every page, what is not run included."""
+    parser = build_parser()
+    for argv in docs_commands.commands(page):
+        if "--help" not in argv:
+            parser.parse_args(argv)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    """Files, and headings of files, by GitHub's rule for their names."""
+    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+        name, _, heading = target.partition("#")
+        if name.startswith(("http://", "https://")):
+            continue
+        path = page.parent / name if name else page
+        assert path.exists(), f"{page.name}: {target}"
+        if heading:
+            text = path.read_text(encoding="utf-8")
+            heads = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+            names = {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
+            assert heading in names, f"{page.name}: {target}"
+
+
+def test_reasons_are_given_for_what_is_not_run():
+    for page in PAGES:
+        for block in docs_commands.all_blocks(page):
+            assert block.left_out is None or len(block.left_out.split()) >= 3, f"{page.name}, line {block.line}"
+
+
+def test_output_is_compared_line_by_line_with_gaps():
+    said = "one\n  two   2.5 mm\nthree"
+    assert matches("one\ntwo … mm", said)
+    assert matches("two 2.5 mm", said)
+    assert not matches("two … mm\none", said)
+    assert not matches("two", said)

@@ -1,0 +1,109 @@
+"""Verdicts and words: what an answer may claim."""
+
+import numpy as np
+import pytest
+
+from fusion.estimation import verdict as posterior
+from fusion.estimation.answer import ContactResidual, Mode
+from fusion.estimation.trace import Trace
+from scenes.evidence import table as evidence
+from scenes.evidence.table import VISION
+from scenes.geometry import poses
+from scenes.recordings.frames import Contacts
+from scenes.synthesis import library
+
+SHARP = np.diag([1e-6] * 3 + [1e-8] * 3)
+
+
+def mode(covariance=SHARP, weight=1.0):
+    return Mode(np.eye(4), weight, 0.0, covariance)
+
+
+def test_residuals_of_contacts(rng):
+    model = library.make("box")
+    pose = poses.make_poses(poses.random_rotations(1, rng), rng.normal(size=(1, 3)))[0]
+    points, normals = model.sample_surface(200, seed=0)
+    # in the middle of a side, where the lattice's normal is the side's
+    half = np.ptp(model.vertices, axis=0) / 2
+    rows = (np.sort(half - np.abs(points - model.vertices.mean(axis=0)), axis=1)[:, 1] > 0.015).nonzero()[0][:3]
+    offset = np.array([0.0, 0.002, 0.010])[:, None]
+    points, normals = points[rows] + offset * normals[rows], normals[rows].copy()
+    tilt = poses.exp_rotation(
+        np.cross(normals[1], [0.3, 0.5, 0.8]) / np.linalg.norm(np.cross(normals[1], [0.3, 0.5, 0.8])) * 0.2
+    )
+    normals[1] = tilt @ normals[1]
+    normals[2] = np.nan
+    contacts = Contacts(poses.apply(pose, points), normals @ pose[:3, :3].T, 1e-3, sensors=["a", "b", "c"])
+    first, second, third = posterior.contact_residuals(model, contacts, pose)
+    assert [r.sensor for r in (first, second, third)] == ["a", "b", "c"]
+    assert first.residual_mm == pytest.approx(0.0, abs=0.02)
+    assert second.residual_mm == pytest.approx(2.0, abs=0.02)
+    assert third.residual_mm == pytest.approx(10.0, abs=0.05)
+    assert first.normal_deg < 1
+    assert second.normal_deg == pytest.approx(np.rad2deg(0.2), abs=1)
+    assert np.isnan(third.normal_deg)
+    assert [r.outlier for r in (first, second, third)] == [False, False, True]
+    assert posterior.contact_residuals(model, Contacts(np.zeros((0, 3))), pose) == ()
+
+
+def test_agreement_of_pixels():
+    model = library.make("box")
+    points, normals = model.sample_surface(100, seed=0)
+    points[:40] += 0.05 * normals[:40]
+    seen = evidence.stack(evidence.make(points, 1e-3, VISION), evidence.outside(points, 1e-3, VISION))
+    share, rms = posterior.pixel_agreement(model, seen, np.eye(4))
+    assert share == pytest.approx(0.6, abs=0.02)
+    assert rms < 1e-4
+    assert np.isnan(posterior.pixel_agreement(model, evidence.empty(), np.eye(4))).all()
+
+
+def test_open_directions_are_named_in_the_objects_axes():
+    model = library.make("drill")
+    wide = SHARP.copy()
+    wide[2, 2] = 1.0
+    assert posterior.unobservable(model, np.eye(4), wide) == ("rotation about z",)
+    turned = poses.make_pose(poses.exp_rotation([0.0, np.pi / 2, 0.0]))  # the object's x axis points along -z
+    assert posterior.unobservable(model, turned, wide) == ("rotation about x",)
+    wide = SHARP.copy()
+    wide[3, 3] = 0.01
+    assert posterior.unobservable(model, np.eye(4), wide) == ("translation along x",)
+    assert posterior.unobservable(model, np.eye(4), SHARP) == ()
+    assert posterior.unobservable(library.make("bottle"), np.eye(4), SHARP) == ("rotation about z",)
+
+
+def residual(outlier):
+    return ContactResidual("tip", 0.0, 0.0, outlier)
+
+
+def test_verdicts(lab_frame):
+    from vision.visibility import visibility
+
+    model = library.make("drill")
+    seeing = visibility(lab_frame, model, lab_frame.camera_from_object_truth)
+
+    def word(modes, residuals=(), share=0.9):
+        return posterior.verdict(model, modes, residuals, share, seeing)[0]
+
+    assert word(()) == "lost"
+    assert word((mode(),)) == "ok"
+    assert word((mode(weight=0.6), mode(weight=0.4))) == "ambiguous"
+    wide = SHARP.copy()
+    wide[0, 0] = 4.0
+    assert word((mode(wide),)) == "ambiguous"
+    assert word((mode(),), tuple(residual(x) for x in (True, True, True, False))) == "lost"
+    assert word((mode(),), tuple(residual(x) for x in (True, False, False, False))) == "ok"
+
+
+def test_the_trace_lists_what_ran_and_what_did_not():
+    trace = Trace()
+    with trace.stage("look", True, "never") as stage:
+        stage.note(12, "twelve rows")
+    with trace.stage("feel", False, "touch not asked for") as stage:
+        stage.note(5, "not said")
+    look, feel = trace.stages
+    assert (look.name, look.ran, look.why, look.rows) == ("look", True, "twelve rows", 12)
+    assert (feel.name, feel.ran, feel.why, feel.rows) == ("feel", False, "touch not asked for", 0)
+    assert look.ms >= 0
+    assert trace.spent_ms >= look.ms
+    assert not trace.over_budget
+    assert Trace(budget_ms=-1.0).over_budget

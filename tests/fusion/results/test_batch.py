@@ -1,0 +1,249 @@
+"""Batches: one bad capture, a worker that is killed, a run that is stopped: nothing else is lost."""
+
+import csv
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from test_compare import plain_view
+
+from fusion.cli.main import main
+from fusion.results.batch import (
+    COLUMNS,
+    MARKER,
+    Cluster,
+    Job,
+    Outcome,
+    Processes,
+    error_row,
+    find_captures,
+    finished,
+    run_jobs,
+)
+from fusion.results.batch_files import summary_of, write_all
+from scenes.errors import InputError
+from scenes.recordings.captures import write_capture
+from scenes.synthesis.library import make
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def job(folder: Path, name: str) -> Job:
+    return Job(str(folder / name), name, str(folder / "out" / name))
+
+
+def light_work(task: Job) -> list[dict]:
+    """What a job's name says: fail, die once, die always, or answer with the process's number."""
+    if task.name.startswith("bad"):
+        raise InputError("expected something else, got this")
+    flag = Path(task.path + ".died")
+    if task.name.startswith("killer") or (task.name.startswith("unlucky") and not flag.exists()):
+        flag.touch()
+        time.sleep(0.2)
+        os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(0.05)
+    return [dict.fromkeys(COLUMNS) | {"capture": task.name, "status": "done", "verdict": "ok", "contacts": os.getpid()}]
+
+
+def results(outcomes) -> dict[str, str]:
+    outcomes = list(outcomes)
+    assert len({o.job.name for o in outcomes}) == len(outcomes)  # each once
+    return {o.job.name: o.status for o in outcomes}
+
+
+# ---- the runner
+
+
+def test_a_bad_capture_is_a_row_and_the_rest_goes_on(tmp_path):
+    jobs = [job(tmp_path, name) for name in ("a", "bad", "b", "c")]
+    outcomes = {o.job.name: o for o in run_jobs(jobs, Processes(2), light_work)}
+    assert {name: o.status for name, o in outcomes.items()} == {"a": "done", "bad": "error", "b": "done", "c": "done"}
+    assert outcomes["bad"].rows[0]["error"] == "expected something else, got this"
+    assert outcomes["a"].rows[0]["contacts"] != os.getpid()
+
+
+def test_a_worker_that_dies_is_survived(tmp_path):
+    names = ["a", "killer", "b", "unlucky", "c", "d"]
+    found = {o.job.name: o for o in run_jobs([job(tmp_path, n) for n in names], Processes(2), light_work)}
+    assert set(found) == set(names)
+    assert {name for name, o in found.items() if o.status == "error"} == {"killer"}
+    assert "died" in found["killer"].rows[0]["error"]
+
+
+def deaf_to_interrupts(task: Job) -> list[dict]:
+    """Whether Ctrl-C is held back and ignored in the worker, as a verdict."""
+    held = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, set())
+    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    return [dict.fromkeys(COLUMNS) | {"capture": task.name, "verdict": f"{held} {ignored}"}]
+
+
+def test_a_worker_never_hears_ctrl_c(tmp_path):
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, set())
+    (outcome,) = run_jobs([job(tmp_path, "a")], Processes(1), deaf_to_interrupts)
+    assert outcome.rows[0]["verdict"] == "True True"  # held from the first instruction on, ignored once it can
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, set()) == before
+
+
+def test_an_abandoned_run_leaves_no_process(tmp_path):
+    import multiprocessing
+
+    running = run_jobs([job(tmp_path, f"a{i}") for i in range(20)], Processes(2), light_work)
+    next(running)
+    with pytest.raises(KeyboardInterrupt):
+        running.throw(KeyboardInterrupt)
+    assert multiprocessing.active_children() == []
+
+
+@pytest.mark.slow
+def test_a_cluster_that_loses_a_worker_loses_nothing(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    # found by its workers, too
+    options = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
+    with distributed.LocalCluster(**options) as cluster:
+        backend = Cluster(cluster.scheduler_address)
+        names = ["a", "unlucky", "b", "bad", "c", "d"]
+        found = results(run_jobs([job(tmp_path, n) for n in names], backend, light_work))
+        backend.close()
+    assert found == {name: "error" if name == "bad" else "done" for name in names}
+
+
+def test_no_scheduler_there_is_one_line(tmp_path, capsys):
+    pytest.importorskip("distributed")
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c" / "capture.json").write_text("{}")
+    assert main(["batch", str(tmp_path), "--scheduler", "nonsense://x", "--out", str(tmp_path / "o")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+# ---- what is done and what is not
+
+
+def test_only_whole_results_of_the_same_question_count(tmp_path):
+    task = job(tmp_path, "a")
+    assert finished(task) is None
+    out = Path(task.out)
+    out.mkdir(parents=True)
+    (out / MARKER).write_text(json.dumps({"fingerprint": task.fingerprint, "rows": [{"capture": "a"}]}))
+    assert finished(task) == [{"capture": "a"}]
+    assert finished(replace(task, seed=1)) is None
+    assert finished(replace(task, name="b")) is not None  # a folder that was renamed is the same question
+    (out / MARKER).write_text('{"fingerprint":')
+    assert finished(task) is None
+
+
+def test_captures_are_found_however_deep(tmp_path):
+    for name in ("b", "x/a", "x/a/inner", ".hidden"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "capture.json").write_text("{}")
+    (tmp_path / ".hidden" / "empty").mkdir()
+    assert [p.relative_to(tmp_path).as_posix() for p in find_captures(tmp_path)] == ["b", "x/a"]
+    with pytest.raises(InputError, match="expected captures"):
+        find_captures(tmp_path / ".hidden" / "empty")
+    with pytest.raises(InputError, match="expected a folder"):
+        find_captures(tmp_path / "nowhere")
+
+
+def test_tables_and_page(tmp_path):
+    good, bad = job(tmp_path, "a<b>"), job(tmp_path, "bad")
+    row = dict.fromkeys(COLUMNS) | {"capture": "a<b>", "frame": 0, "status": "done", "verdict": "ok", "add_s_mm": 1.5}
+    Path(good.out).mkdir(parents=True)
+    (Path(good.out) / "report.html").write_text("")
+    outcomes = [Outcome(good, "done", [row]), Outcome(bad, "error", [error_row(bad, "<script>\nno")])]
+    summary = summary_of(outcomes)
+    assert (summary["captures"], summary["failed"], summary["frames"]) == (2, 1, 1)
+    assert summary["median_add_s_mm"] == 1.5
+    files = write_all(tmp_path / "out", "title", outcomes)
+    assert {path.name for path in files} >= {"results.csv", "index.html"}
+    rows = list(csv.DictReader((tmp_path / "out" / "results.csv").open()))
+    assert [r["status"] for r in rows] == ["done", "error"]
+    page = (tmp_path / "out" / "index.html").read_text()
+    assert 'href="a%3Cb%3E/report.html"' in page
+    assert "&lt;script&gt; no" in page
+    assert "{{" not in page
+    assert 'name="viewport"' in page
+
+
+def test_parquet_holds_the_same_rows(tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    task = job(tmp_path, "a")
+    row = dict.fromkeys(COLUMNS) | {"capture": "a", "frame": 3, "status": "done", "verdict": "ok", "time_ms": 2.5}
+    write_all(tmp_path / "out", "t", [Outcome(task, "done", [row]), Outcome(task, "error", [error_row(task, "why")])])
+    table = parquet.read_table(tmp_path / "out" / "results.parquet").to_pylist()
+    assert table[0] == row
+    assert table[1]["error"] == "why"
+
+
+# ---- the command
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """Two captures and a broken one."""
+    folder = tmp_path_factory.mktemp("batch") / "many"
+    for i in range(2):
+        write_capture(folder / f"box{i}", [plain_view(seed=i)], make("box"))
+    shutil.copytree(folder / "box0", folder / "broken")
+    (folder / "broken" / "depth" / "000000.png").write_bytes(b"no image")
+    return folder
+
+
+def test_batch_resumes(folder, tmp_path, capfd):
+    out, told = tmp_path / "o", tmp_path / "b.json"
+    argv = ["batch", str(folder), "--out", str(out), "--workers", "2", "--no-report", "--json", str(told)]
+    assert main(argv) == 1  # one is broken
+    printed = capfd.readouterr()
+    assert "broken: failed" in printed.out
+    assert "Traceback" not in printed.err
+    found = json.loads(told.read_text())
+    assert found["summary"]["captures"] == 3
+    assert found["summary"]["failed"] == 1
+    assert found["summary"]["median_add_s_mm"] < 1.0
+    assert (out / "box0" / "poses.csv").is_file()
+    assert not (out / "broken").exists()
+    assert not [p for p in out.iterdir() if p.name.startswith(".")]
+    before = (out / "box0" / "result.json").stat().st_mtime_ns
+    (out / "box1" / MARKER).unlink()
+    shutil.rmtree(out / "box1")  # as if it had been stopped before
+    shutil.rmtree(folder / "broken")
+    assert main(argv) == 0
+    assert json.loads(told.read_text())["summary"]["kept"] == 1
+    assert (out / "box0" / "result.json").stat().st_mtime_ns == before
+    assert "from an earlier run" in capfd.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("whole_group", [False, True], ids=["only the parent", "the group, as a terminal does"])
+@pytest.mark.parametrize("later", [0.0, 0.3, 1.0])
+def test_interrupted_it_ends_at_once_and_leaves_nothing_running(folder, tmp_path, later, whole_group):
+    command = [sys.executable, "-m", "fusion.cli.main", "batch", str(folder), "--out", str(tmp_path / "o")]
+    run = subprocess.Popen([*command, "--workers", "2"], cwd=ROOT, stderr=subprocess.PIPE, start_new_session=True)
+    for _ in range(600):  # until the workers are asked for
+        if (tmp_path / "o").exists():
+            break
+        time.sleep(0.1)
+    time.sleep(later)  # while they start, import, compute
+    (os.killpg if whole_group else os.kill)(run.pid, signal.SIGINT)
+    _, err = run.communicate(timeout=120)
+    assert run.returncode == 130
+    assert err.decode() == "palpate: interrupted\n"
+    for _ in range(200):  # the last of them may still be on their way out
+        # not those that have ended and wait for someone to read their exit code
+        command = ["pgrep", "-g", str(run.pid), "-r", "R,S,D,T"]
+        left = subprocess.run(command, capture_output=True, text=True, check=False).stdout.split()
+        if not left:
+            break
+        time.sleep(0.1)
+    assert left == []
+
+
+def test_bad_use_is_one_line(tmp_path, capsys):
+    for argv in (["batch", str(tmp_path / "x")], ["batch", str(tmp_path)], ["batch", str(tmp_path), "--workers", "0"]):
+        assert main(argv) == 2
+        assert capsys.readouterr().err.count("\n") == 1

@@ -1,0 +1,62 @@
+"""The joint solution's compiled rows again, in plain NumPy."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fusion.estimation.solve.joint import FIXED, SCALE, XI
+from scenes.evidence import align as alignment
+from scenes.evidence.table import FACING, GATE_ABOVE, GATE_BELOW, NORMAL, OFFSET, POINT
+from scenes.geometry import poses as se3
+
+
+def robust(square, gate):
+    """Loss and belonging of each row, row_kernels.robust for arrays (see scenes.evidence.table)."""
+    over = np.clip(0.5 * (square - gate * gate), -40.0, 40.0)
+    floor = np.log1p(np.exp(-0.5 * np.minimum(gate, 30.0) ** 2))
+    loss = np.where(over >= 40.0, gate * gate, square - 2.0 * np.log1p(np.exp(over))) + 2.0 * floor
+    silent = gate == 0.0
+    return np.where(silent, 0.0, loss), np.where(silent, 0.0, 1.0 / (1.0 + np.exp(over)))
+
+
+def vision(problem, pose, unknown):
+    """Cost, gradient and Gauss-Newton matrix of the vision rows about (delta, whitened xi, s, b)."""
+    rows, model = problem.seen.rows, problem.model
+    rotation, middle = pose[:3, :3], pose[:3, :3] @ model.centroid + pose[:3, 3]
+    p = rows[:, POINT]
+    ray = p / p[:, 2:] if problem.camera is not None else p
+    bias = problem._seen_basis @ (problem._white[FIXED:] * unknown[FIXED:])
+    moved = p - (problem._white[SCALE] * unknown[SCALE]) * p - bias[:, None] * ray
+    y = moved - middle
+    distance, g = model.field.seen_distance_and_gradient(
+        y @ rotation + model.centroid, rows[:, NORMAL] @ rotation, rows[:, FACING] > 0
+    )
+    distance, g = distance - rows[:, OFFSET], g @ rotation.T
+    gate = np.where(distance > 0, rows[:, GATE_ABOVE], rows[:, GATE_BELOW])
+    normals = problem._normals @ rotation.T
+    cosine = np.where(problem._is_pixel, -np.sum(normals * rows[:, NORMAL], axis=1), 1.0)
+    steep = cosine < problem.settings.least_cosine
+    turning = np.where((problem._is_pixel & ~steep)[:, None], -np.cross(normals, rows[:, NORMAL]), 0.0)
+    cosine = np.where(steep, problem.settings.least_cosine, cosine)
+    distance, g = distance / cosine, g / cosine[:, None]
+    sigma = problem._sigma * problem._slope
+    loss, belongs = robust((distance / sigma) ** 2 + 2.0 * np.log(problem._slope), gate)
+    jac = np.zeros((len(rows), len(unknown)))
+    jac[:, :3] = np.cross(g, y) - (distance / cosine)[:, None] * turning
+    jac[:, 3:6] = -g
+    jac[:, SCALE] = -np.sum(g * p, axis=1) * problem._white[SCALE]
+    jac[:, FIXED:] = -np.sum(g * ray, axis=1)[:, None] * problem._seen_basis * problem._white[FIXED:]
+    weighted = jac * (problem._weight * belongs / sigma**2)[:, None]
+    return 0.5 * float(problem._weight @ loss), weighted.T @ distance, weighted.T @ jac
+
+
+def touch(problem, pose, unknown):
+    """Touch rows moved by xi, about (delta, whitened xi)."""
+    xi = problem._white_xi @ unknown[XI]
+    moved = problem.felt.moved(se3.perturb(np.eye(4), xi, problem._centre))
+    how = alignment.AlignSettings(bend=problem.settings.bend)
+    cost, g, h = alignment.terms(problem.model, moved, pose, settings=how)
+    lever = np.eye(6)
+    lever[3:, :3] = -se3.skew(pose[:3, :3] @ problem.model.centroid + pose[:3, 3] - problem._centre)
+    chain = np.concatenate([np.eye(6), -lever @ problem._white_xi], axis=1)
+    return cost, chain.T @ g, chain.T @ h @ chain

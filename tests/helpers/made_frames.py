@@ -1,0 +1,68 @@
+"""Frames that several test files share: one of random numbers with every part, one exact view of an object."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from scenes.geometry import poses
+from scenes.geometry.cameras import Camera
+from scenes.geometry.rendering import Renderer
+from scenes.recordings.frames import Contacts, EmptyRegions, Frame, Wrench
+from scenes.synthesis.library import make
+
+CAMERA = Camera(80.0, 82.0, 31.5, 23.5, 64, 48)
+VIEW = Camera(285.0, 285.0, 159.5, 119.5, 320, 240)
+
+
+def touching(hand, sensor: str, place: np.ndarray, turned: np.ndarray) -> np.ndarray:
+    """world_from_hand, turned like a pose, that brings the sensor of a nearly open hand to a place."""
+    at = (turned @ hand.hand_from_sensor(dict.fromkeys(hand.joint_names, 0.1))[sensor])[:3, 3]
+    return poses.make_pose(translation=place - at) @ turned
+
+
+def some_frame(index: int, hand=None, world: str = "camera") -> Frame:
+    rng = np.random.default_rng(index)
+    truth = poses.make_pose(poses.random_rotations(1, rng)[0], [0.01, -0.02, 0.6])
+    camera_from_world = np.eye(4) if world == "camera" else poses.exp(0.2 * rng.normal(size=6))
+    centre = poses.apply(poses.inverse(camera_from_world), truth[None, :3, 3])[0]
+    normals = poses.random_unit_vectors(3, rng)
+    normals[1] = np.nan
+    depth = np.where(rng.random((48, 64)) < 0.9, 0.6 + 0.05 * rng.random((48, 64)), 0.0)
+    names = ["a", "a", "b"] if hand is None else list(hand.sensors)[:3]
+    return Frame(
+        index=index,
+        camera=CAMERA,
+        camera_from_world=camera_from_world,
+        depth=depth.astype(np.float32),
+        rgb=rng.integers(0, 256, (48, 64, 3), dtype=np.uint8),
+        mask=rng.random((48, 64)) < 0.3,
+        cloud=centre + 0.05 * rng.normal(size=(50, 3)),
+        cloud_colours=rng.integers(0, 256, (50, 3), dtype=np.uint8),
+        hand=hand,
+        joints=None if hand is None else dict.fromkeys(hand.joint_names, 0.1),
+        world_from_hand=None if hand is None else touching(hand, names[0], centre, poses.exp(rng.normal(size=6))),
+        contacts=Contacts(
+            centre + 0.03 * rng.normal(size=(3, 3)), normals, [1e-3, 2e-3, 3e-3], 0.1, names, rng.normal(size=(3, 3))
+        ),
+        no_contact=EmptyRegions(rng.normal(size=(2, 3)), np.array([0.01, 0.02]), ["a", "b"]),
+        wrenches=() if hand is None else (Wrench(names[0], rng.normal(size=3), rng.normal(size=3)),),
+        tactile={} if hand is None else {names[1]: rng.random(4)},
+        prior=poses.displaced(truth, 0.3, 0.03, np.zeros(3), rng),
+        camera_from_object_truth=truth,
+    )
+
+
+def plain_view(name: str = "box", seed: int = 0) -> Frame:
+    """An object in front of nothing: exact depth, five exact contacts, a start 8 degrees and 10 mm off."""
+    rng = np.random.default_rng(seed)
+    model = make(name)
+    pose = poses.make_pose(poses.random_rotations(1, rng)[0], [0.0, 0.0, 0.5])
+    points, normals = model.sample_surface(5, seed)
+    return Frame(
+        index=0,
+        camera=VIEW,
+        depth=Renderer({"object": (model.vertices, model.faces)}).render(VIEW, {"object": pose}).depth,
+        contacts=Contacts(poses.apply(pose, points), normals @ pose[:3, :3].T, 1e-3, 0.05),
+        prior=poses.displaced(pose, np.deg2rad(8), 0.010, model.centroid, rng),
+        camera_from_object_truth=pose,
+    )

@@ -1,0 +1,43 @@
+"""Poses that a rough look confuses: what is nearly a symmetry, and what is one or is none."""
+
+import numpy as np
+import pytest
+
+from scenes.evidence.near_symmetries import NearSettings, find_near_symmetries, near_symmetries
+from scenes.geometry import poses as se3
+from scenes.synthesis import library
+
+
+def _angles(model):
+    return np.degrees(se3.rotation_angle(find_near_symmetries(model)[:, :3, :3]))
+
+
+def test_a_mug_turns_about_its_axis_but_for_the_handle():
+    found = find_near_symmetries(library.make("mug"))
+    turns = se3.log_rotation(found[:, :3, :3])
+    upright = np.abs(turns[:, 2]) > 0.9 * np.linalg.norm(turns, axis=1)
+    angles = np.degrees(np.abs(turns[upright, 2]))
+    assert upright.sum() >= 8
+    assert angles.min() < 40
+    assert angles.max() > 120
+
+
+@pytest.mark.parametrize("name", ["sphere", "cylinder", "box"])
+def test_what_is_a_symmetry_is_not_listed(name):
+    assert len(find_near_symmetries(library.make(name))) == 0
+
+
+def test_most_of_the_surface_stays_where_it_was():
+    model, settings = library.make("hammer"), NearSettings()
+    points, _ = model.sample_surface(4000, seed=9)
+    for pose in find_near_symmetries(model):
+        se3.check_pose(pose, "near symmetry")
+        off = np.abs(model.field.distance(se3.apply(pose, points)))
+        assert np.mean(off < settings.near_share * model.radius) > settings.least - 0.08
+
+
+def test_same_bits_again_and_kept_with_the_object():
+    model = library.make("drill")
+    assert (find_near_symmetries(model) == find_near_symmetries(library.make("drill"))).all()
+    assert near_symmetries(model) is near_symmetries(model)
+    assert (_angles(model) > 8).all()

@@ -1,0 +1,84 @@
+"""Hypotheses from pairs of contacts: exact pairs come back exactly, motion and mirror images are told apart."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from scenes.evidence.point_pairs import PairSettings, PairTable, match_pairs, pair_table
+from scenes.geometry import poses
+from scenes.recordings.frames import Contacts
+from scenes.synthesis import library
+
+
+@pytest.fixture(scope="module")
+def table():
+    return PairTable(library.make("drill"), PairSettings(points=120))
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 2**32 - 1))
+def test_matching_a_pair_with_itself_gives_the_motion(seed):
+    rng = np.random.default_rng(seed)
+    points, normals = rng.normal(size=(2, 3)), poses.random_unit_vectors(2, rng)
+    truth = poses.make_pose(poses.random_rotations(1, rng)[0], rng.normal(size=3))
+    moved = Contacts(points, normals).moved(truth)
+    rotations, origins = np.zeros((1, 3, 3)), np.zeros((1, 3))
+    zero, one = np.array([0]), np.array([1])
+    match_pairs(points, normals, zero, one, moved.points, moved.normals, zero, one, rotations, origins)
+    assert np.allclose(rotations[0], truth[:3, :3], atol=1e-9)
+    assert np.allclose(origins[0], truth[:3, 3], atol=1e-9)
+
+
+def test_opposite_directions_are_no_special_case():
+    points = np.array([[0.0, 0, 0], [0.0, 0, 1]])
+    normals = np.array([[1.0, 0, 0], [1.0, 0, 0]])
+    rotations, origins = np.zeros((1, 3, 3)), np.zeros((1, 3))
+    zero, one = np.array([0]), np.array([1])
+    match_pairs(points, normals, zero, one, -points, normals, zero, one, rotations, origins)
+    assert np.allclose(rotations[0] @ [0, 0, 1], [0, 0, -1])
+    assert np.allclose(rotations[0] @ [1, 0, 0], [1, 0, 0])
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 2**32 - 1))
+def test_invariants_do_not_move_but_mirror(table, seed):
+    rng = np.random.default_rng(seed)
+    p1, p2 = rng.normal(size=(2, 5, 3))
+    n1, n2 = poses.random_unit_vectors(5, rng), poses.random_unit_vectors(5, rng)
+    r = poses.random_rotations(1, rng)[0]
+    before = table.invariants(p1, n1, p2, n2)
+    assert np.allclose(before, table.invariants(p1 @ r.T + 1.0, n1 @ r.T, p2 @ r.T + 1.0, n2 @ r.T), atol=1e-9)
+    flip = np.array([-1.0, 1.0, 1.0])
+    mirrored = table.invariants(p1 * flip, n1 * flip, p2 * flip, n2 * flip)
+    assert np.allclose(mirrored[:, :4], before[:, :4])
+    assert np.allclose(mirrored[:, 4], -before[:, 4])
+
+
+def test_the_truth_is_among_the_hypotheses(table, rng):
+    pick = [3, 40, 90]
+    truth = poses.make_pose(poses.random_rotations(1, rng)[0], [0.1, 0.2, 0.3])
+    contacts = Contacts(table.points[pick], table.normals[pick]).moved(truth)
+    rotations, origins = table.hypotheses(contacts, 300)
+    off = np.linalg.norm(rotations - truth[:3, :3], axis=(1, 2)) + np.linalg.norm(origins - truth[:3, 3], axis=1)
+    assert off.min() < 1e-9
+
+
+def test_without_normals_or_room_there_are_none(table):
+    assert len(table.hypotheses(Contacts(np.eye(3)), 100)[0]) == 0
+    together = Contacts(np.zeros((3, 3)), np.eye(3))
+    assert len(table.hypotheses(together, 100)[0]) == 0
+
+
+def test_the_table_is_kept_as_long_as_the_object():
+    model = library.make("l_block")
+    assert pair_table(model) is pair_table(model)
+
+
+def test_a_hundred_thousand_contacts_are_not_paired_all():
+    model = library.make("l_block")
+    table = PairTable(model)
+    many = Contacts(*model.sample_surface(100_000, seed=0))
+    rotations, origins = table.hypotheses(many, 200)  # 5e9 pairs would fill the memory
+    assert 100 < len(rotations) == len(origins) <= 200
+    assert np.isfinite(rotations).all()

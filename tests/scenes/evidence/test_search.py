@@ -1,0 +1,102 @@
+"""Coarse to fine: thinning keeps the total weight, rotations are even, the search finds what the data say."""
+
+import numpy as np
+import pytest
+
+from scenes.errors import InputError
+from scenes.evidence import table as evidence
+from scenes.evidence.align import Alignment
+from scenes.evidence.search import SearchStage, distinct_first, rotation_grid, search, starts_around, thin
+from scenes.evidence.table import TOUCH, VISION, WEIGHT
+from scenes.geometry import poses
+from scenes.synthesis import library
+
+
+def table(vision, touch, rng):
+    return evidence.stack(
+        evidence.make(rng.normal(size=(vision, 3)), 1e-3, VISION, weight=0.3),
+        evidence.make(rng.normal(size=(touch, 3)), 1e-3, TOUCH),
+    )
+
+
+@pytest.mark.parametrize(("vision", "count"), [(500, 80), (500, 499), (81, 80), (7, 3), (1000, 1)])
+def test_thinning_keeps_the_weight_of_vision_and_every_touch_row(vision, count, rng):
+    full = table(vision, 6, rng)
+    few = thin(full, count)
+    assert len(few.of(VISION)) == count
+    assert few.of(VISION).rows[:, WEIGHT].sum() == pytest.approx(full.of(VISION).rows[:, WEIGHT].sum())
+    assert np.array_equal(few.of(TOUCH).rows, full.of(TOUCH).rows)
+    assert (full.of(VISION).rows[:, WEIGHT] == 0.3).all()  # the table itself is left alone
+    assert {tuple(p) for p in few.points} <= {tuple(p) for p in full.points}
+
+
+def test_a_small_table_is_not_thinned(rng):
+    full = table(40, 6, rng)
+    assert thin(full, 40) is full
+    assert len(thin(table(0, 3, rng), 5)) == 3
+
+
+@pytest.mark.parametrize("count", [500, 3000])
+def test_rotations_are_even(count):
+    q = poses.to_quaternion(rotation_grid(count))
+    cosine = np.abs(q @ q.T)
+    np.fill_diagonal(cosine, 0.0)
+    nearest = 2 * np.arccos(np.minimum(cosine.max(axis=1), 1.0))
+    # a perfect packing of n rotations has about this angle between neighbours (volume of SO(3) over n)
+    ideal = (np.pi**2 * 8 / count) ** (1 / 3)
+    assert nearest.max() < 1.25 * ideal
+    assert nearest.min() > 0.5 * ideal
+    # and no rotation is far from all of them
+    probes = poses.to_quaternion(poses.random_rotations(2000, np.random.default_rng(0)))
+    gap = 2 * np.arccos(np.minimum(np.abs(probes @ q.T).max(axis=1), 1.0))
+    assert gap.max() < 1.25 * ideal
+
+
+def test_rotation_grids_repeat_and_turn():
+    assert np.array_equal(rotation_grid(50), rotation_grid(50))
+    turned = rotation_grid(50, np.random.default_rng(1))
+    assert np.array_equal(turned, rotation_grid(50, np.random.default_rng(1)))
+    assert not np.allclose(turned, rotation_grid(50))
+    relative = turned @ np.swapaxes(rotation_grid(50), 1, 2)
+    assert np.allclose(relative, relative[0], atol=1e-12)
+
+
+def test_starts_around_a_prior(rng):
+    model = library.make("drill")
+    mean = poses.make_poses(poses.random_rotations(1, rng), rng.normal(size=(1, 3)))[0]
+    starts = starts_around(model, mean, 0.1, 0.02, 4000, rng)
+    delta = poses.difference(starts, mean, model.centroid)
+    assert np.allclose(starts[0], mean, atol=1e-12)
+    assert np.allclose(delta[1:, :3].std(axis=0), 0.1, rtol=0.06)
+    assert np.allclose(delta[1:, 3:].std(axis=0), 0.02, rtol=0.06)
+
+
+def test_the_search_finds_the_pose_and_repeats(rng):
+    model = library.make("drill")
+    truth = poses.make_poses(poses.random_rotations(1, rng), rng.normal(size=(1, 3)))[0]
+    points, _ = model.sample_surface(300, seed=1)
+    rows = evidence.make(poses.apply(truth, points), 1e-3, VISION)
+    starts = starts_around(model, truth, 0.3, 0.03, 200, rng)
+    stages = (SearchStage(0.01, 0.5, 60, 8, 40), SearchStage(0.003, 0.2, 150, 20, 10))
+    found = search(model, rows, starts, stages)
+    assert (np.diff(found.costs) >= 0).all()
+    assert len(found.poses) <= 10
+    delta = poses.difference(found.poses[0], truth, model.centroid)
+    assert np.linalg.norm(delta[3:]) < 1e-3
+    assert np.linalg.norm(delta[:3]) < 0.02
+    assert np.array_equal(search(model, rows, starts, stages).poses, found.poses)
+
+
+def test_a_search_needs_a_stage(rng):
+    with pytest.raises(InputError, match="at least one stage"):
+        search(library.make("box"), evidence.empty(), np.eye(4)[None], ())
+
+
+def test_poses_that_fell_together_count_once(rng):
+    model = library.make("drill")
+    distinct = poses.make_poses(poses.random_rotations(4, rng), rng.normal(size=(4, 3)))
+    stack = np.concatenate([distinct, distinct, distinct])
+    costs = np.concatenate([[3.0, 1.0, 2.0, 0.0]] * 3) + np.repeat([0.0, 1e-9, 2e-9], 4)
+    result = Alignment(stack, costs, np.zeros((12, 6, 6)), np.ones(12, dtype=np.int64))
+    assert distinct_first(model, result, 10).tolist() == [3, 1, 2, 0]
+    assert distinct_first(model, result, 2).tolist() == [3, 1]

@@ -1,0 +1,201 @@
+"""Folders of images, YCBInEOAT sequences, tacman's contact sets, lists of contacts: each becomes a capture."""
+
+from __future__ import annotations
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from commands import refused, run
+
+from scenes.geometry import poses
+from scenes.recordings.captures import read_capture
+from scenes.files.off import write_off
+from scenes.synthesis.library import make
+
+SIZE = (48, 64)
+K = np.array([[80.0, 0, 31.5], [0, 82.0, 23.5], [0, 0, 1]])
+
+
+def sequence(folder, names, poses_named=False, masks=None):
+    """A YCBInEOAT sequence; returns its counts and truths."""
+    rng = np.random.default_rng(0)
+    for part in ("rgb", "depth", "annotated_poses", *([masks] if masks else [])):
+        (folder / part).mkdir(parents=True)
+    np.savetxt(folder / "cam_K.txt", K)
+    counts, truths = [], []
+    for i, name in enumerate(names):
+        counts.append(rng.integers(0, 3000, SIZE).astype(np.uint16))
+        truths.append(poses.make_pose(poses.random_rotations(1, rng)[0], [0.0, 0.1, 0.6]))
+        cv2.imwrite(str(folder / "depth" / f"{name}.png"), counts[-1])
+        cv2.imwrite(str(folder / "rgb" / f"{name}.png"), np.full((*SIZE, 3), i, np.uint8))
+        np.savetxt(folder / "annotated_poses" / f"{name if poses_named else f'{i:07d}'}.txt", truths[-1])
+        if masks:
+            cv2.imwrite(str(folder / masks / f"{name}.png"), np.where(counts[-1] > 1500, 255, 0).astype(np.uint8))
+    return counts, truths
+
+
+@pytest.mark.parametrize("masks", [None, "gt_mask", "masks"])
+@pytest.mark.parametrize("named", [True, False])
+def test_ycbineoat(tmp_path, masks, named):
+    names = ["1581120424100262102", "1581120424148532296", "1581120424194796323"]
+    counts, truths = sequence(tmp_path / "s", names, named, masks)
+    assert run("convert", tmp_path / "s", tmp_path / "c", "--object", "box") == 0
+    capture = read_capture(tmp_path / "c")
+    assert capture.frame_ids == (0, 1, 2)
+    assert capture.settings.notes["stamps_ns"] == {str(i): int(name) for i, name in enumerate(names)}
+    for i, frame in enumerate(capture):
+        assert np.array_equal(np.rint(frame.depth * 1e3), counts[i])
+        assert int(frame.rgb[0, 0, 0]) == i
+        assert (frame.mask is None) == (masks is None)
+        assert masks is None or np.array_equal(frame.mask, counts[i] > 1500)
+        np.testing.assert_allclose(frame.camera_from_object_truth, truths[i], atol=1e-12)
+        np.testing.assert_allclose(frame.camera.matrix, K)
+    # the times of the images are those of the trajectory
+    assert run("convert", tmp_path / "c", tmp_path / "t.tum") == 0
+    rows = (tmp_path / "t.tum").read_text().splitlines()
+    assert rows[1].startswith("1581120424.100262102 0.0 0.1 0.6 ")
+
+
+def test_malformed_sequences(tmp_path, capsys):
+    folder = tmp_path / "s"
+    sequence(folder, ["000000", "000001"])
+    argv = ("convert", folder, tmp_path / "c")
+    assert "expected --object NAME|MESH for a YCBInEOAT sequence" in refused(capsys, *argv)
+    argv += ("--object", "box")
+    (folder / "annotated_poses" / "0000002.txt").write_text("1")
+    assert "expected a pose for each of 2 images, got 3" in refused(capsys, *argv)
+    (folder / "annotated_poses" / "0000002.txt").unlink()
+    bad = np.eye(4)
+    bad[0, 0] = np.nan
+    np.savetxt(folder / "annotated_poses" / "0000001.txt", bad)
+    assert "0000001.txt: expected 16 finite numbers" in refused(capsys, *argv)
+    np.savetxt(folder / "annotated_poses" / "0000001.txt", 2 * np.eye(4))
+    assert "0000001.txt: expected last row 0 0 0 1" in refused(capsys, *argv)
+    (folder / "cam_K.txt").write_text("1 2 3")
+    assert "cam_K.txt: expected 9 finite numbers" in refused(capsys, *argv)
+    assert not (tmp_path / "c").exists()
+
+
+def images(folder, names=("a", "b", "c")):
+    (folder / "depth").mkdir(parents=True)
+    (folder / "rgb").mkdir()
+    for i, name in enumerate(names):
+        cv2.imwrite(str(folder / "depth" / f"{name}.png"), np.full(SIZE, 400 + i, np.uint16))
+        cv2.imwrite(str(folder / "rgb" / f"{name}.png"), np.full((*SIZE, 3), i, np.uint8))
+
+
+def test_a_folder_of_images(tmp_path, capsys):
+    images(tmp_path / "s")
+    cv2.imwrite(str(tmp_path / "s" / "rgb" / "z.png"), np.zeros((*SIZE, 3), np.uint8))
+    base = ("convert", tmp_path / "s", tmp_path / "c", "--object", "box")
+    assert "expected camera.json or --intrinsics" in refused(capsys, *base)
+    assert run(*base, "--intrinsics", "80,82,31.5,23.5", "--depth-scale", "0.5", "--json", tmp_path / "j.json") == 0
+    said = json.loads((tmp_path / "j.json").read_text())
+    assert said["dropped"] == [{"what": "rgb", "why": "no depth image of that name", "count": 1}]
+    first = read_capture(tmp_path / "c")
+    assert [round(float(f.depth[0, 0]) * 1e4) for f in first] == [2000, 2005, 2010]
+    camera = {"fx": 80, "fy": 82, "cx": 31.5, "cy": 23.5, "depth_scale": 0.5}
+    for content in (camera, {"cam_K": K.ravel().tolist(), "depth_scale": 0.5}):
+        (tmp_path / "s" / "camera.json").write_text(json.dumps(content))
+        assert run(*base) == 0
+        again = read_capture(tmp_path / "c")
+        assert (again[2].camera, again[2].depth[0, 0]) == (first[2].camera, first[2].depth[0, 0])
+    capsys.readouterr()
+    for content, message in (
+        ({"fx": 80}, "camera.json: expected fx, fy, cx, cy or cam_K"),
+        ({**camera, "fx": -1}, "focal lengths above 0"),
+        ({**camera, "depth_scale": "mm"}, "depth_scale"),
+        ([], "camera.json"),
+    ):
+        (tmp_path / "s" / "camera.json").write_text(json.dumps(content))
+        assert message in refused(capsys, *base)
+    assert "expected FX,FY,CX,CY in pixels, got '80,82'" in refused(capsys, *base, "--intrinsics", "80,82")
+    assert "expected --intrinsics beside it" in refused(capsys, *base, "--depth-scale", "1")
+    assert "expected a number above 0" in refused(capsys, *base, "--depth-scale", "0")
+
+
+def test_numbers_in_names_are_kept(tmp_path):
+    images(tmp_path / "s", ("0007", "0012"))
+    assert run("convert", tmp_path / "s", tmp_path / "c", "--object", "box", "--intrinsics", "80,80,32,24") == 0
+    assert read_capture(tmp_path / "c").frame_ids == (7, 12)
+
+
+def test_an_empty_folder_of_images(tmp_path, capsys):
+    (tmp_path / "s" / "depth").mkdir(parents=True)
+    argv = ("convert", tmp_path / "s", tmp_path / "c", "--object", "box", "--intrinsics", "80,80,32,24")
+    assert "in depth/, found none" in refused(capsys, *argv)
+    assert "palpate convert" in refused(capsys, "estimate", tmp_path / "s")
+
+
+@pytest.fixture
+def tacman(tmp_path):
+    """The layout of the repositories: the programs ran two folders below the root."""
+    root, model = tmp_path / "repo", make("box")
+    for name in ("models", "measurements", "configurationFiles"):
+        (root / name).mkdir(parents=True)
+    points, normals = model.sample_surface(20, 0)
+    write_off(root / "models" / "box.off", model.vertices, model.faces)
+    write_off(root / "models" / "stick.off", 2 * model.vertices, model.faces)
+    write_off(root / "measurements" / "measBox.off", points)
+    write_off(root / "measurements" / "cloud.off", points, colours=np.full((20, 3), 9))
+    write_off(root / "measurements" / "fingers.off", points[:3], normals=normals[:3])
+    (root / "configurationFiles" / "box.ini").write_text(
+        "modelFile           ../../models/box.off\n"
+        "measurementsFile    ../../measurements/measBox.off  // contacts\n"
+        "# a comment\nnumMeas             15\nR                   (0.0001, 0.0001, 0.0001)\n"
+    )
+    return root
+
+
+def test_tacman_sets(tacman, tmp_path, capsys):
+    ini, out = tacman / "configurationFiles" / "box.ini", tmp_path / "c"
+    assert run("convert", ini, out, "--json", tmp_path / "j.json") == 0
+    capture = read_capture(out)
+    assert (len(capture[0].contacts), capture.world, capture.model.name) == (15, "robot base", "box")
+    assert capture.settings.notes["settings"]["R"] == "(0.0001, 0.0001, 0.0001)"
+    assert json.loads((tmp_path / "j.json").read_text())["dropped"] == [
+        {"what": "contacts", "why": "beyond numMeas 15", "count": 5}
+    ]
+    ini.write_text(
+        "modelFile0 ../../models/box.off\nmodelFile1 ../../models/stick.off\n"
+        "measurementsFile ../../measurements/cloud.off\nfingersFile ../../measurements/fingers.off\n"
+    )
+    capsys.readouterr()
+    assert "expected one modelFile, got modelFile0, modelFile1: choose with --object-id" in refused(
+        capsys, "convert", ini, tmp_path / "d"
+    )
+    assert run("convert", ini, tmp_path / "d", "--object-id", "1") == 0
+    capture = read_capture(tmp_path / "d")
+    assert (capture.model.name, len(capture[0].cloud), len(capture[0].contacts)) == ("stick", 20, 3)
+    assert capture[0].contacts.has_normal.all()
+    assert run("convert", ini.parent, tmp_path / "all", "--object", "box") == 0
+    assert [path.name for path in (tmp_path / "all").iterdir()] == ["box"]
+
+
+def test_malformed_tacman_sets(tacman, tmp_path, capsys):
+    ini = tacman / "configurationFiles" / "box.ini"
+    (tacman / "measurements" / "measBox.off").write_text("OFF\n3 0 0\n1 2 3\n")
+    assert "measBox.off" in refused(capsys, "convert", ini, tmp_path / "c")
+    (tacman / "measurements" / "measBox.off").unlink()
+    assert "expected the file ../../measurements/measBox.off that it names" in refused(
+        capsys, "convert", ini, tmp_path / "c"
+    )
+    ini.write_text("modelFile ../../models/box.off\n")
+    assert "expected measurementsFile, got modelFile" in refused(capsys, "convert", ini, tmp_path / "c")
+
+
+def test_a_list_of_contacts_with_an_object_is_a_capture(tacman, tmp_path, capsys):
+    contacts = tacman / "measurements" / "measBox.off"
+    assert "expected --object NAME|MESH for a capture" in refused(capsys, "convert", contacts, tmp_path / "c")
+    assert run("convert", contacts, tmp_path / "c", "--object", tacman / "models" / "box.off") == 0
+    assert len(read_capture(tmp_path / "c")[0].contacts) == 20
+
+
+def test_recorded_contact_sets_convert(contact_data, tmp_path):
+    pairs = {"Box15_sim": "box", "Lego_exp": "legoBox", "Tetra30_sim": "tetrahedron"}
+    for name, model in pairs.items():
+        argv = ("convert", contact_data / "contacts" / f"{name}.off", tmp_path / name)
+        assert run(*argv, "--object", contact_data / "models" / f"{model}.off") == 0
+        assert run("validate", tmp_path / name) == 0

@@ -1,0 +1,320 @@
+"""Captures: what is written reads back, and whatever is broken is named with its file, frame and column."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from scenes.errors import CaptureError, InputError, PalpateError
+from scenes.files.images import read_mask
+from scenes.files.ply import read_cloud, write_ply
+from scenes.geometry import poses
+from scenes.geometry.cameras import Camera
+from scenes.recordings.captures import read_capture, write_capture
+from scenes.recordings.frames import Contacts, EmptyRegions, Frame, Wrench
+from scenes.recordings.validation import validate
+from scenes.synthesis.hands import five_finger_hand
+from scenes.synthesis.library import make
+
+
+def same(a, b) -> None:
+    assert (a is None) == (b is None)
+    if a is not None:
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("world", ["camera", "robot base"])
+@pytest.mark.parametrize("with_hand", [False, True])
+@pytest.mark.parametrize("unit", ["m", "mm"])
+def test_round_trip(tmp_path, world, with_hand, unit):
+    hand = five_finger_hand() if with_hand else None
+    frames = [some_frame(i, hand, world) for i in (0, 7)]
+    model = make("cylinder")
+    write_capture(tmp_path / "c", frames, model, hand, world, depth_scale=0.1, model_unit=unit, notes={"seed": 3})
+    capture = read_capture(tmp_path / "c")
+    assert (len(capture), capture.frame_ids, capture.world) == (2, (0, 7), world)
+    assert capture.settings.notes == {"seed": 3}
+    np.testing.assert_allclose(capture.model.vertices[capture.model.faces], model.vertices[model.faces], atol=1e-12)
+    assert capture.model.name == "cylinder"
+    assert len(capture.model.symmetries.discrete) == len(model.symmetries.discrete)
+    np.testing.assert_allclose(capture.model.symmetries.axes[0].direction, [0, 0, 1], atol=1e-12)
+    for wrote, read in zip(frames, capture, strict=True):
+        assert read.index == wrote.index
+        assert read.camera == wrote.camera
+        same(read.camera_from_world, wrote.camera_from_world)
+        assert np.abs(read.depth - wrote.depth).max() <= 0.051e-3
+        assert read.depth.dtype == np.float32
+        assert np.array_equal(read.depth == 0, wrote.depth == 0)
+        assert np.array_equal(read.rgb, wrote.rgb)
+        assert np.array_equal(read.mask, wrote.mask)
+        assert np.array_equal(read.cloud, wrote.cloud)
+        assert np.array_equal(read.cloud_colours, wrote.cloud_colours)
+        assert read.joints == wrote.joints
+        same(read.world_from_hand, wrote.world_from_hand)
+        same(read.camera_from_object_truth, wrote.camera_from_object_truth)
+        same(read.prior, wrote.prior)
+        for name in ("points", "normals", "sigma_point", "sigma_normal", "forces"):
+            same(getattr(read.contacts, name), getattr(wrote.contacts, name))
+        assert read.contacts.sensors == wrote.contacts.sensors
+        assert read.contacts.sigma_known
+        same(read.no_contact.points, wrote.no_contact.points)
+        assert [w.sensor for w in read.wrenches] == [w.sensor for w in wrote.wrenches]
+        for a, b in zip(read.wrenches, wrote.wrenches):
+            same(np.concatenate([a.force, a.torque]), np.concatenate([b.force, b.torque]))
+        for name, pressure in wrote.tactile.items():
+            same(read.tactile[name], pressure)
+    assert [p for p in validate(tmp_path / "c") if "its limits" not in p.message] == []
+
+
+def test_only_touch_is_a_capture(tmp_path):
+    contacts = Contacts(np.eye(3) * 0.03)
+    write_capture(tmp_path / "c", [Frame(index=4, contacts=contacts)], make("box"))
+    capture = read_capture(tmp_path / "c")
+    assert capture.frame_ids == (4,)
+    frame = capture[0]
+    assert frame.camera is None
+    assert frame.depth is None
+    assert not frame.contacts.sigma_known
+    assert not frame.contacts.has_normal.any()
+    assert validate(tmp_path / "c") == []
+
+
+def test_writing_replaces_a_capture_and_nothing_else(tmp_path):
+    folder = tmp_path / "c"
+    write_capture(folder, [some_frame(0), some_frame(1)], make("box"))
+    write_capture(folder, [some_frame(5)], make("mug"))
+    assert read_capture(folder).frame_ids == (5,)
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "thesis.tex").write_text("years of work")
+    with pytest.raises(CaptureError, match="holds other files"):
+        write_capture(other, [some_frame(0)], make("box"))
+    assert (other / "thesis.tex").read_text() == "years of work"
+    with pytest.raises(InputError, match="at least one frame"):
+        write_capture(folder, [], make("box"))
+    assert read_capture(folder).frame_ids == (5,)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["c", "other"], "no partial folder stays behind"
+
+
+def test_depth_out_of_range_is_refused_not_wrapped(tmp_path):
+    far = replace(some_frame(0), depth=np.full((48, 64), 7.0, dtype=np.float32))
+    with pytest.raises(CaptureError, match=r"up to 6\.55 m"):
+        write_capture(tmp_path / "c", [far], make("box"), depth_scale=0.1)
+    write_capture(tmp_path / "c", [far], make("box"), depth_scale=1.0)
+    assert read_capture(tmp_path / "c")[0].depth[0, 0] == np.float32(7.0)
+
+
+def edit(path: Path, change) -> None:
+    content = json.loads(path.read_text())
+    content = change(content) or content
+    path.write_text(json.dumps(content))
+
+
+def edit_text(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+def set_cell(path: Path, line: int, column: str, value: str) -> None:
+    rows = [row.split(",") for row in path.read_text().splitlines()]
+    rows[line - 1][rows[0].index(column)] = value
+    path.write_text("\n".join(",".join(row) for row in rows) + "\n")
+
+
+def put(key, value):
+    return lambda content: content.__setitem__(key, value)
+
+
+DAMAGES = {
+    "no capture.json": (lambda c: (c / "capture.json").unlink(), "found no capture.json"),
+    "capture.json is not JSON": (lambda c: (c / "capture.json").write_text("{"), "capture.json: expected JSON"),
+    "other format": (lambda c: edit(c / "capture.json", put("format", "bop")), 'expected "format"'),
+    "other version": (lambda c: edit(c / "capture.json", put("version", 9)), "expected version 1, got 9"),
+    "unknown world": (lambda c: edit(c / "capture.json", put("world", "moon")), "a world of camera or robot base"),
+    "unknown unit": (lambda c: edit_text(c / "capture.json", '"m"', '"furlong"'), "a unit of m, cm, mm, inch"),
+    "no model": (lambda c: shutil.rmtree(c / "models"), "expected the object's mesh"),
+    "model of no triangles": (
+        lambda c: write_ply(c / "models/obj_000001.ply", np.eye(3), np.zeros((0, 3))),
+        "obj_000001.ply",
+    ),
+    "model in millimetres": (lambda c: edit_text(c / "capture.json", '"m"', '"mm"'), "is the unit right?"),
+    "no hand": (lambda c: (c / "hand/hand.urdf").unlink(), "expected a hand URDF"),
+    "hand is no URDF": (lambda c: (c / "hand/hand.urdf").write_text("<robot"), "hand.urdf"),
+    "camera without K": (
+        lambda c: edit(c / "scene_camera.json", lambda d: d["0"].pop("cam_K") and None),
+        "scene_camera.json, frame 0: expected an object with cam_K",
+    ),
+    "short K": (lambda c: edit(c / "scene_camera.json", lambda d: put("cam_K", [1, 2])(d["0"])), "cam_K: expected 9"),
+    "negative focal length": (
+        lambda c: edit(c / "scene_camera.json", lambda d: put("cam_K", [-1, 0, 0, 0, 1, 0, 0, 0, 1])(d["0"])),
+        "focal lengths above 0",
+    ),
+    "depth_scale zero": (
+        lambda c: edit(c / "scene_camera.json", lambda d: put("depth_scale", 0)(d["0"])),
+        "depth_scale: expected millimetres per count above 0",
+    ),
+    "camera missing": (
+        lambda c: edit(c / "scene_camera.json", lambda d: d.pop("1") and None),
+        "scene_camera.json, frame 1: expected a camera",
+    ),
+    "camera moved in the camera's world": (
+        lambda c: edit(
+            c / "scene_camera.json",
+            lambda d: d["0"].update(cam_R_w2c=np.eye(3).ravel().tolist(), cam_t_w2c=[0, 0, 100]),
+        ),
+        'when the world is "camera"',
+    ),
+    "depth missing": (lambda c: (c / "depth/000001.png").unlink(), "000001.png, frame 1: expected a depth image"),
+    "depth of 8 bit": (
+        lambda c: cv2.imwrite(str(c / "depth/000000.png"), np.ones((48, 64), np.uint8)),
+        "000000.png, frame 0: expected a depth image of 16 bit, 1 channel, got 8 bit, 1 channel",
+    ),
+    "depth of 3 channels": (
+        lambda c: cv2.imwrite(str(c / "depth/000000.png"), np.ones((48, 64, 3), np.uint16)),
+        "got 16 bit, 3 channels",
+    ),
+    "depth truncated": (lambda c: (c / "depth/000000.png").write_bytes(b"\x89PNG"), "expected a PNG image"),
+    "depth empty file": (lambda c: (c / "depth/000000.png").write_bytes(b""), "expected a PNG image, got 0 bytes"),
+    "mask of another size": (
+        lambda c: cv2.imwrite(str(c / "mask_visib/000001_000000.png"), np.ones((10, 10), np.uint8)),
+        "expected 64x48 pixels like depth, got 10x10",
+    ),
+    "cloud is no PLY": (lambda c: (c / "clouds/000000.ply").write_text("hello"), "clouds/000000.ply"),
+    "cloud of NaN": (
+        lambda c: write_ply(c / "clouds/000000.ply", np.full((9, 3), np.nan)),
+        "expected a point cloud, got 9 points, none of them finite",
+    ),
+    "truth sheared": (
+        lambda c: edit(c / "scene_gt.json", lambda d: put("cam_R_m2c", [2, 0, 0, 0, 1, 0, 0, 0, 1])(d["1"][0])),
+        "scene_gt.json, frame 1: cam_R_m2c: expected a rotation matrix",
+    ),
+    "prior of another frame": (
+        lambda c: edit(c / "prior.json", put("12", [])),
+        "prior.json, frame 12: expected a frame",
+    ),
+    "prior with NaN": (
+        lambda c: edit_text(c / "prior.json", '"0":', '"0": [[NaN,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]], "x":'),
+        "prior.json",
+    ),
+    "NaN contact": (
+        lambda c: set_cell(c / "contacts.csv", 3, "y", "nan"),
+        "contacts.csv, frame 0: line 3, column y: expected a finite number, got nan",
+    ),
+    "contact without x": (
+        lambda c: set_cell(c / "contacts.csv", 2, "x", ""),
+        "column x: expected a number, got nothing",
+    ),
+    "contact of letters": (lambda c: set_cell(c / "contacts.csv", 5, "z", "high"), "expected a number, got 'high'"),
+    "contact of no frame": (lambda c: set_cell(c / "contacts.csv", 2, "frame", "99"), "contacts.csv, frame 99"),
+    "contact of half a frame": (lambda c: set_cell(c / "contacts.csv", 2, "frame", "0.5"), "expected a whole number"),
+    "half a normal": (lambda c: set_cell(c / "contacts.csv", 2, "ny", ""), "expected all of nx, ny, nz or none"),
+    "sigma of zero": (lambda c: set_cell(c / "contacts.csv", 2, "sigma_point", "0"), "column sigma_point: expected"),
+    "no column": (
+        lambda c: edit_text(c / "contacts.csv", "frame,sensor,x", "frame,sensor,X"),
+        "contacts.csv: expected the column x, got frame,sensor,X",
+    ),
+    "row too short": (lambda c: (c / "contacts.csv").open("a").write("0,a,1\n"), "expected 13 cells, got 3"),
+    "contacts empty": (lambda c: (c / "contacts.csv").write_text(""), "contacts.csv: expected the header"),
+    "contacts in bytes": (lambda c: (c / "contacts.csv").write_bytes(b"\xff\xfe\x00"), "expected UTF-8 text"),
+    "joints of another hand": (
+        lambda c: set_cell(c / "joints.csv", 2, "joint", "shadow_FFJ3"),
+        "shadow_FFJ3",
+    ),
+    "joint twice": (
+        lambda c: set_cell(c / "joints.csv", 3, "joint", (c / "joints.csv").read_text().splitlines()[1].split(",")[1]),
+        "expected each joint once",
+    ),
+    "joint NaN": (lambda c: set_cell(c / "joints.csv", 2, "position", "nan"), "column position: expected a finite"),
+    "hand pose scaled": (lambda c: set_cell(c / "hand_poses.csv", 2, "m00", "7"), "expected a rotation matrix"),
+    "radius negative": (lambda c: set_cell(c / "no_contact.csv", 2, "radius", "-1"), "column radius: expected"),
+    "wrench of no sensor": (lambda c: set_cell(c / "wrenches.csv", 2, "sensor", "nose"), "got 'nose'"),
+    "tactile of no sensor": (
+        lambda c: shutil.copytree(next((c / "tactile").iterdir()), c / "tactile/nose"),
+        "got 'nose'",
+    ),
+    "taxel of half": (
+        lambda c: set_cell(next((c / "tactile").glob("*/000000.csv")), 2, "taxel", "0.5"),
+        "column taxel: expected a whole number",
+    ),
+    "symmetry of nothing": (
+        lambda c: edit(c / "models/models_info.json", lambda d: put("symmetries_discrete", [[1, 2]])(d["1"])),
+        "symmetries_discrete: expected 16",
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory) -> Path:
+    hand = five_finger_hand()
+    frames = [some_frame(i, hand) for i in (0, 1)]
+    return write_capture(tmp_path_factory.mktemp("sound") / "c", frames, make("box"), hand)
+
+
+def read_everything(folder: Path) -> None:
+    capture = read_capture(folder)
+    assert capture.model
+    assert len(list(capture)) == 2
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_damage_is_named(tmp_path, sound, name):
+    damage, message = DAMAGES[name]
+    folder = tmp_path / "c"
+    shutil.copytree(sound, folder)
+    damage(folder)
+    with pytest.raises(PalpateError) as caught:
+        read_everything(folder)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+    problems = validate(folder)
+    assert any(message in str(problem) for problem in problems), problems
+    assert all("\n" not in str(problem) for problem in problems)
+
+
+def test_validation_finds_every_problem(tmp_path, sound):
+    folder = tmp_path / "c"
+    shutil.copytree(sound, folder)
+    chosen = ("depth missing", "NaN contact", "joints of another hand", "truth sheared", "no model", "depth of 8 bit")
+    for name in chosen:
+        DAMAGES[name][0](folder)
+    problems = validate(folder)
+    for name in chosen:
+        assert sum(DAMAGES[name][1] in str(problem) for problem in problems) == 1, (name, problems)
+
+
+def test_depth_scales_by_frame_are_complete(tmp_path):
+    frames = [some_frame(0), some_frame(1)]
+    write_capture(tmp_path / "c", frames, make("box"), depth_scale={0: 0.1, 1: 0.25})
+    cameras = json.loads((tmp_path / "c" / "scene_camera.json").read_text())
+    assert [cameras[key]["depth_scale"] for key in ("0", "1")] == [0.1, 0.25]
+    with pytest.raises(InputError, match="frame 1: expected a depth_scale of every frame"):
+        write_capture(tmp_path / "d", frames, make("box"), depth_scale={0: 0.1})
+    assert not (tmp_path / "d").exists()
+
+
+def test_cloud_files(tmp_path):
+    points = np.random.default_rng(0).normal(size=(20, 3))
+    points[3] = np.nan
+    write_ply(tmp_path / "a.ply", points)
+    read, colours = read_cloud(tmp_path / "a.ply")
+    assert np.array_equal(read, np.delete(points, 3, axis=0))
+    assert colours is None
+
+
+@pytest.mark.parametrize("colour", [(0, 0, 255), (0, 1, 0), (255, 0, 0), (9, 9, 9, 0)])
+def test_a_mask_is_whatever_is_not_black(tmp_path, colour):
+    image = np.zeros((4, 5, len(colour)), np.uint8)
+    if len(colour) == 4:
+        image[..., 3] = 255  # black and opaque is black
+    image[1:3, 2:4] = colour
+    cv2.imwrite(str(tmp_path / "mask.png"), image)
+    expected = np.zeros((4, 5), bool)
+    expected[1:3, 2:4] = True
+    assert np.array_equal(read_mask(tmp_path / "mask.png"), expected)

@@ -1,0 +1,130 @@
+"""From what the fingers report to rows: frames of reference, sigmas, the hand as space the object cannot be in."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from scenes.errors import InputError
+from scenes.evidence import table as evidence
+from scenes.geometry import poses
+from scenes.recordings.frames import Contacts, EmptyRegions, Frame
+from touch.contacts import feel
+
+
+@dataclass(frozen=True)
+class Ball:
+    centre: np.ndarray
+    radius: float
+
+
+@dataclass(frozen=True)
+class Calibration:
+    translation_sigma: float = 0.002
+    rotation_sigma: float = 0.005
+
+
+def silent(rows):
+    """Rows that speak only of penetration."""
+    return rows.rows[:, evidence.GATE_ABOVE] == 0
+
+
+def test_contacts_come_out_in_the_camera_frame(rng):
+    pose = poses.make_poses(poses.random_rotations(1, rng), rng.normal(size=(1, 3)))[0]
+    contacts = Contacts(rng.normal(size=(4, 3)), poses.random_unit_vectors(4, rng), 2e-3, 0.1)
+    felt = feel(Frame(0, camera_from_world=pose, contacts=contacts), 4.0)
+    assert np.allclose(felt.contacts.points, poses.apply(pose, contacts.points))
+    assert np.allclose(felt.rows.rows[:, evidence.NORMAL], contacts.normals @ pose[:3, :3].T)
+    assert np.allclose(felt.rows.rows[:, evidence.SIGMA], 2e-3)
+    assert (felt.rows.rows[:, evidence.GATE_ABOVE] == 4.0).all()
+    assert not silent(felt.rows).any()
+
+
+def test_a_frame_without_touch():
+    felt = feel(Frame(0), 4.0)
+    assert len(felt.contacts) == 0
+    assert len(felt.rows) == 0
+    assert len(felt.slackened(Calibration(), True)) == 0
+
+
+def test_empty_regions_keep_their_radius(rng):
+    pose = poses.make_poses(poses.random_rotations(1, rng), rng.normal(size=(1, 3)))[0]
+    centres = rng.normal(size=(3, 3))
+    empty = EmptyRegions(centres, np.array([0.01, 0.02, 0.03]), ["a", "b", "c"])
+    felt = feel(Frame(0, camera_from_world=pose, no_contact=empty), 4.0)
+    assert len(felt.rows) == 3
+    assert silent(felt.rows).all()
+    assert np.allclose(felt.rows.points, poses.apply(pose, centres))
+    assert np.array_equal(felt.rows.rows[:, evidence.OFFSET], empty.radius)
+
+
+def test_the_hand_is_space_that_the_object_cannot_be_in(exact_frame, drill):
+    truth = exact_frame.camera_from_object_truth
+    centre = poses.apply(truth, drill.centroid[None])[0]
+    near = feel(exact_frame, 4.0, Ball(centre, 0.12))
+    hidden = silent(near.rows)
+    assert hidden.sum() > 50
+    assert (~hidden).sum() == len(exact_frame.contacts)
+    points = near.rows.points[hidden]
+    assert (np.linalg.norm(points - centre, axis=1) < 0.12).all()
+    # a hand that grasps touches the object but is not inside it
+    assert drill.field.distance(poses.apply(poses.inverse(truth), points)).min() > -0.003
+    # together they count like a few
+    assert near.rows.rows[hidden, evidence.WEIGHT].sum() <= 20.0 + 1e-9
+    away = feel(exact_frame, 4.0, Ball(np.array([5.0, 0.0, 0.0]), 0.1))
+    assert not silent(away.rows).any()
+
+
+def test_joint_errors_widen_contacts_of_a_hand(exact_frame):
+    with_hand = feel(exact_frame, 4.0)
+    without = feel(replace(exact_frame, hand=None, joints=None, world_from_hand=None), 4.0)
+    on = ~silent(with_hand.rows)
+    assert (with_hand.rows.rows[on, evidence.SIGMA] > without.rows.rows[:, evidence.SIGMA]).all()
+
+
+def test_an_uncorrected_calibration_widens_everything(exact_frame):
+    felt = feel(exact_frame, 4.0)
+    before = felt.rows.rows[:, evidence.SIGMA].copy()
+    wide = felt.slackened(Calibration(), True).rows[:, evidence.SIGMA]
+    depth = np.linalg.norm(felt.rows.points.mean(axis=0))
+    slack = np.hypot(0.002, 0.005 * depth)
+    assert np.allclose(wide, np.hypot(before, slack))
+    assert np.array_equal(felt.slackened(Calibration(), False).rows[:, evidence.SIGMA], before)
+    assert np.array_equal(felt.rows.rows[:, evidence.SIGMA], before)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"points": [[0, 0, np.nan]]}, "finite points, got row 0"),
+        ({"points": np.zeros((2, 2))}, r"shape \(n, 3\)"),
+        ({"points": np.zeros((2, 3)), "normals": np.zeros((3, 3))}, r"normals of shape \(2, 3\)"),
+        ({"points": np.zeros((2, 3)), "sigma_point": -1.0}, "sigma_point above 0"),
+        ({"points": np.zeros((2, 3)), "sigma_normal": np.inf}, "sigma_normal above 0"),
+        ({"points": np.zeros((2, 3)), "sensors": ["a"]}, "2 sensor names, got 1"),
+    ],
+)
+def test_contacts_that_cannot_be(arguments, message):
+    with pytest.raises(InputError, match=message):
+        Contacts(**arguments)
+
+
+def test_contacts_normalise_and_forget_what_is_unknown():
+    contacts = Contacts(np.zeros((3, 3)), [[0, 0, 5.0], [0, 0, 0], [np.nan] * 3], [1e-3, np.nan, 2e-3])
+    assert np.array_equal(contacts.has_normal, [True, False, False])
+    assert np.array_equal(contacts.normals[0], [0, 0, 1])
+    assert contacts.sigma_known
+    assert np.isfinite(contacts.sigma_point).all()
+    assert not Contacts(np.zeros((3, 3))).sigma_known
+    both = Contacts.concatenate([contacts, contacts.take([0])])
+    assert len(both) == 4
+    assert np.array_equal(both.points, np.zeros((4, 3)))
+    # what is known of sigmas is not lost beside a part without contacts, nor claimed for a part without sigmas
+    assert Contacts.concatenate([contacts, Contacts(np.zeros((0, 3)))]).sigma_known
+    assert not Contacts.concatenate([contacts, Contacts(np.zeros((1, 3)))]).sigma_known
+
+
+def test_contacts_of_unknown_worth_are_believed_little_and_never_gated_out():
+    felt = feel(Frame(0, contacts=Contacts(np.zeros((2, 3)))), 4.0)
+    assert (felt.rows.rows[:, evidence.SIGMA] > 0.002).all()
+    assert (felt.rows.rows[:, evidence.GATE_ABOVE] == evidence.NO_GATE).all()

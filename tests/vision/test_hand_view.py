@@ -1,0 +1,73 @@
+"""The hand in the picture: a known calibration error is found again from its pixels."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scenes.geometry import poses
+from vision.look.hand import CalibrationModel, camera_from_hand, prior_information, view_hand
+from vision.look.pixels import DepthModel, read_pixels
+
+FULL = (0, 0, 640, 480)
+
+
+def look(frame, **changes):
+    frame = replace(frame, **changes)
+    pixels = read_pixels(frame.depth, frame.camera, FULL, 12_000)
+    return view_hand(frame, pixels, DepthModel(), CalibrationModel())
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_known_calibration_error_is_found(exact_frame, seed):
+    rng = np.random.default_rng(seed)
+    error = poses.exp(
+        np.concatenate([np.deg2rad(0.3) * rng.normal(size=3), 0.002 * rng.normal(size=3)])  # at the camera
+    )
+    view = look(exact_frame, world_from_hand=error @ exact_frame.world_from_hand)
+    left = poses.difference(view.aligned @ poses.inverse(exact_frame.world_from_hand), np.eye(4), view.centre)
+    before = poses.difference(error, np.eye(4), view.centre)
+    assert np.linalg.norm(left[3:]) < max(0.35 * np.linalg.norm(before[3:]), 0.0008)
+    assert np.linalg.norm(left[:3]) < np.deg2rad(0.6)
+    # the correction, applied to what the robot reports, is the aligned hand
+    assert np.allclose(view.correct() @ view.measured, view.aligned)
+    assert np.allclose(poses.perturb(np.eye(4), view.xi, view.centre) @ view.measured, view.aligned)
+
+
+def test_without_an_error_hardly_anything_moves(exact_frame):
+    view = look(exact_frame)
+    assert np.linalg.norm(view.xi[3:]) < 0.0006
+    assert np.abs(view.residual).max() < 0.005
+    assert np.median(np.abs(view.residual)) < 0.0005
+    # its own pixels are as near to it as their residuals say
+    for limit in (0.0003, 0.001, 0.005):
+        assert (view.nearer(view.points, limit) == (np.abs(view.residual) < limit)).all()
+
+
+def test_a_hand_that_is_not_seen_is_left_where_it_was(exact_frame):
+    view = look(exact_frame, depth=np.zeros_like(exact_frame.depth))
+    assert np.array_equal(view.aligned, view.measured)
+    assert (view.xi == 0).all()
+    assert len(view.points) == 0
+    assert np.allclose(view.correct(), np.eye(4), atol=1e-12)
+
+
+def test_no_hand_no_view(exact_frame):
+    assert look(exact_frame, hand=None) is None
+    assert look(exact_frame, joints=None) is None
+    assert look(exact_frame, world_from_hand=None) is None
+    assert camera_from_hand(replace(exact_frame, world_from_hand=None)) is None
+
+
+def test_an_error_made_at_the_camera_is_larger_at_the_hand():
+    calibration = CalibrationModel()
+    near = np.linalg.inv(prior_information(calibration, np.zeros(3)))
+    far = np.linalg.inv(prior_information(calibration, np.array([0.0, 0.0, 0.6])))
+    assert np.allclose(np.sqrt(np.diag(near)), [calibration.rotation_sigma] * 3 + [calibration.translation_sigma] * 3)
+    across = np.hypot(calibration.translation_sigma, 0.6 * calibration.rotation_sigma)
+    assert np.allclose(np.sqrt(np.diag(far))[3:], [across, across, calibration.translation_sigma])
+    # by sampling: perturbing about the camera moves the hand's centre like this
+    rng = np.random.default_rng(0)
+    twist = rng.normal(size=(20_000, 6)) * ([calibration.rotation_sigma] * 3 + [calibration.translation_sigma] * 3)
+    moved = poses.difference(poses.perturb(np.eye(4), twist, np.zeros(3)), np.eye(4), np.array([0.0, 0.0, 0.6]))
+    assert np.allclose(np.cov(moved.T), far, atol=0.03 * far.max())

@@ -1,0 +1,109 @@
+"""The object's pixels in a full scene: against the truth, and frames that hold nothing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scenes.geometry import poses
+from scenes.geometry.cameras import Camera
+from scenes.geometry.rendering import Renderer
+from scenes.recordings.frames import Contacts, Frame
+from scenes.synthesis import library
+from scenes.synthesis.hands import five_finger_hand
+from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
+from vision.look.mask import MaskSettings, find_plane, object_mask, region_of
+from vision.look.pixels import DepthModel
+
+NOTHING = Contacts(np.zeros((0, 3)))
+
+
+def overlap(found, frame):
+    read = frame.depth > 0
+    return (found & frame.mask & read).sum() / ((found | frame.mask) & read).sum()
+
+
+@pytest.fixture(scope="module")
+def cylinder():
+    return library.make("cylinder")
+
+
+@pytest.fixture(scope="module")
+def scene(cylinder):
+    """Half hidden by the hand, before a near table with clutter on it."""
+    settings = SynthesisSettings(mask=True, background_distance=(0.02, 0.15))
+    return synthesize_frames(
+        cylinder, five_finger_hand(), 1, 0.4, noise="lab", seed=11, occluders="hand+clutter", settings=settings
+    )[0]
+
+
+@pytest.mark.parametrize(("start", "touch", "colour"), [(1, 1, 1), (1, 1, 0), (0, 1, 1), (0, 0, 1)])
+def test_the_mask_is_nearly_the_true_one(scene, cylinder, start, touch, colour):
+    seen = replace(scene, mask=None, contacts=scene.contacts if touch else NOTHING)
+    found = object_mask(seen, cylinder, scene.prior if start else None, colour=bool(colour))
+    assert overlap(found, scene) > 0.75
+    again = object_mask(seen, cylinder, scene.prior if start else None, colour=bool(colour))
+    np.testing.assert_array_equal(found, again)
+
+
+def test_what_the_hand_holds_from_behind_is_found():
+    """Of a hammer before the hand the nearest piece that is seen may be a hand's breadth from it."""
+    hammer = library.make("hammer")
+    settings = SynthesisSettings(mask=True)
+    frames = synthesize_frames(hammer, five_finger_hand(), 4, 0.0, noise="lab", seed=4, settings=settings)
+    near = MaskSettings(fair_share=0.0)
+    seen = [replace(frame, mask=None, contacts=NOTHING) for frame in frames]
+    assert min(overlap(object_mask(one, hammer), frame) for one, frame in zip(seen, frames)) > 0.85
+    assert min(overlap(object_mask(one, hammer, settings=near), frame) for one, frame in zip(seen, frames)) < 0.2
+
+
+def test_a_colour_image_without_colour_changes_nothing(scene, cylinder):
+    grey = replace(scene, rgb=np.full_like(scene.rgb, 128))
+    plain = object_mask(scene, cylinder, scene.prior, colour=False)
+    np.testing.assert_array_equal(object_mask(grey, cylinder, scene.prior), plain)
+
+
+def wall_frame(tilt, noise, seed=0):
+    rng = np.random.default_rng(seed)
+    camera = Camera(570.0, 570.0, 319.5, 239.5, 640, 480)
+    pose = poses.make_pose(poses.exp_rotation((tilt, 0.3 * tilt, 0.0)), (0.0, 0.0, 1.0))
+    wall = ([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]], [[0, 1, 2], [0, 2, 3]])
+    model = library.make("sphere")
+    place = poses.make_pose(None, (0.05, 0.0, 0.7))
+    seen = Renderer({"wall": wall, "ball": (model.vertices, model.faces)}).render(camera, {"wall": pose, "ball": place})
+    depth = seen.depth + np.where(seen.depth > 0, noise * rng.normal(size=seen.depth.shape), 0.0)
+    return Frame(0, camera=camera, depth=depth.astype(np.float32), mask=seen.mask("ball")), pose, model, place
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.4, -0.6])
+def test_the_wall_is_found_and_taken_away(tilt):
+    frame, pose, model, place = wall_frame(tilt, 0.002)
+    plane = find_plane(frame, MaskSettings(), DepthModel())
+    assert abs(plane[:3] @ pose[:3, 2]) > np.cos(np.deg2rad(0.5))
+    assert plane[:3] @ pose[:3, 3] + plane[3] == pytest.approx(0.0, abs=1e-3)
+    assert plane[3] > 0  # the camera is above it
+    assert overlap(object_mask(frame, model), frame) > 0.95
+    assert overlap(object_mask(frame, model, place), frame) > 0.95
+
+
+def test_a_box_seen_beyond_is_no_wall():
+    """A surface behind which much else is seen is not what everything stands before."""
+    frame, *_ = wall_frame(0.0, 0.0)
+    depth = np.where(np.arange(640) < 300, frame.depth, 1.6).astype(np.float32)
+    far = find_plane(replace(frame, depth=depth), MaskSettings(), DepthModel())
+    assert far is None or far[3] > 1.5
+
+
+def test_frames_that_hold_nothing(scene, cylinder):
+    empty = replace(scene, depth=np.zeros_like(scene.depth))
+    assert not object_mask(empty, cylinder, scene.prior).any()
+    assert object_mask(empty, cylinder).shape == scene.depth.shape
+    assert object_mask(replace(scene, depth=None), cylinder).size == 0
+    away = scene.prior.copy()
+    away[:3, 3] = (3.0, 0.0, 0.5)
+    assert not object_mask(scene, cylinder, away).any()
+    broken = scene.depth.copy()
+    broken[::3] = np.nan
+    assert object_mask(replace(scene, depth=broken), cylinder, scene.prior).any()
+    nowhere = replace(scene, contacts=NOTHING, hand=None, joints=None, world_from_hand=None)
+    assert region_of(nowhere, cylinder, None) is None

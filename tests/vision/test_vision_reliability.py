@@ -1,0 +1,105 @@
+"""Vision alone on images that tell little, nothing, or something wrong: a verdict, never an exception."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fusion import estimate
+from scenes.geometry import poses
+from scenes.geometry.cameras import Camera
+from scenes.geometry.rendering import Renderer
+from scenes.recordings.frames import Contacts, Frame
+from scenes.synthesis import library
+from vision.look.segments import SegmentationSettings, find_region, segment
+from vision.plausibility import doubts
+
+NOTHING = Contacts(np.zeros((0, 3)))
+CAMERA = Camera(285.0, 285.0, 159.5, 119.5, 320, 240)
+
+
+def alone(model, pose, wall=0.9):
+    """An object before a wall, exact depth, with its mask."""
+    depth = Renderer({"object": (model.vertices, model.faces)}).render(CAMERA, {"object": pose}).depth
+    mask = depth > 0
+    return Frame(0, camera=CAMERA, depth=np.where(mask, depth, wall).astype(np.float32), mask=mask)
+
+
+@pytest.mark.parametrize("value", [0.0, np.nan, np.inf])
+@pytest.mark.parametrize("with_prior", [True, False])
+def test_an_image_without_a_reading_is_lost(lab_frame, drill, value, with_prior):
+    depth = np.full_like(lab_frame.depth, value)
+    frame = replace(lab_frame, depth=depth, contacts=NOTHING, prior=lab_frame.prior if with_prior else None)
+    answer = estimate(frame, drill, use=("vision",))
+    assert answer.verdict == "lost"
+    assert np.isfinite(answer.pose).all()
+    assert np.isfinite(answer.covariance).all()
+
+
+def test_five_pixels_are_no_answer(lab_frame, drill):
+    few = np.zeros_like(lab_frame.mask)
+    v, u = np.nonzero(lab_frame.mask)
+    few[v[:: len(v) // 5][:5], u[:: len(u) // 5][:5]] = True
+    for prior in (lab_frame.prior, None):
+        answer = estimate(replace(lab_frame, mask=few, contacts=NOTHING, prior=prior), drill, use=("vision",))
+        assert answer.verdict != "ok"
+        assert np.isfinite(answer.covariance).all()
+
+
+def test_a_plane_leaves_its_directions_open():
+    """A large plate that fills the image: it may slide and turn in its plane."""
+    model = library.make("box")
+    pose = poses.make_pose(translation=[0.0, 0.0, 0.35])
+    frame = alone(model, pose)
+    inner = np.zeros_like(frame.mask)
+    v, u = np.nonzero(frame.mask)
+    middle = (np.abs(v - v.mean()) < 12) & (np.abs(u - u.mean()) < 12)
+    inner[v[middle], u[middle]] = True
+    # nothing is known of what surrounds the patch
+    depth = np.where(inner, frame.depth, 0).astype(np.float32)
+    answer = estimate(replace(frame, mask=inner, depth=depth), model, prior=pose, use=("vision",))
+    turned = poses.inverse(pose)[:3, :3]
+    spread = np.sqrt(np.linalg.eigvalsh(turned @ answer.covariance[3:, 3:] @ turned.T))
+    assert spread[1] > 5 * spread[0]
+    assert spread[1] > 0.005
+
+
+def test_a_cylinder_tells_of_its_axis(drill):
+    can = library.make("cylinder")
+    pose = poses.make_pose(poses.exp_rotation([1.2, 0.2, 0.0]), [0.0, 0.01, 0.5])
+    answer = estimate(alone(can, pose), can, prior=pose, use=("vision",))
+    assert any("rotation about z" in direction for direction in answer.unobservable)
+
+
+def test_an_object_outside_the_image_is_lost(lab_frame, drill):
+    frame = replace(lab_frame, contacts=NOTHING, mask=None)
+    for away in ([3.0, 0.0, 0.6], [0.0, 0.0, -0.6]):
+        answer = estimate(frame, drill, prior=poses.make_pose(translation=away), use=("vision",))
+        assert answer.verdict == "lost"
+
+
+def test_without_a_hint_the_object_is_sought_in_the_hand(lab_frame, drill):
+    frame = replace(lab_frame, contacts=NOTHING, mask=None, prior=None)
+    region = find_region(frame, drill, None, SegmentationSettings())
+    middle = poses.apply(frame.camera_from_object_truth, drill.centroid[None])[0]
+    assert np.linalg.norm(region.centre - middle) < region.radius
+
+
+def test_the_hand_gives_wrong_intrinsics_away(lab_frame, drill):
+    seen = segment(lab_frame, drill, lab_frame.prior)
+    assert doubts(lab_frame, seen.hand_view) == ()
+    c = lab_frame.camera
+    wrong = replace(lab_frame, camera=Camera(1.25 * c.fx, 1.25 * c.fy, c.cx, c.cy, c.width, c.height))
+    assert doubts(wrong, segment(wrong, drill, wrong.prior).hand_view)
+    in_other_unit = replace(lab_frame, depth=1.1 * lab_frame.depth)
+    assert doubts(in_other_unit, segment(in_other_unit, drill, wrong.prior).hand_view)
+    assert doubts(replace(lab_frame, hand=None), None) == ()
+
+
+def test_a_mask_that_shows_nothing_is_said(lab_frame, drill):
+    """Touch answers alone, and the note says that the camera was not listened to."""
+    empty = replace(lab_frame, mask=np.zeros_like(lab_frame.mask))
+    answer = estimate(empty, drill)
+    assert any("mask holds no reading" in note for note in answer.notes)
+    assert not any("mask" in note for note in estimate(lab_frame, drill).notes)
+    assert "mask holds no reading" in doubts(replace(empty, hand=None), None)[0]

@@ -1,0 +1,319 @@
+"""Compiled steps of the unscented particle filters: one contact, every particle (T2 section 4.3, algorithm 2).
+
+A particle is (R, m, P): rotation and object centroid m in the contacts' frame, P (6, 6) in the chart of poses.perturb,
+R <- exp(theta) R, m <- m + tau. The published state has Euler angles; exponential coordinates have no singularity, and
+a sigma point turned by more than pi wraps by itself. Distances and closest points come from the lattice.
+One particle is worked by one thread and random numbers are drawn outside: bits do not depend on the threads.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from scenes.geometry.lattice import distance_at, value_at
+from scenes.geometry.rotation_kernels import exp_times, log_rotation
+
+# The lattice's gradient is shorter than one on the medial axis: no surface point is farther than distance / this.
+SHORTEST_GRADIENT = 0.3
+
+
+@numba.njit(cache=True, nogil=True)
+def closest_point(values, origin, spacing, x, y, z):
+    """A surface point near (x, y, z), object frame, the nearest but on a medial axis: steps of the distance itself down
+    the lattice's gradient, from its box.
+    """
+    shape = values.shape
+    x = min(max(x, origin[0]), origin[0] + spacing * (shape[0] - 1))
+    y = min(max(y, origin[1]), origin[1] + spacing * (shape[1] - 1))
+    z = min(max(z, origin[2]), origin[2] + spacing * (shape[2] - 1))
+    for _ in range(4):
+        d, gx, gy, gz = distance_at(values, origin, spacing, x, y, z)
+        # where faces meet the gradient is their mean and short: a Newton step would leap past the surface
+        step = d / max(math.sqrt(gx * gx + gy * gy + gz * gz), SHORTEST_GRADIENT)
+        x -= step * gx
+        y -= step * gy
+        z -= step * gz
+        if abs(d) < spacing:
+            break  # so near, one step is exact to the lattice's own rounding
+    return x, y, z
+
+
+@numba.njit(cache=True, nogil=True)
+def cholesky(matrix, factor):
+    """Lower factor of a symmetric 6x6 matrix; a pivot that round-off made negative becomes tiny instead."""
+    for i in range(6):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= factor[i, k] * factor[j, k]
+            if i == j:
+                factor[i, i] = math.sqrt(max(total, 1e-14 * matrix[i, i] + 1e-300))
+            else:
+                factor[i, j] = total / factor[j, j]
+        for j in range(i + 1, 6):
+            factor[i, j] = 0.0
+
+
+@numba.njit(cache=True, nogil=True)
+def _predicted(values, origin, spacing, centroid, rotation, mx, my, mz, point, out):
+    """The measurement predicted at a pose (T2 eq. 4.17): the surface point nearest to the contact, contacts' frame."""
+    yx, yy, yz = point[0] - mx, point[1] - my, point[2] - mz
+    qx = rotation[0, 0] * yx + rotation[1, 0] * yy + rotation[2, 0] * yz + centroid[0]
+    qy = rotation[0, 1] * yx + rotation[1, 1] * yy + rotation[2, 1] * yz + centroid[1]
+    qz = rotation[0, 2] * yx + rotation[1, 2] * yy + rotation[2, 2] * yz + centroid[2]
+    px, py, pz = closest_point(values, origin, spacing, qx, qy, qz)
+    px -= centroid[0]
+    py -= centroid[1]
+    pz -= centroid[2]
+    out[0] = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + mx
+    out[1] = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + my
+    out[2] = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz + mz
+
+
+@numba.njit(cache=True, nogil=True)
+def unscented_update(
+    values,
+    origin,
+    spacing,
+    centroid,
+    point,
+    variance,
+    scaling,
+    rotation,
+    middle,
+    covariance,
+    factor,
+    turned,
+    measured,
+    room,
+):
+    """UKF correction of one particle by one contact, in place (T2 algorithm 1, SUT of eq. 4.9).
+
+    point (3,) metres; variance m^2 of its noise per axis. scaling (4,): spread of the sigma points, their weight, and
+    the central point's weights for mean and covariance. factor (6, 6), turned (3, 3), measured (13, 3), room (12, 6):
+    working room.
+    """
+    cholesky(covariance, factor)
+    spread, weight, mean_weight, covariance_weight = scaling[0], scaling[1], scaling[2], scaling[3]
+    theta, mean, delta, s, cross, gain = (
+        room[0],
+        room[1],
+        room[2],
+        room[3:6],
+        room[6:9].reshape(6, 3),
+        room[9:12].reshape(6, 3),
+    )
+    _predicted(values, origin, spacing, centroid, rotation, middle[0], middle[1], middle[2], point, measured[0])
+    for c in range(6):
+        for sign in range(2):
+            reach = spread if sign == 0 else -spread
+            for i in range(3):
+                theta[i] = reach * factor[i, c]
+            # a lower factor: the last three columns only move
+            if c < 3:
+                exp_times(theta, rotation, turned)
+            _predicted(
+                values,
+                origin,
+                spacing,
+                centroid,
+                turned if c < 3 else rotation,
+                middle[0] + reach * factor[3, c],
+                middle[1] + reach * factor[4, c],
+                middle[2] + reach * factor[5, c],
+                point,
+                measured[1 + 2 * c + sign],
+            )
+    for i in range(3):
+        mean[i] = mean_weight * measured[0, i]
+        for n in range(1, 13):
+            mean[i] += weight * measured[n, i]
+    for i in range(3):
+        for j in range(3):
+            total = covariance_weight * (measured[0, i] - mean[i]) * (measured[0, j] - mean[j])
+            for n in range(1, 13):
+                total += weight * (measured[n, i] - mean[i]) * (measured[n, j] - mean[j])
+            s[i, j] = total
+        s[i, i] += variance
+        for a in range(6):
+            total = 0.0
+            for c in range(6):
+                total += factor[a, c] * (measured[1 + 2 * c, i] - measured[2 + 2 * c, i])
+            cross[a, i] = weight * spread * total
+    # gain = cross s^-1 by cofactors: s is symmetric and at least `variance` in every direction
+    c00 = s[1, 1] * s[2, 2] - s[1, 2] * s[2, 1]
+    c01 = s[0, 2] * s[2, 1] - s[0, 1] * s[2, 2]
+    c02 = s[0, 1] * s[1, 2] - s[0, 2] * s[1, 1]
+    c11 = s[0, 0] * s[2, 2] - s[0, 2] * s[2, 0]
+    c12 = s[0, 2] * s[1, 0] - s[0, 0] * s[1, 2]
+    c22 = s[0, 0] * s[1, 1] - s[0, 1] * s[1, 0]
+    inverse = 1.0 / (s[0, 0] * c00 + s[1, 0] * c01 + s[2, 0] * c02)
+    for a in range(6):
+        delta[a] = 0.0
+        gain[a, 0] = (cross[a, 0] * c00 + cross[a, 1] * c01 + cross[a, 2] * c02) * inverse
+        gain[a, 1] = (cross[a, 0] * c01 + cross[a, 1] * c11 + cross[a, 2] * c12) * inverse
+        gain[a, 2] = (cross[a, 0] * c02 + cross[a, 1] * c12 + cross[a, 2] * c22) * inverse
+        for i in range(3):
+            delta[a] += gain[a, i] * (point[i] - mean[i])
+    for a in range(6):
+        for b in range(a + 1):
+            total = 0.0
+            for i in range(3):
+                total += gain[a, i] * cross[b, i]
+            covariance[a, b] -= total
+            covariance[b, a] = covariance[a, b]
+    _move(rotation, middle, delta, turned)
+
+
+@numba.njit(cache=True, nogil=True)
+def _move(rotation, middle, delta, room):
+    """Perturb one pose in place by delta (6,)."""
+    exp_times(delta, rotation, room)
+    for i in range(3):
+        middle[i] += delta[3 + i]
+        for j in range(3):
+            rotation[i, j] = room[i, j]
+
+
+@numba.njit(cache=True, nogil=True)
+def filter_step(
+    values,
+    origin,
+    spacing,
+    centroid,
+    window,
+    exponents,
+    variance,
+    update_variance,
+    process,
+    scaling,
+    sampled,
+    draws,
+    rotations,
+    middles,
+    covariances,
+    log_likelihood,
+    log_estimate,
+    log_proposal,
+):
+    """Lines 6 to 16 of T2 algorithm 2 for every particle, in place: predict, correct, sample, weigh.
+
+    window (m, 3): the newest contacts, the newest last; exponents (m,): their powers in the estimate's weights.
+    process (6, 6): Q, diagonal. draws (n, 6): standard normal. sampled: the new particle is drawn from its Gaussian
+    (line 14); else it is that Gaussian's mean, and the draws are the artificial motion before the correction. Fills the
+    logs of the window's likelihood, of its product with the exponents, and of the proposal's density at the drawn
+    particle (up to one constant, 0 when not sampled).
+    """
+    factor = np.zeros((6, 6))
+    turned = np.zeros((3, 3))
+    measured = np.zeros((13, 3))
+    room = np.zeros((12, 6))
+    delta = np.zeros(6)
+    newest = window[window.shape[0] - 1]
+    half = 0.5 / variance
+    for n in range(rotations.shape[0]):
+        rotation, middle, covariance = rotations[n], middles[n], covariances[n]
+        for i in range(6):
+            for j in range(6):
+                covariance[i, j] += process[i, j]
+        if not sampled:
+            for i in range(6):
+                delta[i] = math.sqrt(process[i, i]) * draws[n, i]
+            _move(rotation, middle, delta, turned)
+        unscented_update(
+            values,
+            origin,
+            spacing,
+            centroid,
+            newest,
+            update_variance,
+            scaling,
+            rotation,
+            middle,
+            covariance,
+            factor,
+            turned,
+            measured,
+            room,
+        )
+        proposal = 0.0
+        if sampled:
+            cholesky(covariance, factor)
+            for i in range(6):
+                delta[i] = 0.0
+                for j in range(i + 1):
+                    delta[i] += factor[i, j] * draws[n, j]
+                proposal -= 0.5 * draws[n, i] * draws[n, i] + math.log(factor[i, i])
+            _move(rotation, middle, delta, turned)
+        log_proposal[n] = proposal
+        plain = 0.0
+        powered = 0.0
+        for k in range(window.shape[0]):
+            yx, yy, yz = window[k, 0] - middle[0], window[k, 1] - middle[1], window[k, 2] - middle[2]
+            d = value_at(
+                values,
+                origin,
+                spacing,
+                rotation[0, 0] * yx + rotation[1, 0] * yy + rotation[2, 0] * yz + centroid[0],
+                rotation[0, 1] * yx + rotation[1, 1] * yy + rotation[2, 1] * yz + centroid[1],
+                rotation[0, 2] * yx + rotation[1, 2] * yy + rotation[2, 2] * yz + centroid[2],
+            )
+            plain -= half * d * d
+            powered -= exponents[k] * half * d * d
+        log_likelihood[n] = plain
+        log_estimate[n] = powered
+
+
+@numba.njit(cache=True, nogil=True)
+def mixture_density(rotations, middles, covariances, log_weights, at_rotations, at_middles, out):
+    """Log of sum_i w_i N(x_j; x_i, P_i) at every x_j (T2 eq. 4.29), up to one constant.
+
+    Components (k) as rotations (k, 3, 3), middles (k, 3), covariances (k, 6, 6), log_weights (k,); x_j as at_rotations
+    (n, 3, 3), at_middles (n, 3); fills out (n,).
+    """
+    count = rotations.shape[0]
+    inverses = np.zeros((count, 6, 6))
+    logs = np.zeros(count)
+    factor = np.zeros((6, 6))
+    for i in range(count):
+        cholesky(covariances[i], factor)
+        logs[i] = log_weights[i]
+        for a in range(6):
+            logs[i] -= math.log(factor[a, a])
+            # rows of the factor's inverse, so that the Mahalanobis distance is a triangular product
+            for b in range(a + 1):
+                total = 1.0 if a == b else 0.0
+                for k in range(b, a):
+                    total -= factor[a, k] * inverses[i, k, b]
+                inverses[i, a, b] = total / factor[a, a]
+    relative = np.zeros((3, 3))
+    delta = np.zeros(6)
+    for j in range(at_rotations.shape[0]):
+        largest = -np.inf
+        total = 0.0
+        for i in range(count):
+            for a in range(3):
+                for b in range(3):
+                    relative[a, b] = (
+                        at_rotations[j, a, 0] * rotations[i, b, 0]
+                        + at_rotations[j, a, 1] * rotations[i, b, 1]
+                        + at_rotations[j, a, 2] * rotations[i, b, 2]
+                    )
+            log_rotation(relative, delta)
+            for a in range(3):
+                delta[3 + a] = at_middles[j, a] - middles[i, a]
+            value = logs[i]
+            for a in range(6):
+                z = 0.0
+                for b in range(a + 1):
+                    z += inverses[i, a, b] * delta[b]
+                value -= 0.5 * z * z
+            if value > largest:
+                total = total * math.exp(largest - value) + 1.0
+                largest = value
+            else:
+                total += math.exp(value - largest)
+        out[j] = largest + math.log(total)

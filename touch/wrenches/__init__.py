@@ -1,0 +1,1 @@
+"""Contacts from forces and torques (intrinsic contact sensing)."""

@@ -1,0 +1,170 @@
+"""The robot's own hand in the depth image: where it is seen, and where it really is.
+
+A hand that hides the object is itself in plain view. Its pixels tell how far the camera-to-robot calibration is off:
+the hand's mesh at its joints is aligned to them, so that contacts and depth meet in one frame. The correction is a
+left perturbation of camera_from_hand about the hand's seen centre.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.geometry import poses as se3
+from scenes.geometry.surface import Surface
+from scenes.recordings.frames import Frame
+from vision.look.pixels import DepthModel, Pixels, Region
+
+Array = NDArray[np.float64]
+
+
+# One pixel of so many is looked at in the first passes of the hand's alignment.
+COARSE = 3
+
+
+@dataclass(frozen=True)
+class CalibrationModel:
+    """How far the robot may be from where it says it is, seen from the camera."""
+
+    # camera_from_robot after a usual hand-eye calibration: metres and radians per axis, at the camera.
+    translation_sigma: float = 0.002
+    rotation_sigma: float = float(np.deg2rad(0.3))
+
+
+@dataclass(frozen=True)
+class HandViewSettings:
+    """Alignment of the hand to its pixels."""
+
+    # Pixels used.
+    most: int = 1200
+    # A pixel farther than this from the hand's surface is something else, metres, pass after pass.
+    gates: tuple[float, ...] = (0.015, 0.010, 0.007, 0.005, 0.005)
+    # Pixels nearer than this to the aligned hand are the hand: depth noise and smooth bias at two sigmas, metres.
+    margin: float = 0.005
+    # Below this many pixels the hand is not seen.
+    fewest: int = 60
+
+
+@dataclass(frozen=True)
+class HandView:
+    """The hand as the robot reports it and as the camera sees it: camera_from_hand (4, 4) measured and aligned.
+
+    xi (6,): the correction found, poses.perturb of the identity about centre (3,) camera frame. points (n, 3): pixels
+    that agree, camera frame; residual (n,) m: their distances to the aligned hand; directions (n, 3): the gradients of
+    those. surface: the hand's mesh in the hand frame.
+    """
+
+    measured: Array
+    aligned: Array
+    centre: Array
+    xi: Array
+    points: Array
+    residual: Array
+    directions: Array
+    surface: Surface
+
+    def nearer(self, points: Array, distance: float) -> NDArray[np.bool_]:
+        """(n,) whether camera-frame points (n, 3) are nearer than `distance` (m) to the aligned hand, or inside it
+        that deep.
+        """
+        return self.surface.is_within(se3.apply(se3.inverse(self.aligned), points), distance)
+
+    def gap(self, points: Array) -> float:
+        """Least distance (m) between camera-frame points (n, 3), n at least 1, and the aligned hand."""
+        return float(np.abs(self.surface.closest(se3.apply(se3.inverse(self.aligned), points))[0]).min())
+
+    def correct(self) -> Array:
+        """camera_from_camera transform that moves what the robot reports to where the camera sees it."""
+        return self.aligned @ se3.inverse(self.measured)
+
+
+def hand_region(frame: Frame, vertices: Array) -> Region:
+    """The ball around the hand's fingers and palm (vertices in the camera frame)."""
+    centre = vertices.mean(axis=0)
+    return Region(centre, float(np.linalg.norm(vertices - centre, axis=1).max()))
+
+
+def camera_from_hand(frame: Frame) -> Array | None:
+    """(4, 4) as the robot reports it; None when the frame has no hand pose."""
+    if frame.world_from_hand is None:
+        return None
+    return frame.camera_from_world @ frame.world_from_hand
+
+
+def prior_information(calibration: CalibrationModel, centre: Array) -> Array:
+    """(6, 6) information about a correction at `centre` (camera frame) from errors made at the camera."""
+    covariance = np.diag([calibration.rotation_sigma**2] * 3 + [calibration.translation_sigma**2] * 3)
+    # a turn about the camera moves the centre by turn x centre
+    lever = np.eye(6)
+    lever[3:, :3] = -se3.skew(centre)
+    return np.asarray(np.linalg.inv(lever @ covariance @ lever.T), dtype=np.float64)
+
+
+def view_hand(
+    frame: Frame,
+    pixels: Pixels,
+    depth_model: DepthModel,
+    calibration: CalibrationModel,
+    settings: HandViewSettings | None = None,
+) -> HandView | None:
+    """Align the frame's hand to the pixels (camera frame) that may show it; None without a hand, joints or pose."""
+    settings = settings or HandViewSettings()
+    measured = camera_from_hand(frame)
+    if frame.hand is None or frame.joints is None or measured is None:
+        return None
+    vertices, faces, _ = frame.hand.mesh(frame.joints)
+    surface = Surface(vertices, faces)
+    near = surface.is_within(se3.apply(se3.inverse(measured), pixels.points), 2 * settings.gates[0])
+    points = pixels.points[near]
+    if len(points) < settings.fewest:
+        return HandView(measured, measured, measured[:3, 3], np.zeros(6), points[:0], np.zeros(0), points[:0], surface)
+    points = points[:: max(1, len(points) // settings.most)]
+    share = max(1.0, near.sum() / len(points))
+    centre = points.mean(axis=0)
+    pixel = pixels.area * share
+    return fit_hand(surface, measured, np.zeros(6), centre, points, pixel, depth_model, calibration, settings.gates)
+
+
+def fit_hand(
+    surface: Surface,
+    measured: Array,
+    xi: Array,
+    centre: Array,
+    points: Array,
+    pixel: float,
+    depth_model: DepthModel,
+    calibration: CalibrationModel,
+    gates: tuple[float, ...],
+) -> HandView:
+    """Gauss-Newton on the hand's pixels from the correction xi (6,) about centre (3,), a step for each gate (m).
+
+    points (n, 3) camera frame; pixel: what each stands for, in pixels of the image: neighbours share their bias.
+    """
+    prior = prior_information(calibration, centre)
+    bias = depth_model.bias_sigma**2
+    patch = max(1.0, depth_model.sharing_length**2 / pixel)
+    weight = 1.0 / (depth_model.independent_sigma(points[:, 2]) ** 2 + patch * bias)
+    for i, gate in enumerate(gates):
+        aligned = se3.perturb(np.eye(4), xi, centre) @ measured
+        # the first passes only bring the hand near: some of its pixels, each with the weight of those left out
+        step = COARSE if i < len(gates) - 2 else 1
+        some = points[::step]
+        distance, direction, robust = hand_terms(surface, aligned, some, gate)
+        row_weight = step * weight[::step] * robust
+        # the hand moves, the points stay: the distance falls by g . (omega x (p - c) + v)
+        jac = -np.concatenate([se3.cross(some - centre, direction), direction], axis=1)
+        hessian = (jac * row_weight[:, None]).T @ jac + prior
+        xi = xi - np.linalg.solve(hessian, jac.T @ (row_weight * distance) + prior @ xi)
+    aligned = se3.perturb(np.eye(4), xi, centre) @ measured
+    distance, direction, robust = hand_terms(surface, aligned, points, gates[-1])
+    agree = robust > 0
+    return HandView(measured, aligned, centre, xi, points[agree], distance[agree], direction[agree], surface)
+
+
+def hand_terms(surface: Surface, camera_from_hand: Array, points: Array, gate: float) -> tuple[Array, Array, Array]:
+    """Distances (n,) of points to the hand, their gradients (n, 3) camera frame, and robust weights (n,) (Tukey)."""
+    distance, direction, _ = surface.closest(se3.apply(se3.inverse(camera_from_hand), points))
+    robust = np.square(np.maximum(0.0, 1.0 - (distance / gate) ** 2))
+    return distance, direction @ camera_from_hand[:3, :3].T, robust

@@ -1,0 +1,345 @@
+"""The object's own pixels in a full scene: table and wall, the robot's hand and things that stand about taken away.
+
+Everything is decided in the image at full resolution, from depth, the hand's model and, where it tells the hand from
+the object, colour; nothing is learned. Camera frame, metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.geometry import poses
+from scenes.geometry.cameras import is_reading
+from scenes.geometry.objects import ObjectModel
+from scenes.geometry.rendering import Renderer
+from scenes.recordings.frames import Frame
+from vision.look.hand import CalibrationModel, HandView, HandViewSettings, view_hand
+from vision.look.pixels import DepthModel, Region, read_pixels
+from vision.look.segments import SegmentationSettings, find_region
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class MaskSettings:
+    """What is taken for table, hand and object."""
+
+    # A plane holds this share of the readings or is none; so many triples of points are tried, on so many points.
+    plane_share: float = 0.2
+    plane_tries: int = 200
+    plane_points: int = 3000
+    # Room over the plane (m) that is still the plane's: smooth bias and scale of depth at two sigmas; and sigmas of the
+    # independent noise on top.
+    plane_margin: float = 0.006
+    plane_sigmas: float = 3.0
+    # Readings this near (m) to the rendered hand are the hand's: smooth bias at two sigmas, and the joints' errors.
+    hand_margin: float = 0.006
+    # The hand's outline is uncertain by this (m): joints wrong by 0.3 degrees over a finger, and the rest of the
+    # calibration's error after alignment. Beside it depth alone does not tell hand from object.
+    hand_outline: float = 0.001
+    # With colour the uncertain strip is this much wider, because colour decides inside it (px).
+    colour_strip: int = 6
+    # Colour is asked when hand and object differ by this many standard deviations, each known from so many pixels, and
+    # from no more than so many; a channel's share varies by at least `colour_floor` within one thing (shading, white
+    # balance).
+    colour_apart: float = 3.0
+    colour_pixels: int = 60
+    colour_most: int = 2000
+    # The object's colour is looked for this near to the hand's outline (px): what is held is there, clutter rarely.
+    colour_around: int = 25
+    colour_floor: float = 0.012
+    # The truth is no farther (m) from a coarse start than this, anywhere on the object (T1: 33 mm and 16 degrees).
+    reach: float = 0.045
+    # Neighbouring readings that differ by more (m, and as a share of depth) belong to different things.
+    step: float = 0.008
+    step_share: float = 0.01
+    # Pieces smaller than this (px) are noise.
+    smallest: int = 25
+    # A held object's pieces are this near (m) to the hand, or to what the fingers felt; clutter is not.
+    held: float = 0.015
+    # A piece far from the hand counts when its middle is this near (m) to the object at the coarse start.
+    explained: float = 0.015
+    # The largest piece that the hand may be behind, or whose middle is no farther (m) from the object at the start than
+    # starts are off, counts when it is this many times larger than all others together.
+    larger: float = 1.0
+    may_be: float = 0.033
+    # Pieces that together are less than this share of what the object shows on average are rests of the hand, or what
+    # nine tenths of hiding leave. Then the largest piece within the object's diameter of the hand counts when it alone
+    # is more than that: the far end of a hammer that the hand holds from behind.
+    fair_share: float = 0.1
+
+
+def object_mask(
+    frame: Frame,
+    model: ObjectModel,
+    start: Array | None = None,
+    settings: MaskSettings | None = None,
+    depth_model: DepthModel | None = None,
+    calibration: CalibrationModel | None = None,
+    colour: bool = True,
+    view: HandView | None = None,
+) -> Mask:
+    """(h, w) pixels that show the object; all False for a frame without depth or with the object outside the image.
+
+    start (4, 4) camera_from_object: a coarse one, or None. Without one the object is looked for around the contacts or
+    between the hand's fingertips, and in the whole image when there are neither. A mask of the frame is not used.
+    colour: whether the colour image, when there is one, may tell the hand from the object. view: the hand as it was
+    seen in this frame before.
+    """
+    settings, depth_model = settings or MaskSettings(), depth_model or DepthModel()
+    if frame.depth is None or frame.camera is None:
+        return np.zeros((0, 0), dtype=bool)
+    mask = np.zeros(frame.depth.shape, dtype=bool)
+    region = region_of(frame, model, start)
+    full = (0, 0, frame.camera.width, frame.camera.height)
+    box = full if region is None else region.box(frame.camera)
+    if box is None:
+        return mask
+    part = (slice(box[1], box[3]), slice(box[0], box[2]))
+    points, candidates = _candidates(frame, model, start, region, box, settings, depth_model)
+    if view is None and frame.hand is not None and frame.joints is not None and frame.world_from_hand is not None:
+        wide = read_pixels(frame.depth, frame.camera, full, 8000)
+        view = view_hand(frame, wide, depth_model, calibration or CalibrationModel(), HandViewSettings())
+    if view is not None:
+        rgb = frame.rgb[part] if colour and frame.rgb is not None else None
+        candidates &= ~_hand_pixels(frame, view, box, points[..., 2], candidates, rgb, settings)
+    pieces = _pieces(points[..., 2], candidates, settings)
+    mask[part] = _chosen(pieces, points, frame, model, start, view, settings)
+    return mask
+
+
+def region_of(frame: Frame, model: ObjectModel, start: Array | None) -> Region | None:
+    """Where to look: around the start, else what was felt, else between the fingertips; None for everywhere."""
+    settings = SegmentationSettings()
+    if start is not None or len(frame.contacts):
+        return find_region(frame, model, start, settings)
+    if frame.hand is None or frame.joints is None or frame.world_from_hand is None or not frame.hand.sensors:
+        return None
+    tips = np.array([pose[:3, 3] for pose in frame.hand.hand_from_sensor(frame.joints).values()])
+    seen = poses.apply(frame.camera_from_world @ frame.world_from_hand, tips)
+    return Region(seen.mean(axis=0), model.diameter + settings.slack)
+
+
+def _candidates(
+    frame: Frame,
+    model: ObjectModel,
+    start: Array | None,
+    region: Region | None,
+    box: tuple[int, int, int, int],
+    settings: MaskSettings,
+    depth_model: DepthModel,
+) -> tuple[Array, Mask]:
+    """Points (h, w, 3) of a box of pixels, and which may be the object's by where they are."""
+    assert frame.depth is not None
+    assert frame.camera is not None
+    u0, v0, u1, v1 = box
+    z = frame.depth[v0:v1, u0:u1].astype(np.float64)
+    good = is_reading(z)
+    z = np.where(good, z, 0.0)
+    x = (np.arange(u0, u1) - frame.camera.cx) / frame.camera.fx * z
+    y = ((np.arange(v0, v1) - frame.camera.cy) / frame.camera.fy)[:, None] * z
+    points = np.stack([x, y, z], axis=2)
+    if region is not None:
+        away = np.square(x - region.centre[0])
+        away += np.square(y - region.centre[1])
+        away += np.square(z - region.centre[2])
+        good &= away < region.radius**2
+    plane = find_plane(frame, settings, depth_model)
+    if plane is not None:
+        room = settings.plane_margin + settings.plane_sigmas * depth_model.independent_sigma(z)
+        good &= points @ plane[:3] + plane[3] > room
+    if start is not None and good.any():
+        distance = model.field.distance(poses.apply(poses.inverse(start), points[good]))
+        good[good] = np.abs(distance) < settings.reach
+    return points, good
+
+
+def find_plane(frame: Frame, settings: MaskSettings, depth_model: DepthModel) -> Array | None:
+    """(4,) unit normal towards the camera and offset, height = n . p + o, of the wall or table that most readings lie
+    on; None when there is no such plane, or when much is seen beyond it.
+    """
+    assert frame.depth is not None
+    assert frame.camera is not None
+    box = (0, 0, frame.camera.width, frame.camera.height)
+    points = read_pixels(frame.depth, frame.camera, box, settings.plane_points).points
+    if len(points) < 50:
+        return None
+    tolerance = settings.plane_margin + settings.plane_sigmas * depth_model.independent_sigma(points[:, 2])
+    rng = np.random.default_rng(0)
+    corners = points[rng.integers(len(points), size=(settings.plane_tries, 3))]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normals, axis=1)
+    normals = normals[length > 1e-6] / length[length > 1e-6, None]
+    offsets = -np.einsum("ni,ni->n", normals, corners[length > 1e-6][:, 0])
+    if not len(normals):
+        return None
+    on = np.abs(points @ normals.T + offsets) < tolerance[:, None]
+    best = int(on.sum(axis=0).argmax())
+    chosen = on[:, best]
+    normal, offset = normals[best], offsets[best]
+    for _ in range(3):
+        middle = points[chosen].mean(axis=0)
+        _, _, axes = np.linalg.svd(points[chosen] - middle, full_matrices=False)
+        normal = axes[2] * (1.0 if axes[2] @ middle <= 0 else -1.0)
+        offset = -float(normal @ middle)
+        chosen = np.abs(points @ normal + offset) < tolerance
+        if chosen.sum() < 50:
+            return None
+    beyond = float((points @ normal + offset < -2 * tolerance).mean())
+    share = float(chosen.mean())
+    return np.append(normal, offset) if share > settings.plane_share and beyond < 0.5 * share else None
+
+
+def _hand_pixels(
+    frame: Frame,
+    view: HandView,
+    box: tuple[int, int, int, int],
+    z: Array,
+    candidates: Mask,
+    rgb: NDArray[np.uint8] | None,
+    settings: MaskSettings,
+) -> Mask:
+    """(h, w) pixels of the box that show the hand: where it is rendered at that depth, or uncertainly beside it."""
+    import cv2
+
+    assert frame.hand is not None
+    assert frame.joints is not None
+    assert frame.camera is not None
+    vertices, faces, _ = frame.hand.mesh(frame.joints)
+    seen = Renderer({"hand": (vertices, faces)}).render(frame.camera, {"hand": view.aligned}, box)
+    there = (seen.ids >= 0).astype(np.uint8)
+    if not there.any():
+        return np.zeros(z.shape, dtype=bool)
+    depth = seen.depth.astype(np.float32)
+    middle = float(np.median(depth[there > 0]))
+    outline = int(np.ceil(settings.hand_outline * frame.camera.fx / middle))
+    strip = outline + (settings.colour_strip if rgb is not None else 0)
+    kernel = np.ones((2 * strip + 1, 2 * strip + 1), np.uint8)
+    far = cv2.dilate(depth, kernel)
+    near = cv2.erode(np.where(there > 0, depth, np.float32(1e3)), kernel)
+    close = candidates & (z > near - settings.hand_margin) & (z < far + settings.hand_margin)
+    if rgb is None:
+        return np.asarray(close)
+    inner = close & (cv2.erode(there, kernel) > 0)
+    around = np.ones((2 * settings.colour_around + 1, 2 * settings.colour_around + 1), np.uint8)
+    outer = candidates & ~close & (cv2.dilate(there, kernel) == 0) & (cv2.dilate(there, around) > 0)
+    uncertain = close & ~inner
+    scores = _colour_scores(rgb, inner, outer, uncertain, settings)
+    if scores is None:
+        return _hand_pixels(frame, view, box, z, candidates, None, settings)
+    inner[uncertain] = scores > 0
+    return np.asarray(inner)
+
+
+def _colour_scores(
+    rgb: NDArray[np.uint8], hand: Mask, other: Mask, asked: Mask, settings: MaskSettings
+) -> Array | None:
+    """(n,) above 0 where the colour of an asked pixel is more the hand's; None when the two are not known apart.
+
+    Shares of the channels, which shading leaves alone; medians, because what is not the hand is not all the object.
+    """
+    if min(hand.sum(), other.sum()) < settings.colour_pixels:
+        return None
+
+    def shares(chosen: Mask) -> Array:
+        colours = rgb[chosen].astype(np.float64)
+        return np.asarray(colours[:, :2] / np.maximum(colours.sum(axis=1, keepdims=True), 1.0))
+
+    centres, spreads = [], []
+    for part in (hand, other):
+        share = shares(part)
+        share = share[:: max(1, len(share) // settings.colour_most)]
+        centre = np.median(share, axis=0)
+        centres.append(centre)
+        spreads.append(np.maximum(1.4826 * np.median(np.abs(share - centre), axis=0), settings.colour_floor))
+    apart = np.abs(centres[0] - centres[1]) / np.sqrt((spreads[0] ** 2 + spreads[1] ** 2) / 2)
+    if apart.max() < settings.colour_apart:
+        return None
+    share = shares(asked)
+    off = [np.square((share - c) / s).sum(axis=1) + 2 * np.log(s).sum() for c, s in zip(centres, spreads)]
+    return np.asarray(off[1] - off[0])
+
+
+def _pieces(z: Array, candidates: Mask, settings: MaskSettings) -> NDArray[np.int64]:
+    """(h, w) number of the connected piece that each candidate pixel belongs to, from 0; -1 elsewhere."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    number = np.full(z.shape, -1, dtype=np.int64)
+    count = int(candidates.sum())
+    if not count:
+        return number
+    number[candidates] = np.arange(count)
+    pairs = []
+    for a, b in (((slice(None), slice(1, None)), (slice(None), slice(-1))), ((slice(1, None),), (slice(-1),))):
+        same = candidates[a] & candidates[b]
+        same &= np.abs(z[a] - z[b]) < settings.step + settings.step_share * z[a]
+        pairs.append(np.stack([number[a][same], number[b][same]]))
+    rows, columns = np.concatenate(pairs, axis=1)
+    graph = coo_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(count, count))
+    number[candidates] = connected_components(graph, directed=False)[1]
+    return number
+
+
+def _chosen(
+    pieces: NDArray[np.int64],
+    points: Array,
+    frame: Frame,
+    model: ObjectModel,
+    start: Array | None,
+    view: HandView | None,
+    settings: MaskSettings,
+) -> Mask:
+    """(h, w) pixels of the pieces that are held, felt, or where the start expects the object; else the largest."""
+    size = np.bincount(pieces[pieces >= 0])
+    kept = np.zeros(len(size) + 1, dtype=bool)  # the last one stands for no piece
+    felt = frame.contacts.moved(frame.camera_from_world).points
+    # the hand may be behind the object: what is seen is then its thickness away
+    thickness = settings.held + 2.0 * max(0.0, -float(model.field.values.min()))
+    gaps = np.full(len(size), np.inf)
+    off = np.zeros(len(size))
+    samples: dict[int, Array] = {}
+    for piece in np.nonzero(size >= settings.smallest)[0]:
+        own = points[pieces == piece]
+        few = samples[int(piece)] = own[:: max(1, len(own) // 300)]
+        if view is not None:
+            gaps[piece] = view.gap(few)
+        if len(felt):
+            gaps[piece] = min(gaps[piece], float(np.linalg.norm(few[:, None] - felt[None], axis=2).min()))
+        if start is not None:
+            off[piece] = float(np.median(np.abs(model.field.distance(poses.apply(poses.inverse(start), few)))))
+            kept[piece] = off[piece] < settings.explained
+    kept[:-1] |= gaps < settings.held
+    _join(kept, samples, settings.held)
+    near = gaps < thickness if start is None else off < settings.may_be
+    behind = np.where(near, size, 0)
+    if behind.max(initial=0) > settings.larger * size[kept[:-1]].sum():
+        kept[int(behind.argmax())] = True
+    if start is None and view is not None and frame.camera is not None and kept.any():
+        middle = float(np.median(points[..., 2][pieces >= 0]))
+        # the mean shadow of a convex body is a quarter of its surface (Cauchy); that of another is less
+        shown = settings.fair_share * model.area / 4.0 * frame.camera.fx * frame.camera.fy / middle**2
+        far = np.where((gaps < model.diameter) & ~kept[:-1], size, 0)
+        if size[kept[:-1]].sum() < shown < far.max(initial=0):
+            kept[int(far.argmax())] = True
+    if not kept.any() and size.max(initial=0) >= settings.smallest:
+        kept[int(size.argmax())] = True
+    return np.asarray(kept[pieces])
+
+
+def _join(kept: Mask, samples: dict[int, Array], gap: float) -> None:
+    """Mark, in place, pieces within `gap` metres of marked ones, and of those in turn: readings lost between them."""
+    from scipy.spatial import cKDTree
+
+    trees = {piece: cKDTree(points) for piece, points in samples.items()}
+    fresh = [piece for piece in samples if kept[piece]]
+    while fresh:
+        piece = fresh.pop()
+        for other in samples:
+            if not kept[other] and trees[piece].query(samples[other])[0].min() < gap:
+                kept[other] = True
+                fresh.append(other)

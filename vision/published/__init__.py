@@ -1,0 +1,1 @@
+"""Registration methods of papers and libraries, to compare with."""

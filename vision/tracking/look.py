@@ -1,0 +1,173 @@
+"""Looking again: the pixels of the object in a frame whose predecessor was understood. Camera frame, metres.
+
+A first look searches the whole image for the hand and takes five passes to align it (vision.look.hand). From frame to
+frame neither the robot's calibration nor the shape of a closed hand changes, so a second look begins where the last
+one ended: one pass over few pixels, and the hand's mesh is laid out anew only when its joints have moved.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+from scenes.geometry.surface import Surface
+from scenes.recordings.frames import Frame
+from vision.look.hand import (
+    CalibrationModel,
+    HandView,
+    HandViewSettings,
+    camera_from_hand,
+    fit_hand,
+    view_hand,
+)
+from vision.look.pixels import DepthModel, Pixels, Region, read_pixels
+from vision.look.segments import SegmentationSettings, Segments, segment
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LookSettings:
+    """What is looked at near a predicted pose."""
+
+    # Pixels farther than this from the predicted surface are not the object's (m): a frame's motion against the
+    # prediction and the prediction's own error, two sigmas of either.
+    slack: float = 0.015
+    # Pixels of the box around the object (for free space), and of those near the object the ones that are told apart
+    # from the hand: a closest-point query each.
+    most: int = 12_000
+    most_near: int = 500
+    # Pixels among which the hand is looked for, and of those that show it the ones it is aligned to.
+    most_hand: int = 600
+    most_aligned: int = 250
+    # A hand pixel farther than this from the hand where it was last seen is something else (m), pass after pass.
+    gates: tuple[float, ...] = (0.007, 0.005)
+    # Free space: rays, and points a ray. Fewer than a first look needs: the pose is nearly known.
+    free_rays: int = 60
+    free_steps: int = 3
+
+
+class Looker:
+    """Segments one frame after another; remembers the hand's mesh and how far the calibration is off."""
+
+    def __init__(
+        self,
+        model: ObjectModel,
+        settings: LookSettings | None = None,
+        segmentation: SegmentationSettings | None = None,
+        depth: DepthModel | None = None,
+        calibration: CalibrationModel | None = None,
+    ) -> None:
+        """The models are those of `vision.look.segments.segment`."""
+        self.model = model
+        self.settings = settings or LookSettings()
+        self.segmentation = replace(
+            segmentation or SegmentationSettings(),
+            slack=self.settings.slack,
+            free_rays=self.settings.free_rays,
+            free_steps=self.settings.free_steps,
+        )
+        self.depth = depth or DepthModel()
+        self.calibration = calibration or CalibrationModel()
+        self.correction: Array | None = None
+        self._surface: Surface | None = None
+        self._vertices = np.zeros((0, 3))
+        self._joints: tuple[tuple[str, float], ...] = ()
+
+    def look(self, frame: Frame, predicted: Array) -> Segments:
+        """Sort the frame's pixels near `predicted` (4, 4) camera_from_object; clouds are cut out as they are."""
+        if frame.depth is None or frame.camera is None:
+            return segment(frame, self.model, predicted, self.segmentation, self.depth, self.calibration)
+        centre = predicted[:3, :3] @ self.model.centroid + predicted[:3, 3]
+        region = Region(centre, self.model.radius + self.settings.slack)
+        box = region.box(frame.camera)
+        hand_view = self.view_hand(frame)
+        if box is None:
+            nothing = _no_pixels()
+            return Segments(nothing, nothing, nothing, region, hand_view, {"region outside the image": 1})
+        pixels = read_pixels(frame.depth, frame.camera, box, self.settings.most)
+        near = np.linalg.norm(pixels.points - centre, axis=1) < region.radius
+        near[near] = self._near_surface(pixels.points[near], predicted)
+        if frame.mask is not None:
+            near &= frame.mask[pixels.uv[:, 1], pixels.uv[:, 0]]
+        mine = pixels.take(near).thinned(self.settings.most_near)
+        others = pixels.take(~near).thinned(self.settings.free_rays)
+        of_hand = np.zeros(len(mine), dtype=bool)
+        if hand_view is not None and len(mine):
+            of_hand = hand_view.nearer(mine.points, HandViewSettings().margin)
+        told_apart = frame.mask is not None or hand_view is not None
+        dropped = {"hand pixels": int(of_hand.sum())} if hand_view is not None else {}
+        return Segments(
+            mine.take(~of_hand), mine.take(of_hand), others, region, hand_view, dropped, told_apart=told_apart
+        )
+
+    def _near_surface(self, points: Array, predicted: Array) -> NDArray[np.bool_]:
+        local = se3.apply(se3.inverse(predicted), points)
+        return np.asarray(np.abs(self.model.field.distance(local)) < self.settings.slack)
+
+    def view_hand(self, frame: Frame) -> HandView | None:
+        """The frame's hand aligned to its pixels, from where the last frame left it; None without hand and depth."""
+        measured = camera_from_hand(frame)
+        if frame.hand is None or frame.joints is None or measured is None:
+            return None
+        if frame.depth is None or frame.camera is None:
+            return None
+        if self.correction is None:
+            full = (0, 0, frame.camera.width, frame.camera.height)
+            wide = read_pixels(frame.depth, frame.camera, full, self.segmentation.most_hand)
+            found = view_hand(frame, wide, self.depth, self.calibration)
+        else:
+            found = self._view_again(frame, measured, self._hand_surface(frame), self.correction)
+        if found is not None and len(found.points) >= HandViewSettings().fewest:
+            self.correction = found.correct()
+        return found
+
+    def _hand_surface(self, frame: Frame) -> Surface:
+        assert frame.hand is not None
+        assert frame.joints is not None
+        joints = tuple(sorted(frame.joints.items()))
+        if self._surface is None or joints != self._joints:
+            self._vertices, faces, _ = frame.hand.mesh(frame.joints)
+            self._surface, self._joints = Surface(self._vertices, faces), joints
+        return self._surface
+
+    def _view_again(self, frame: Frame, measured: Array, surface: Surface, correction: Array) -> HandView:
+        """Gauss-Newton on the hand's pixels as in `view_hand`, from the last correction (4, 4) camera_from_camera."""
+        aligned = correction @ measured
+        pixels = self._hand_pixels(frame, aligned)
+        keep = surface.is_within(se3.apply(se3.inverse(aligned), pixels.points), self.settings.gates[0])
+        step = max(1, int(keep.sum()) // self.settings.most_aligned)
+        points = pixels.points[keep][::step]
+        centre = points.mean(axis=0) if len(points) else aligned[:3, 3]
+        xi = se3.difference(correction, np.eye(4), centre)
+        if len(points) < HandViewSettings().fewest:
+            return HandView(measured, aligned, centre, xi, points[:0], np.zeros(0), points[:0], surface)
+        pixel, gates = pixels.area * step, self.settings.gates
+        return fit_hand(surface, measured, xi, centre, points, pixel, self.depth, self.calibration, gates)
+
+    def _hand_pixels(self, frame: Frame, aligned: Array) -> Pixels:
+        """Pixels of the box around the hand's mesh at `aligned` (4, 4) camera_from_hand."""
+        assert frame.camera is not None
+        assert frame.depth is not None
+        corners = se3.apply(aligned, self._vertices)
+        corners = corners[corners[:, 2] > 1e-3]
+        if not len(corners):
+            return _no_pixels()
+        uv, _ = frame.camera.project(corners)
+        low = np.clip(np.floor(uv.min(axis=0)), 0, [frame.camera.width, frame.camera.height]).astype(int)
+        high = np.clip(np.ceil(uv.max(axis=0)) + 1, 0, [frame.camera.width, frame.camera.height]).astype(int)
+        if (high <= low).any():
+            return _no_pixels()
+        box = (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
+        pixels = read_pixels(frame.depth, frame.camera, box, 2 * self.settings.most_hand)
+        centre, reach = corners.mean(axis=0), np.linalg.norm(corners - corners.mean(axis=0), axis=1).max()
+        near = np.linalg.norm(pixels.points - centre, axis=1) < reach + self.settings.gates[0]
+        return pixels.take(near).thinned(self.settings.most_hand)
+
+
+def _no_pixels() -> Pixels:
+    return Pixels(np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3)), 1.0)
