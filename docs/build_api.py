@@ -48,10 +48,10 @@ ROOMS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
     "vision": (
         "The camera's part by itself: what is the object's in an image, registration, tracking without touch.",
         {
-            "vision.look.segments": ("segment", "Segments"),
+            "vision.look.look": ("look",),
+            "vision.look.looked": ("Looked",),
             "vision.look.mask": ("object_mask",),
-            "vision.look.hand": ("view_hand", "HandView", "CalibrationModel"),
-            "vision.look.pixels": ("DepthModel",),
+            "vision.look.hand": ("view_hand", "HandView"),
             "vision.published.icp": ("icp", "IcpResult"),
             "vision.published.registration": ("register",),
             "vision.tracking.by_vision": ("track_by_vision",),
@@ -64,6 +64,7 @@ ROOMS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
             "scenes.errors": ("MeshError", "CaptureError", "InputError", "SystemLibraryError"),
             "scenes.recordings.captures": ("Capture",),
             "scenes.recordings.frames": ("EmptyRegions", "Wrench"),
+            "scenes.recordings.beliefs": ("Beliefs", "DepthModel", "CalibrationModel", "TouchModel"),
             "scenes.recordings.validation": ("validate", "check_usable"),
             "scenes.geometry.cameras": ("Camera",),
             "scenes.robot.hands": ("Hand",),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fusion.estimation.answer import Estimate
     from fusion.estimation.estimate import estimate
-    from fusion.estimation.stages import EstimateSettings
+    from fusion.estimation.settings import EstimateSettings
     from fusion.tracking.answer import TrackedEstimate, TrackSettings
     from fusion.tracking.tracker import Tracker, track
 
@@ -20,7 +20,7 @@ __all__ = ["Estimate", "EstimateSettings", "TrackSettings", "TrackedEstimate", "
 
 _HOMES = {
     "Estimate": "fusion.estimation.answer",
-    "EstimateSettings": "fusion.estimation.stages",
+    "EstimateSettings": "fusion.estimation.settings",
     "TrackSettings": "fusion.tracking.answer",
     "TrackedEstimate": "fusion.tracking.answer",
     "Tracker": "fusion.tracking.tracker",

@@ -16,10 +16,11 @@ from scenes.errors import InputError
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.reconstruction.volume import View
+from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
-from vision.look.hand import CalibrationModel, view_hand
+from vision.look.hand import view_hand
 from vision.look.mask import MaskSettings, object_mask
-from vision.look.pixels import DepthModel, read_pixels
+from vision.look.pixels import read_pixels
 
 Array = NDArray[np.float64]
 
@@ -64,7 +65,7 @@ def hand_poses(frames: list[Frame], settings: ModellingSettings | None = None) -
         if frame.depth is not None and frame.camera is not None:
             box = (0, 0, frame.camera.width, frame.camera.height)
             pixels = read_pixels(frame.depth, frame.camera, box, settings.most_hand)
-            seen = view_hand(frame, pixels, DepthModel(), CalibrationModel())
+            seen = view_hand(frame, pixels, Beliefs())
             camera_from_hand = camera_from_hand if seen is None else seen.aligned
         out[frame.index] = camera_from_hand @ hand_from_object
     return out

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from scenes.geometry.cameras import is_reading
+from scenes.recordings.beliefs import CalibrationModel
 from scenes.recordings.frames import Frame
-from vision.look.hand import CalibrationModel, HandView, camera_from_hand, prior_information
+from vision.look.hand import HandView, camera_from_hand, prior_information
 
 
 @dataclass(frozen=True)

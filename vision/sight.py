@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings.beliefs import DepthModel
 from scenes.recordings.frames import Frame
 from scenes.threads import run_chunks
-from vision.look.pixels import DepthModel
 
 Array = NDArray[np.float64]
 

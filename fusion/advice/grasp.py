@@ -47,8 +47,6 @@ class GraspSettings:
     overlap: float = 0.25
     # Best places are this far apart, as a share of the object's radius.
     apart: float = 0.2
-    # Beyond this many sigmas a contact is as likely a false one (as the estimator has it).
-    gate: float = 4.0
 
     def __post_init__(self) -> None:
         """Refuse what cannot be asked."""
@@ -202,7 +200,7 @@ def held_contacts(frame: Frame, answer: Estimate, settings: GraspSettings) -> tu
     """The contacts (camera frame, the calibration corrected as the answer has it) that the answer explains, and the
     sensors of the others.
     """
-    contacts = feel(frame, settings.gate).contacts
+    contacts = feel(frame, np.eye(4)).reported_contacts
     if answer.hand_from_object is not None and frame.world_from_hand is not None:
         reported = frame.camera_from_world @ frame.world_from_hand
         contacts = contacts.moved(answer.pose @ se3.inverse(answer.hand_from_object) @ se3.inverse(reported))

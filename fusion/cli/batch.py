@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when a capture failed or a frame is lost."""
     from fusion.cli.options import prior_setter
-    from fusion.estimation.stages import check_senses
+    from fusion.estimation.asked import check_senses
     from fusion.results.batch import Job, Outcome, find_captures, finished
     from fusion.results.batch_files import summary_of, write_all
 

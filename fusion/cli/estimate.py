@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when a frame's answer is lost."""
-    from fusion.estimation.stages import check_senses
+    from fusion.estimation.asked import check_senses
     from fusion.results.files import frame_errors
     from fusion.truth.errors import Judge
     from scenes.recordings.captures import read_capture

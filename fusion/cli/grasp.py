@@ -112,7 +112,7 @@ def _answers(args: argparse.Namespace) -> tuple[Capture, ObjectModel, list[Frame
         return capture, model, [capture.frame(answer.frame) for answer in answers], answers
     if not args.source.is_dir():
         raise InputError(f"{args.source}: expected a capture's folder, or a result.json or its folder, found neither")
-    from fusion.estimation.stages import check_senses
+    from fusion.estimation.asked import check_senses
 
     senses = tuple(sorted(check_senses(args.use), reverse=True))
     capture = read_capture(args.source)

@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when the object is lost in the last frame."""
-    from fusion.estimation.stages import check_senses
+    from fusion.estimation.asked import check_senses
     from fusion.results.files import frame_errors
     from fusion.tracking.tracker import Tracker
     from fusion.truth.errors import Judge

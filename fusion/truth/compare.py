@@ -27,7 +27,8 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings.captures import Capture
 from scenes.recordings.frames import Frame
 from scenes.recordings.validation import check_usable
-from vision.look.segments import all_points, crop_points, object_points
+from vision.look.look import object_points
+from vision.look.points import all_points, crop_points
 from vision.published.icp import icp
 
 Array = NDArray[np.float64]

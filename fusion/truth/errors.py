@@ -13,7 +13,7 @@ from fusion.truth import metrics
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
-from vision.look.segments import all_points
+from vision.look.points import all_points
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

@@ -22,7 +22,7 @@ from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
 from scenes.threads import run_chunks
-from vision.tracking.look import Looker
+from vision.look.warm import Looker
 
 Array = NDArray[np.float64]
 

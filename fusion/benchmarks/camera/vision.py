@@ -128,7 +128,7 @@ class _Bench:
     def trial(self, name: str, method: str, frame: Frame, judge: Judge) -> Trial:
         """One method on one frame, from its prior when it has one."""
         from fusion.estimation.estimate import estimate
-        from fusion.estimation.stages import EstimateSettings, look
+        from vision.look.look import object_points
         from vision.published import registration as baselines
 
         truth = frame.camera_from_object_truth
@@ -139,7 +139,7 @@ class _Bench:
             pose, covariance, verdict = answer.pose, answer.covariance, answer.verdict
             looking = sum(stage.ms for stage in answer.trace if stage.name == "look")
         else:
-            points = look(frame, judge.model, frame.prior, EstimateSettings())[0].pixels.points
+            points = object_points(frame, judge.model, frame.prior)
             looking = 1e3 * (time.perf_counter() - wall)
             pose = baselines.register(method, points, judge.model, frame.prior, self.seed)
             covariance, verdict = None, ""

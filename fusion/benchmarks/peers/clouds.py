@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.benchmarks.peers.pareto import Method, Point, least_error, measure, swept
+from fusion.estimation.settings import EstimateSettings
 from scenes._open3d import open3d
 from scenes.evidence import table as evidence
 from scenes.evidence.align import terms
@@ -101,9 +102,15 @@ def _peer(name: str, budget: str, register: Register, most: int | None = None) -
     return Method(name, budget, lambda view, seed: register(view.frame, view.points, view.model, seed), most)
 
 
+def with_effort(pixels: int, starts: int) -> EstimateSettings:
+    """An estimate of so many object pixels and starts around a prior."""
+    usual = EstimateSettings()
+    rows = replace(usual.look.rows, most=pixels)
+    return replace(usual, look=replace(usual.look, rows=rows), proposals=replace(usual.proposals, starts_near=starts))
+
+
 def _ours(with_start: bool) -> Iterator[Peer]:
     from fusion.estimation.estimate import estimate
-    from fusion.estimation.stages import EstimateSettings
 
     def register(settings: EstimateSettings) -> Register:
         def run(frame: Frame, points: Array, model: ObjectModel, seed: int) -> Array:
@@ -114,7 +121,7 @@ def _ours(with_start: bool) -> Iterator[Peer]:
 
     for pixels, starts in BUDGETS:
         budget = f"{pixels} pixels, {starts} starts" if with_start else f"{pixels} pixels"
-        yield _peer("palpate", budget, register(EstimateSettings(pixels=pixels, starts_near=starts)))
+        yield _peer("palpate", budget, register(with_effort(pixels, starts)))
 
 
 def _icp() -> Iterator[Peer]:
@@ -221,7 +228,7 @@ def bound_mm(shown: Sequence[View]) -> float:
 
     The Gauss-Newton information at the truth of every pixel by itself, with the camera's independent noise.
     """
-    from vision.look.pixels import DepthModel
+    from scenes.recordings.beliefs import DepthModel
 
     found = []
     for view in shown:

@@ -42,8 +42,6 @@ class JointSettings:
     # Independent error of the hand's surface (m): joint errors move whole links; and how many of its pixels share it.
     hand_sigma: float = 0.001
     hand_sharing: float = 6.0
-    # What a mesh and its lattice leave out of a real object, metres.
-    model_sigma: float = 0.0004
     # Least cosine of the incidence of a pixel: cameras read nothing of surfaces steeper than 80 degrees.
     least_cosine: float = 0.17
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from commands import refused, run
 
+from scenes.files.off import write_off
 from scenes.geometry import poses
 from scenes.recordings.captures import read_capture
-from scenes.files.off import write_off
 from scenes.synthesis.library import make
 
 SIZE = (48, 64)
