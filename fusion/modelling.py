@@ -17,10 +17,10 @@ from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.surface import Surface
 from scenes.reconstruction.superquadrics import fit_superquadric
-from scenes.reconstruction.volume import Reconstruction, ReconstructionSettings, View, reconstruct
+from scenes.reconstruction.volume import DepthView, Reconstruction, ReconstructionSettings, reconstruct
 from scenes.recordings.captures import Capture
 from scenes.recordings.frames import Frame
-from vision.modelling import ModellingSettings, hand_poses, still_poses, views_of
+from vision.modelling import ModelViewSettings, hand_poses, still_poses, views_of
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class ModelSettings:
     contact_share: float = 0.25
     # A superquadric's vertex is observed within this many voxels of a place that was seen.
     observed_voxels: float = 3.0
-    views: ModellingSettings = field(default_factory=ModellingSettings)
+    views: ModelViewSettings = field(default_factory=ModelViewSettings)
     reconstruction: ReconstructionSettings = field(default_factory=ReconstructionSettings)
 
     def __post_init__(self) -> None:
@@ -75,7 +75,7 @@ def make_model(
     settings = settings or ModelSettings()
     if files and len(files) != len(captures):
         raise InputError(f"poses: expected one file for each of {len(captures)} captures, got {len(files)}")
-    views: list[View] = []
+    views: list[DepthView] = []
     touched, hands = [], []
     true_from_model: Array | None = None
     kind = "file" if files else source

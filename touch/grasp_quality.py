@@ -182,7 +182,7 @@ def margin(wrenches: Array, settings: WrenchSettings | None = None) -> float:
 
 
 @dataclass(frozen=True)
-class Ball:
+class WrenchBall:
     """radius: of the largest ball about the origin inside a hull, negative for an origin outside of it; weakest (d,):
     unit normal of the facet that it touches; volume: of the hull.
     """
@@ -192,17 +192,17 @@ class Ball:
     volume: float
 
 
-def largest_ball(points: Array) -> Ball:
+def largest_ball(points: Array) -> WrenchBall:
     """The largest ball about the origin in the convex hull of points (n, d); of a flat hull, nothing.
 
     For an origin outside, `radius` is minus how far the worst facet has it outside.
     """
     hull = _hull(points)
     if hull is None:
-        return Ball(0.0, np.zeros(points.shape[1]), 0.0)
+        return WrenchBall(0.0, np.zeros(points.shape[1]), 0.0)
     normals, offsets = hull.equations[:, :-1], -hull.equations[:, -1]
     nearest = int(np.argmin(offsets))
-    return Ball(float(offsets[nearest]), -normals[nearest], float(hull.volume))
+    return WrenchBall(float(offsets[nearest]), -normals[nearest], float(hull.volume))
 
 
 def _hull(points: Array) -> ConvexHull | None:

@@ -182,8 +182,8 @@ def _import(kind: str, args: argparse.Namespace) -> Converted:
         model = _needed(args, f"a capture (or OUT ending in {', '.join(TABLES)})")
         return tacman.convert_contacts(read_contacts(source), out, model, str(source))
     if kind == "ros":
-        from scenes.formats.ros import topics as ros_map
         from scenes.formats.ros import recording as ros
+        from scenes.formats.ros import topics as ros_map
 
         if args.topics is None:
             raise InputError(f"{source}: expected --topics FILE, a topic map (docs/formats.md), got none")
@@ -303,7 +303,7 @@ def _result_poses(path: Path) -> dict[int, Any]:
 
 def _stamps(capture: Capture, fps: float) -> dict[int, int]:
     """Nanoseconds by frame: what the recording said, else frames at `fps` from 0."""
-    noted = capture.settings.notes.get("stamps_ns")
+    noted = capture.manifest.notes.get("stamps_ns")
     noted = noted if isinstance(noted, dict) else {}
     said = {int(key): value for key, value in noted.items() if key.isdecimal() and isinstance(value, int)}
     if set(capture.frame_ids) <= set(said):

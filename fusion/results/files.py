@@ -60,7 +60,7 @@ def result_json(
 def write_results(out: Path, capture: Capture, answers: Sequence[Estimate], content: dict[str, Any]) -> None:
     """Write OUT/poses.csv and OUT/result.json; the folder is made when missing."""
     out.mkdir(parents=True, exist_ok=True)
-    number, scene = capture.settings.object_id, capture.settings.notes.get("scene_id", 0)
+    number, scene = capture.manifest.object_id, capture.manifest.notes.get("scene_id", 0)
     scene = scene if isinstance(scene, int) else 0
     write_poses(
         out / "poses.csv",

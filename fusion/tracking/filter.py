@@ -116,7 +116,7 @@ def update(model: ObjectModel, predicted: Belief, measured: Measurement) -> Beli
 
 
 @dataclass(frozen=True)
-class SlipSettings:
+class TrackSlipSettings:
     """When an object that should be held has moved in the hand."""
 
     # A squared innovation (chi-square, 6 degrees of freedom) above this in one frame: one in a million by chance.
@@ -142,10 +142,10 @@ class SlipTest:
     where no rigid motion of the object explains it.
     """
 
-    def __init__(self, model: ObjectModel, length: float, settings: SlipSettings | None = None) -> None:
+    def __init__(self, model: ObjectModel, length: float, settings: TrackSlipSettings | None = None) -> None:
         """length: correlation length of the depth bias in pixels, over which shared errors change."""
         self.model = model
-        self.settings = settings or SlipSettings()
+        self.settings = settings or TrackSlipSettings()
         self._length = length
         self._held: Belief | None = None
         self._pixel: Array | None = None

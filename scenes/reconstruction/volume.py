@@ -47,7 +47,7 @@ class ReconstructionSettings:
 
 
 @dataclass(frozen=True)
-class View:
+class DepthView:
     """One depth image: camera; camera_from_object (4, 4); depth (h, w) m, 0 where nothing is to be believed; mask
     (h, w), the pixels of `depth` that are the object's (the others say what is free before them).
     """
@@ -82,7 +82,7 @@ class Reconstruction:
 
 
 def reconstruct(
-    views: Sequence[View],
+    views: Sequence[DepthView],
     touched: Array | None = None,
     hand: tuple[Array, Faces] | None = None,
     settings: ReconstructionSettings | None = None,
@@ -132,7 +132,7 @@ def _volume(side: float, count: int, truncation: float, origin: Array) -> Any:
     return o3d.pipelines.integration.UniformTSDFVolume(side, count, truncation, kind, origin=origin)
 
 
-def _integrate(volume: Any, view: View) -> None:
+def _integrate(volume: Any, view: DepthView) -> None:
     o3d = open3d()
     camera = view.camera
     depth = o3d.geometry.Image(np.ascontiguousarray(view.depth, dtype=np.float32))

@@ -87,7 +87,7 @@ def wrench_contacts(frame: Frame) -> Contacts:
 
     Raises CaptureError for wrenches without a hand, joints or a surface to solve on.
     """
-    from touch.wrenches.fingertips import SoftLayer, tip_contacts  # which builds on the sphere above
+    from touch.wrenches.fingertips import SoftSkin, tip_contacts  # which builds on the sphere above
 
     if not frame.wrenches:
         return Contacts(np.zeros((0, 3)))
@@ -103,7 +103,7 @@ def wrench_contacts(frame: Frame) -> Contacts:
         if sensor.surface is None:
             raise CaptureError(f"{frame.where}: sensor {wrench.sensor} needs a surface to solve its wrench on")
         surface = _with_mesh(sensor.surface, f"{frame.where}: sensor {wrench.sensor}")
-        found = tip_contacts(wrench.force, wrench.torque, surface, SoftLayer.parse(sensor.soft_layer))
+        found = tip_contacts(wrench.force, wrench.torque, surface, SoftSkin.parse(sensor.soft_layer))
         if not found.valid[0]:
             continue
         world_from_sensor = frame.world_from_hand @ hand_from_sensor[wrench.sensor]

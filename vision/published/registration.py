@@ -25,7 +25,7 @@ from scenes._open3d import open3d
 from scenes.errors import InputError
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
-from vision.published.icp import IcpSettings, icp
+from vision.published.icp import CloudIcpSettings, icp
 
 Array = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ class BaselineSettings:
     # Below this many points nothing is tried.
     fewest: int = 10
     # After a global method: the levels of ICP that a start which may be right needs.
-    icp: IcpSettings = field(default_factory=lambda: IcpSettings((0.015, 0.006, 0.004)))
+    icp: CloudIcpSettings = field(default_factory=lambda: CloudIcpSettings((0.015, 0.006, 0.004)))
 
 
 def available() -> tuple[str, ...]:

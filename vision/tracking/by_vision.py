@@ -85,7 +85,7 @@ class ConstantVelocity:
 
 
 @dataclass(frozen=True)
-class TrackerSettings:
+class VisionTrackerSettings:
     """The vision tracker."""
 
     look: LookSettings = field(default_factory=LookSettings)
@@ -130,11 +130,15 @@ class VisionTracker:
     """Follows one object through frames with depth (or clouds)."""
 
     def __init__(
-        self, model: ObjectModel, pose: Array | None = None, settings: TrackerSettings | None = None, seed: int = 0
+        self,
+        model: ObjectModel,
+        pose: Array | None = None,
+        settings: VisionTrackerSettings | None = None,
+        seed: int = 0,
     ) -> None:
         """pose: a start, camera_from_object (4, 4); None takes the first frame's prior or searches."""
         self.model = model
-        self.settings = settings or TrackerSettings()
+        self.settings = settings or VisionTrackerSettings()
         self.motion = ConstantVelocity(model.centroid, self.settings.velocity)
         self._looker = Looker(model, self.settings.look, depth=self.settings.depth)
         self._rng = np.random.default_rng(seed)
@@ -256,7 +260,7 @@ def track_by_vision(
     frames: Iterable[Frame],
     model: ObjectModel,
     pose: Array | None = None,
-    settings: TrackerSettings | None = None,
+    settings: VisionTrackerSettings | None = None,
     seed: int = 0,
 ) -> Iterator[VisionTrack]:
     """A VisionTracker over frames, one answer a frame."""

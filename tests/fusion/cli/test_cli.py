@@ -165,7 +165,7 @@ def test_synth_makes_what_validate_likes(tmp_path, capsys):
     argv = ["synth", str(tmp_path / "s"), "--object", "box", "--hand", "none", "--occlusion", "30%", "--noise", "clean"]
     assert main(argv) == 0
     assert main(["validate", str(tmp_path / "s")]) == 0
-    assert read_capture(tmp_path / "s").settings.notes["noise"] == "clean"
+    assert read_capture(tmp_path / "s").manifest.notes["noise"] == "clean"
 
 
 def test_convert_there_and_back(tmp_path):

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from commands import refused, run
 
+from scenes.files.off import write_off
 from scenes.geometry import poses
 from scenes.recordings.captures import read_capture
-from scenes.files.off import write_off
 from scenes.synthesis.library import make
 
 SIZE = (48, 64)
@@ -44,7 +44,7 @@ def test_ycbineoat(tmp_path, masks, named):
     assert run("convert", tmp_path / "s", tmp_path / "c", "--object", "box") == 0
     capture = read_capture(tmp_path / "c")
     assert capture.frame_ids == (0, 1, 2)
-    assert capture.settings.notes["stamps_ns"] == {str(i): int(name) for i, name in enumerate(names)}
+    assert capture.manifest.notes["stamps_ns"] == {str(i): int(name) for i, name in enumerate(names)}
     for i, frame in enumerate(capture):
         assert np.array_equal(np.rint(frame.depth * 1e3), counts[i])
         assert int(frame.rgb[0, 0, 0]) == i
@@ -154,7 +154,7 @@ def test_tacman_sets(tacman, tmp_path, capsys):
     assert run("convert", ini, out, "--json", tmp_path / "j.json") == 0
     capture = read_capture(out)
     assert (len(capture[0].contacts), capture.world, capture.model.name) == (15, "robot base", "box")
-    assert capture.settings.notes["settings"]["R"] == "(0.0001, 0.0001, 0.0001)"
+    assert capture.manifest.notes["settings"]["R"] == "(0.0001, 0.0001, 0.0001)"
     assert json.loads((tmp_path / "j.json").read_text())["dropped"] == [
         {"what": "contacts", "why": "beyond numMeas 15", "count": 5}
     ]

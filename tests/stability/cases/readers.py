@@ -15,7 +15,7 @@ from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.captures import contacts_of, read_capture, write_capture
 from scenes.recordings.frames import Contacts, EmptyRegions, Frame, Wrench
-from scenes.recordings.manifest import read_model, read_settings
+from scenes.recordings.manifest import read_manifest, read_model
 from scenes.recordings.validation import validate
 from scenes.robot.hands import Hand
 from scenes.robot.sensors import read_sensors, surface_hull
@@ -33,7 +33,7 @@ class Reader:
     read: Callable[[Path], Any]
 
 
-def _table(columns: tuple[tables.Column, ...]) -> Callable[[Path], Any]:
+def _table(columns: tuple[tables.CsvColumn, ...]) -> Callable[[Path], Any]:
     return lambda path: tables.read_table(path, columns, refuse)
 
 
@@ -82,14 +82,14 @@ def _every_frame(path: Path) -> None:
 
 
 READERS = (
-    Reader("capture.json", "capture/capture.json", lambda path: read_settings(path.parent, refuse)),
+    Reader("capture.json", "capture/capture.json", lambda path: read_manifest(path.parent, refuse)),
     Reader("scene_camera.json", "capture/scene_camera.json", _cameras),
     Reader("scene_gt.json", "capture/scene_gt.json", _truths),
     Reader("prior.json", "capture/prior.json", lambda path: bop.read_priors(path, refuse)),
     Reader(
         "models_info.json",
         "capture/models/models_info.json",
-        lambda path: read_model(path.parents[1], read_settings(path.parents[1], refuse)),
+        lambda path: read_model(path.parents[1], read_manifest(path.parents[1], refuse)),
     ),
     Reader("contacts.csv", "capture/contacts.csv", _contacts),
     Reader("joints.csv", "capture/joints.csv", _table(tables.JOINTS)),
