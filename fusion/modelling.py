@@ -32,8 +32,9 @@ SEEN, FILLED = (60, 150, 142), (190, 186, 180)
 
 @dataclass(frozen=True)
 class ModelSettings:
-    """What is made, and how."""
+    """What is made, and how. Values by judgement."""
 
+    # One of SHAPES.
     shape: str = "mesh"
     # Share of a superquadric's fit that the contacts have, however few they are: they are on the sides no camera sees.
     contact_share: float = 0.25

@@ -1,7 +1,9 @@
 """Every setting of palpate from one root: `Settings()` holds the default of each settings class, with its path.
 
 A function takes its own part, not the root: `estimate(frame, model, settings=Settings().estimate)`. Each class stands
-beside the code that reads it, where the unit, the reason and the source of every field are.
+beside the code that reads it, where the unit, the reason and the source of every field are: its comment names a paper
+or a measurement, or else the class's docstring says whence its values are. "Tuned" is on captures that the simulator
+made, with other seeds than the benchmarks'; "by judgement" is an engineer's estimate that no experiment stands behind.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ class Ball(Protocol):
 
 @dataclass(frozen=True)
 class TouchSettings:
-    """What is believed of touch beyond the contacts' own sigmas."""
+    """What is believed of touch beyond the contacts' own sigmas. Values by judgement."""
 
     # Points on the hand used as "the object is not in here", their sigma (m) and gate (sigmas).
     hand_points: int = 150

@@ -50,7 +50,7 @@ METHODS = {
 
 @dataclass(frozen=True)
 class LocalizeSettings:
-    """The multi-start search over contacts."""
+    """The multi-start search over contacts. Values tuned on generated contacts where no reason is named."""
 
     # A prior narrower than this (rad, and share of the object's radius, per axis) is drawn from: how often, and the
     # blurs (shares of the radius, rad), steps and survivors of the passes.
@@ -58,8 +58,8 @@ class LocalizeSettings:
     narrow_share: float = 0.7
     draws: int = 60
     draw_passes: tuple[tuple[float, float, int, int], ...] = ((0.07, 0.25, 8, 12),)
-    # With normals on at least this many contacts: poses hypothesised from pairs of them, and of those the ones refined,
-    # with their one pass as above. Rows that ranking and refining may spend: with many contacts a few starts do.
+    # With normals on at least this many contacts: poses hypothesised from pairs of them, the blurs they are ranked with
+    # (share of the radius, rad), and of those the ones refined, with their one pass as above.
     least_normals: int = 3
     hypotheses: int = 8000
     rank_blur: tuple[float, float] = (0.07, 0.25)
@@ -68,6 +68,7 @@ class LocalizeSettings:
     # They are shaken by this much (rad, and share of the radius), a fraction of the table's grid: other seeds then look
     # at other places.
     jitter: float = 0.03
+    # Row evaluations that ranking and refining may spend: with many contacts a few starts do.
     budget_rank: int = 100_000
     budget_ranked: int = 20_000
     # Otherwise: starts everywhere; each costs about 10 microseconds with five contacts.

@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RecognitionSettings:
-    """The search of every candidate, and what its fit is worth."""
+    """The search of every candidate, and what its fit is worth. Values by judgement."""
 
     # Starts of every candidate, and again of those still in play.
     starts: int = 1000

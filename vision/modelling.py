@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ModelViewSettings:
-    """What may be the object."""
+    """What may be the object. Values by judgement."""
 
     # Largest extent of the object (m): no reading farther than this from where it is held is its own.
     size: float = 0.3

@@ -32,7 +32,7 @@ SHOWN = 3
 
 @dataclass(frozen=True)
 class GraspAdviceSettings:
-    """What is asked of a grasp."""
+    """What is asked of a grasp. Values by judgement."""
 
     wrenches: WrenchSettings = field(default_factory=WrenchSettings)
     # Whose normals count where a contact has one: "sensed" by the finger, or the "mesh"'s at the place that is touched.

@@ -117,11 +117,12 @@ def update(model: ObjectModel, predicted: Belief, measured: Measurement) -> Beli
 
 @dataclass(frozen=True)
 class TrackSlipSettings:
-    """When an object that should be held has moved in the hand."""
+    """When an object that should be held has moved in the hand. Values tuned on generated sequences."""
 
     # A squared innovation (chi-square, 6 degrees of freedom) above this in one frame: one in a million by chance.
     alarm: float = 40.0
-    # Several frames together (Page's cumulative sum, 1954): what a frame may add without counting, and the limit.
+    # Several frames together (Page's cumulative sum of those squares, 1954): what a frame may add without counting, and
+    # the limit.
     allowance: float = 12.0
     limit: float = 30.0
     # Errors of two frames that no covariance speaks of: bent surfaces, other pixels (rad, m).

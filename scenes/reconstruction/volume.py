@@ -25,7 +25,7 @@ Faces = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class ReconstructionSettings:
-    """How finely, and what is believed."""
+    """How finely, and what is believed. Values tuned on generated captures."""
 
     # Voxels along the cube's side, and the smallest voxel (m): below, depth noise is all that is seen.
     resolution: int = 128
@@ -40,7 +40,7 @@ class ReconstructionSettings:
     least_views: float = 0.1
     # Pieces of observed surface smaller than this share of the largest are flying pixels.
     smallest_piece: float = 0.05
-    # A vertex seen by so many views is as sure as one gets here: confidence is views / (views + this).
+    # Views (number) at which a vertex is half sure: confidence is views / (views + this).
     half_sure: float = 2.0
     # Triangles of the mesh, at most; more where simplifying it would open it.
     most_faces: int = 20_000

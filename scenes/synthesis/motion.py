@@ -27,7 +27,7 @@ KINDS = ("carry", "turn", "slip", "leave")
 
 @dataclass(frozen=True)
 class MotionSettings:
-    """How fast and how far. A person moves a tool at about 0.2 m/s and 1 rad/s."""
+    """How fast and how far. A person moves a tool at about 0.2 m/s and 1 rad/s. Values by judgement."""
 
     # Frames per second, and duration of one swing to and fro (s).
     rate: float = 30.0

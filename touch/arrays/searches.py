@@ -54,7 +54,7 @@ class BoxMinimum:
 
 @dataclass(frozen=True)
 class ArraySearchSettings:
-    """Work of the published searches."""
+    """Work of the published searches. Values by judgement, on generated grasps."""
 
     # Evaluations in a box around an estimate.
     evaluations: int = 4000
@@ -190,7 +190,7 @@ def minimise(
 
 @dataclass(frozen=True)
 class PressureSettings:
-    """The default search over arrays."""
+    """The default search over arrays. Values by judgement, on generated grasps."""
 
     localize: LocalizeSettings = field(default_factory=LocalizeSettings)
     rows: ArrayRowSettings = field(default_factory=ArrayRowSettings)

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PatternSlipSettings:
-    """When a pattern has moved."""
+    """When a pattern has moved. Values tuned on generated sequences."""
 
     # Displacement (m) of the pressure's middle, as a share of the pitch, below which noise explains it; a pattern that
     # grows over one more row of taxels moves by less.
@@ -104,12 +104,12 @@ def slipped(
 
 @dataclass(frozen=True)
 class PatternSettings:
-    """When the patterns of a hand say that the object has moved in it."""
+    """When the patterns of a hand say that the object has moved in it. Values tuned on generated sequences."""
 
     # Of one array. Noise of 400 Pa moves the middle by 0.1 mm where the pressure is low and by 0.03 mm elsewhere.
     slip: PatternSlipSettings = field(default_factory=PatternSlipSettings)
-    # One array that is this many of its limits from where its pattern was is enough; a finger that rolls moves its own
-    # pattern alone, so two need less.
+    # One array that is this many times its limits from where its pattern was is enough; a finger that rolls moves its
+    # own pattern alone, so two need less.
     alone: float = 0.75
     together: float = 0.4
     # Frames over which what the pattern was is averaged: a slip lasts a fifth of a second or less, 6 frames at 30 Hz,

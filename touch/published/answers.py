@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class AnswerSettings:
-    """How the end of a stochastic search is read."""
+    """How the end of a stochastic search is read. Values by judgement."""
 
     # Particles looked at for other modes.
     looked_at: int = 300

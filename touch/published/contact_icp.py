@@ -25,8 +25,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ContactIcpSettings:
-    """When it stops."""
+    """When it stops. Values by judgement."""
 
+    # Pairings with nearest points, at most.
     iterations: int = 100
     # Mean distance falling by less than this share ends the work.
     tolerance: float = 1e-5

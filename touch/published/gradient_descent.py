@@ -22,11 +22,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class GradientDescentSettings:
-    """T1 eq. 2.29."""
+    """T1 eq. 2.29. Values by judgement where no source is named."""
 
     # w_n of eq. 3.5, square centimetres; 0 is eq. 3.3.
     normal_weight: float = 20.0
-    # lambda: "defined experimentally"; the largest of 1, 2, 5 x 10^k at which cube and cylinder do not diverge.
+    # lambda (no unit): "defined experimentally"; the largest of 1, 2, 5 x 10^k at which cube and cylinder do not
+    # diverge.
     rate: float = 5e-4
     # h of the forward difference (eq. 2.28): quaternion units and centimetres.
     difference: float = 1e-5

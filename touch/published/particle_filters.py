@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ParticleFilterSettings:
-    """Both filters."""
+    """Both filters. Values by judgement where no source is named."""
 
     # Particles. T2 estimates a million for the plain filter; this many show what fewer do.
     particles: int = 5000

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class StoppingSettings:
-    """When the index has settled."""
+    """When the index has settled. Values by judgement."""
 
     # Contacts before which nothing is settled: six meet any surface, and the burn-in of T2 figure 4.14 is ten more.
     fewest: int = 15

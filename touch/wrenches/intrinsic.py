@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class IntrinsicSettings:
-    """When a wrench is a contact."""
+    """When a wrench is a contact. Values by judgement."""
 
     # Forces below this (N) are sensor noise: a usual six-axis fingertip sensor resolves some hundredths of a newton.
     smallest_force: float = 0.05

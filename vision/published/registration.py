@@ -35,8 +35,8 @@ LOCAL = ("icp", "small_gicp")
 
 @dataclass(frozen=True)
 class BaselineSettings:
-    """The methods' usual choices, in shares of the object's size, with weights that forgive outliers; then searched
-    over on 48 captures other than the benchmark's: voxels of 3 or 5 %, four times the RANSAC iterations, mutual
+    """The methods' usual choices, in shares of the object's size, with weights that forgive outliers; then tuned on
+    48 generated captures other than the benchmark's: voxels of 3 or 5 %, four times the RANSAC iterations, mutual
     filtering (no better), twice the inlier distance or wider features for FGR (the same), three schedules of distances
     for small_gicp (the widest is best: 88, 85 and 75 % within 5 mm).
     """

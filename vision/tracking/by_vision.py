@@ -35,7 +35,9 @@ FASTEST_TURN = 0.5
 
 @dataclass(frozen=True)
 class VelocitySettings:
-    """How an object moves that nothing is known of: its last velocity, and what that leaves open a frame later."""
+    """How an object moves that nothing is known of: its last velocity, and what that leaves open a frame later.
+    Values by judgement.
+    """
 
     # Share of the last velocity that is believed: full extrapolation doubles the noise of the two poses it is made of.
     damping: float = 0.8
@@ -86,7 +88,7 @@ class ConstantVelocity:
 
 @dataclass(frozen=True)
 class VisionTrackerSettings:
-    """The vision tracker."""
+    """The vision tracker. Values tuned on generated sequences."""
 
     look: LookSettings = field(default_factory=LookSettings)
     velocity: VelocitySettings = field(default_factory=VelocitySettings)

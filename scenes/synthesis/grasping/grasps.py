@@ -35,7 +35,7 @@ SPEEDS = ((1.0, 0.35, 0.15), (1.0, 1.0, 1.0), (0.45, 1.0, 1.0), (1.0, 0.0, 0.0))
 
 @dataclass(frozen=True)
 class GraspSearchSettings:
-    """How hard to look, and what counts."""
+    """How hard to look, and what counts. Values by judgement."""
 
     # Placements closed at once, and how often to draw again before giving up.
     batch: int = 14
@@ -47,7 +47,7 @@ class GraspSearchSettings:
     fine_spacing: float = 0.003
     # Grasps closed exactly in each round, the most promising first.
     finalists: int = 5
-    # Friction for the force-closure test (rubber on plastic).
+    # Friction coefficient (no unit) for the force-closure test: rubber on plastic.
     friction: float = 0.6
     # Thumb or palm must push against some fingertip: cosine between their contact normals at most this (over 107
     # degrees), or the hand only leans on the object, as on the edge of a crate.

@@ -30,7 +30,9 @@ PRINCIPLES = ("structured light", "time of flight", "stereo")
 
 @dataclass(frozen=True)
 class DepthNoise:
-    """Every error of a depth image; each part is off at 0. Defaults: a structured-light camera without bias."""
+    """Every error of a depth image; each part is off at 0. Defaults: a structured-light camera without bias. Papers
+    in the module's docstring.
+    """
 
     # How depth is measured, which decides the axial formula: one of PRINCIPLES.
     principle: str = "structured light"
