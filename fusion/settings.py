@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 from fusion.advice.grasp import GraspAdviceSettings
 from fusion.advice.next_touch import NextTouchSettings
+from fusion.benchmarks.arrays.grasps import GraspNoise
 from fusion.benchmarks.printing.tables import BenchSettings
 from fusion.estimation.stages import EstimateSettings
 from fusion.modelling import ModelSettings
@@ -132,8 +133,9 @@ class Settings:
     next_touch: NextTouchSettings = field(default_factory=NextTouchSettings)
     grasp: GraspAdviceSettings = field(default_factory=GraspAdviceSettings)
     model: ModelSettings = field(default_factory=ModelSettings)
-    # Errors against the truth, and how much work a benchmark does.
+    # Errors against the truth, how much work a benchmark does, and the errors of its recordings of arrays.
     judge: JudgeSettings = field(default_factory=JudgeSettings)
     bench: BenchSettings = field(default_factory=BenchSettings)
+    bench_arrays: GraspNoise = field(default_factory=GraspNoise)
     published: PublishedSettings = field(default_factory=PublishedSettings)
     simulation: SimulationSettings = field(default_factory=SimulationSettings)

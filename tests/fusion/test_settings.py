@@ -16,7 +16,10 @@ from fusion.settings import Settings
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("scenes", "vision", "touch", "fusion")
 # Named otherwise, but settings all the same: what is believed of sensors, and the errors that captures are made with.
-BELIEFS = {"DepthModel", "CalibrationModel", "DepthNoise", "TouchNoise", "RobotNoise", "NoisePreset", "SoftLayer"}
+BELIEFS = {
+    *("Beliefs", "DepthModel", "CalibrationModel", "TouchModel", "SoftLayer"),
+    *("DepthNoise", "TouchNoise", "RobotNoise", "NoisePreset", "GraspNoise"),
+}
 # A source of a value: a thesis, a paper with its year, a data sheet, another program, or an honest word.
 SOURCE = re.compile(r"\bT[12]\b|\b(19|20)\d\d\b|et al|data sheet|PCL|Kinect|tuned|measured|judgement", re.IGNORECASE)
 UNIT = re.compile(

@@ -146,7 +146,7 @@ def observed(
         shift = rng.normal(size=(2, *shape))
         depth = np.zeros(shape)
         ids = np.ascontiguousarray(rendering.ids)
-        kernels.look(truth, ids, shift, incidence, settings.lateral, LARGEST_INCIDENCE, depth)
+        kernels.read_depth(truth, ids, shift, incidence, settings.lateral, LARGEST_INCIDENCE, depth)
         seen &= depth > 0
     if settings.multipath > 0:
         from scenes.synthesis.noise.multipath import multipath_error
