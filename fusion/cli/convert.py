@@ -182,8 +182,8 @@ def _import(kind: str, args: argparse.Namespace) -> Converted:
         model = _needed(args, f"a capture (or OUT ending in {', '.join(TABLES)})")
         return tacman.convert_contacts(read_contacts(source), out, model, str(source))
     if kind == "ros":
-        from scenes.formats.ros import topics as ros_map
         from scenes.formats.ros import recording as ros
+        from scenes.formats.ros import topics as ros_map
 
         if args.topics is None:
             raise InputError(f"{source}: expected --topics FILE, a topic map (docs/formats.md), got none")

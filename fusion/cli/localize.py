@@ -149,7 +149,8 @@ def _some(contacts: Contacts, most: int | None, seed: int) -> Contacts:
 
 
 def _by_touch(model: ObjectModel, used: Contacts, every: Contacts, method: str, seed: int) -> dict[str, Any]:
-    from touch.localization import contact_index, localize
+    from touch.answers import contact_index
+    from touch.localization import localize
 
     found = localize(model, used, seed=seed, method=method)
     return {

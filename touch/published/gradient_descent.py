@@ -14,8 +14,9 @@ from scenes.evidence.align import Prior
 from scenes.evidence.table import Evidence
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from touch.localization import Localization
-from touch.published.trials import RegionSettings, conclude, region_costs, regions_about, start_of
+from touch.answers import Localization
+from touch.published.answers import conclude
+from touch.published.costs import RegionSettings, region_costs, regions_about, start_of
 
 Array = NDArray[np.float64]
 
@@ -123,7 +124,7 @@ def refine(
 def localize(
     model: ObjectModel, contacts: Contacts, seed: int, prior: Prior | None, extra: Evidence | None
 ) -> Localization:
-    """The method behind `touch.localization(method="gradient-descent")`: local, starts at the prior's mean."""
+    """The method behind `touch.localize(method="gradient-descent")`: local, starts at the prior's mean."""
     model.field  # noqa: B018  (built before anything is timed)
     begin = time.perf_counter()
     pose, _ = refine(model, contacts, start_of(model, contacts, seed, prior), seed)

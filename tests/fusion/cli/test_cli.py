@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import refused
-from test_compare import plain_view
+from made_frames import plain_view
 
 from fusion.cli.main import main
 from fusion.cli.options import length_and_angle, share

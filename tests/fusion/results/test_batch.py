@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from test_compare import plain_view
+from made_frames import plain_view
 
 from fusion.cli.main import main
 from fusion.results.batch import (

@@ -12,8 +12,8 @@ import docs_commands
 import numpy as np
 import pytest
 from bags import HEIGHT, SECOND, START, WIDTH, Messages
-from test_compare import plain_view
-from test_formats_folders import images, sequence
+from image_folders import images, sequence
+from made_frames import plain_view
 
 from fusion.cli.main import main
 from scenes.files.bop import read_poses

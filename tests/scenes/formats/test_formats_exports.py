@@ -11,7 +11,7 @@ import trimesh
 from commands import refused, run
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_compare import plain_view
+from made_frames import plain_view
 
 from scenes.errors import CaptureError
 from scenes.files.bop import PoseRow, write_poses

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_compare import plain_view
+from made_frames import plain_view
 
 from fusion.cli.main import main
 from scenes.errors import InputError, MeshError
