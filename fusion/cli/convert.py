@@ -6,16 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion.cli.options import (
-    add_object,
-    check_folder,
-    check_target,
-    load_object,
-    positive_number,
-    say,
-    whole,
-    write_json,
-)
+from fusion.cli.options import add_object, check_folder, check_target, positive_number, say, whole, write_json
+from fusion.results.runs import load_object
 
 if TYPE_CHECKING:
     from scenes.formats.conversion import Converted

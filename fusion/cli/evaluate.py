@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.cli.options import add_object, load_object, number, show_table, write_json
+from fusion.cli.options import add_object, number, show_table, write_json
+from fusion.results.runs import load_object
 
 FRAME_HEADS = (
     ("frame", "frame", 0),

@@ -6,16 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion.cli.options import (
-    add_object,
-    announce_compiling,
-    load_object,
-    number,
-    positive,
-    say,
-    show_table,
-    write_json,
-)
+from fusion.cli.options import add_object, announce_compiling, number, positive, say, show_table, write_json
+from fusion.results.runs import load_object
 
 if TYPE_CHECKING:
     from scenes.geometry.objects import ObjectModel
