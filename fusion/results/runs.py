@@ -65,8 +65,8 @@ def prior_setter(text: str | None, seed: int) -> Callable[[Frame, ObjectModel], 
         return lambda frame, model: replace(frame, prior=None)
     if text.startswith("gt"):
         return _truth_plus(text, seed)
-    from scenes.files.bop import read_priors
     from scenes.files.problems import refuse
+    from scenes.recordings.bop import read_priors
 
     if not Path(text).is_file():
         raise InputError(f"prior: expected none, gt+NOISE like gt+33mm,16deg, or a file, got {text!r}")

@@ -17,8 +17,8 @@ from fusion.truth.compare import METHODS, Row, check_methods, compare, compare_f
 from fusion.truth.errors import Agreement, Errors, Judge, json_number
 from fusion.truth.evaluate import evaluate
 from scenes.errors import CaptureError, InputError
-from scenes.files.bop import PoseRow
 from scenes.geometry import poses
+from scenes.recordings.bop import PoseRow
 from scenes.recordings.captures import read_capture, write_capture
 from scenes.synthesis.library import make
 

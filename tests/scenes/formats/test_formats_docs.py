@@ -16,10 +16,10 @@ from image_folders import images, sequence
 from made_frames import plain_view
 
 from fusion.cli.main import main
-from scenes.files.bop import read_poses
 from scenes.files.off import write_off
 from scenes.files.ply import write_ply
 from scenes.geometry import poses
+from scenes.recordings.bop import read_poses
 from scenes.recordings.captures import read_capture, write_capture
 from scenes.recordings.validation import validate
 from scenes.synthesis.hands import five_finger_hand
