@@ -40,7 +40,8 @@ ROOMS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
     "touch": (
         "Where an object is, and which, from contacts alone; contacts from wrenches.",
         {
-            "touch.wrenches.intrinsic": ("wrench_contacts", "sphere_contact"),
+            "touch.wrenches.intrinsic": ("wrench_contacts",),
+            "touch.wrenches.sphere": ("sphere_contact",),
             "touch.wrenches.fingertips": ("tip_contacts", "SoftSkin"),
             "touch.grasp_quality": ("grasp_quality", "Quality", "WrenchSettings"),
         },

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import InputError
-from scenes.files.bop import read_poses
 from scenes.files.ply import write_ply
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.surface import Surface
 from scenes.reconstruction.superquadrics import fit_superquadric
 from scenes.reconstruction.volume import DepthView, Reconstruction, ReconstructionSettings, reconstruct
+from scenes.recordings.bop import read_poses
 from scenes.recordings.captures import Capture
 from scenes.recordings.frames import Frame
 from vision.modelling import ModelViewSettings, hand_poses, still_poses, views_of

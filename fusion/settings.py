@@ -29,9 +29,9 @@ from scenes.synthesis.grasping.grasps import GraspSearchSettings
 from scenes.synthesis.motion import MotionSettings
 from scenes.synthesis.noise.presets import PRESETS, NoisePreset
 from scenes.synthesis.settings import SynthesisSettings
+from touch.answers import LocalizeSettings
 from touch.arrays.searches import ArraySearchSettings, PressureSettings
 from touch.contacts import TouchSettings
-from touch.localization import LocalizeSettings
 from touch.published.answers import AnswerSettings
 from touch.published.contact_icp import ContactIcpSettings
 from touch.published.direct import BoxSettings
@@ -43,7 +43,7 @@ from touch.published.particle_filters import ParticleFilterSettings
 from touch.published.recursion import StoppingSettings
 from touch.published.scaling_series import ScalingSettings
 from touch.recognition import RecognitionSettings
-from touch.wrenches.intrinsic import IntrinsicSettings
+from touch.wrenches.sphere import IntrinsicSettings
 from vision.look.hand import HandViewSettings
 from vision.look.mask import MaskSettings
 from vision.plausibility import PlausibilitySettings

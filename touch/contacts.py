@@ -13,12 +13,12 @@ from scenes.evidence.table import SIGMA, TOUCH, Evidence
 from scenes.recordings.frames import Contacts, Frame
 from touch.arrays.readings import Reading, readings_of
 from touch.arrays.rows import ArrayRowSettings, array_contacts, taxel_rows
-from touch.localization import contact_starts
 from touch.wrenches.intrinsic import wrench_contacts
 
 Array = NDArray[np.float64]
 
-__all__ = ["Felt", "contact_starts", "feel"]
+
+__all__ = ["Felt", "feel"]
 
 
 class Calibration(Protocol):

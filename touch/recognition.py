@@ -23,7 +23,7 @@ from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from touch.localization import contact_starts
+from touch.multistart import contact_starts
 
 Array = NDArray[np.float64]
 

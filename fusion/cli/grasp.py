@@ -10,20 +10,18 @@ from fusion.cli.options import (
     add_object,
     add_prior,
     announce_compiling,
-    estimates,
-    load_object,
     names,
     non_negative,
     number,
     out_folder,
     positive,
-    prior_setter,
     progress,
     say,
     show_table,
     whole,
     write_json,
 )
+from fusion.results.runs import estimates, load_object, prior_setter
 
 if TYPE_CHECKING:
     from fusion.advice.grasp import GraspAnswer

@@ -27,7 +27,7 @@ from scenes.recordings.frames import Contacts, Frame
 from touch.arrays.ranking import RankingSettings, pattern_costs
 from touch.arrays.readings import readings_of
 from touch.arrays.rows import taxel_rows
-from touch.contacts import contact_starts
+from touch.multistart import contact_starts
 from vision.look.hand import CalibrationModel
 from vision.look.mask import object_mask
 from vision.look.pixels import DepthModel

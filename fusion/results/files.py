@@ -14,9 +14,9 @@ from fusion.advice.next_touch import next_touches
 from fusion.estimation.answer import ContactResidual, Estimate, Mode, Stage
 from fusion.truth.errors import Errors, Judge, json_number
 from scenes.errors import InputError
-from scenes.files.bop import PoseRow, numbers, write_json, write_poses
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings.bop import PoseRow, numbers, write_json, write_poses
 from scenes.recordings.captures import Capture
 from scenes.recordings.frames import Frame
 

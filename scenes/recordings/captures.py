@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError, PalpateError
-from scenes.files import bop, images, tables
+from scenes.files import images, tables
 from scenes.files.problems import Problem, Report, refuse
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings import bop
 from scenes.recordings.frames import Contacts, EmptyRegions, Frame, Wrench
 from scenes.recordings.manifest import read_manifest, read_model
 from scenes.recordings.writing import write_capture
@@ -108,7 +109,7 @@ class Capture:
         self._same_size(number, {"depth": depth, "rgb": rgb, mask_name: mask})
         shape = next((image.shape for image in (depth, rgb, mask) if image is not None), None)
         if entry is not None:
-            camera = self._attempt("scene_camera.json", number, lambda: images.camera(entry, shape))
+            camera = self._attempt("scene_camera.json", number, lambda: bop.camera(entry, shape))
             camera_from_world = np.eye(4) if entry.camera_from_world is None else entry.camera_from_world
         cloud, colours = self._cloud(number)
         return Frame(

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from scenes.errors import CaptureError, InputError
-from scenes.files import bop
 from scenes.files.problems import Problem, Report, refuse
 from scenes.geometry.objects import METRES_PER_UNIT, ObjectModel
+from scenes.recordings import bop
 from scenes.recordings.writing import FORMAT, VERSION
 
 WORLDS = ("camera", "robot base")

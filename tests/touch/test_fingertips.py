@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scenes.errors import InputError
 from scenes.geometry import poses
 from touch.wrenches.fingertips import SoftSkin, tip_contacts
-from touch.wrenches.intrinsic import sphere_contact
+from touch.wrenches.sphere import sphere_contact
 
 seeds = st.integers(0, 2**32 - 1)
 RADII = np.array([0.008, 0.010, 0.014])

@@ -17,11 +17,12 @@ from scenes.errors import InputError
 from scenes.evidence.align import Alignment, Prior, align
 from scenes.evidence.modes import Mode, distinct_modes
 from scenes.geometry import poses as se3
+from touch.answers import LocalizeSettings, verdict_of
 from touch.arrays import kernels
 from touch.arrays.costs import COSTS, ArrayProblem
 from touch.arrays.ranking import RankingSettings, pattern_costs, reweighted
 from touch.arrays.rows import ArrayRowSettings, array_contacts, array_rows
-from touch.localization import LocalizeSettings, find_candidates, verdict_of
+from touch.multistart import find_candidates
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,10 @@ from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from touch.localization import Localization, refine_contacts
-from touch.published.trials import conclude, pose_of, surface_cost
+from touch.answers import Localization
+from touch.multistart import refine_contacts
+from touch.published.answers import conclude
+from touch.published.costs import pose_of, surface_cost
 
 Array = NDArray[np.float64]
 
@@ -70,7 +72,7 @@ def objective(
 def localize(
     model: ObjectModel, contacts: Contacts, seed: int, prior: Prior | None, extra: Evidence | None
 ) -> Localization:
-    """The method behind `touch.localization(method="direct")`; deterministic, the seed changes nothing."""
+    """The method behind `touch.localize(method="direct")`; deterministic, the seed changes nothing."""
     from scipy.optimize import direct
 
     model.field  # noqa: B018  (built before anything is timed)

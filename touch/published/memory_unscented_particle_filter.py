@@ -20,7 +20,7 @@ from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
 from scenes.threads import run_chunks
-from touch.localization import Localization
+from touch.answers import Localization
 from touch.published import unscented_kernels as kernels
 from touch.published.answers import localization
 from touch.published.resampling import normalised, systematic

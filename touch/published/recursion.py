@@ -13,7 +13,7 @@ from scenes.errors import InputError
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from touch.localization import localize
+from touch.multistart import multistart
 from touch.published.memory_unscented_particle_filter import UnscentedParticleFilter, UnscentedSettings
 
 Array = NDArray[np.float64]
@@ -80,7 +80,7 @@ def localize_online(
             search.update(contacts.points[n])
             pose = search.estimate()
         else:
-            pose = localize(model, contacts.take(np.arange(n + 1)), seed).pose
+            pose = multistart(model, contacts.take(np.arange(n + 1)), seed).pose
         elapsed = time.perf_counter() - begin
         distance = model.surface.closest(se3.apply(se3.inverse(pose), contacts.points[: n + 1]))[0]
         yield RecursionStep(n + 1, pose, float(np.abs(distance).mean()), elapsed)

@@ -20,7 +20,7 @@ from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from touch.localization import Localization
+from touch.answers import Localization
 from touch.published.answers import localization
 from touch.published.resampling import normalised, systematic
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scenes.errors import InputError
 from scenes.threads import run_chunks
-from touch.wrenches.intrinsic import IntrinsicSettings, sphere_contact
+from touch.wrenches.sphere import IntrinsicSettings, sphere_contact
 
 Array = NDArray[np.float64]
 

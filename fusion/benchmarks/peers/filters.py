@@ -18,7 +18,8 @@ from fusion.benchmarks.contacts.sets import SETS, read_set
 from fusion.benchmarks.peers.pareto import Method, Point, measure, swept
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from touch.localization import Localization, LocalizeSettings, localize
+from touch.answers import Localization, LocalizeSettings
+from touch.localization import localize
 
 Array = NDArray[np.float64]
 Search = Callable[[ObjectModel, Contacts, int], Localization]

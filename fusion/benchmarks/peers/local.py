@@ -20,7 +20,9 @@ from fusion.benchmarks.peers.contacts import NOISE, Case, Peer
 from fusion.benchmarks.peers.pareto import Method, swept
 from scenes.geometry.objects import ObjectModel
 from scenes.synthesis import library
-from touch.localization import LocalizeSettings, localize, refine_contacts
+from touch.answers import LocalizeSettings
+from touch.localization import localize
+from touch.multistart import refine_contacts
 
 Array = NDArray[np.float64]
 Refine = Callable[[ObjectModel, Trial, int], Array]

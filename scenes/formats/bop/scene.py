@@ -17,13 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError
-from scenes.files import bop, images
+from scenes.files import images
 from scenes.files.ply import write_ply
 from scenes.files.problems import refuse
 from scenes.formats.conversion import Converted, Dropped, at_least_one, located, new_folder
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
+from scenes.recordings import bop
 from scenes.recordings.captures import Capture, write_capture
 from scenes.recordings.frames import Frame
 from scenes.recordings.manifest import Manifest, read_model
@@ -187,7 +188,7 @@ def _frame(
     return Frame(
         index=number,
         where=f"{folder}, frame {number}",
-        camera=images.camera(entry, seen[0].shape),
+        camera=bop.camera(entry, seen[0].shape),
         camera_from_world=world,
         depth=depth,
         rgb=rgb,

@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from made_frames import plain_view
 
 from fusion.estimation.stages import numb
 from fusion.results.plots import check_suffix, draw, write_plot
@@ -16,12 +17,9 @@ from fusion.truth.compare import METHODS, Row, check_methods, compare, compare_f
 from fusion.truth.errors import Agreement, Errors, Judge, json_number
 from fusion.truth.evaluate import evaluate
 from scenes.errors import CaptureError, InputError
-from scenes.files.bop import PoseRow
 from scenes.geometry import poses
-from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Renderer
+from scenes.recordings.bop import PoseRow
 from scenes.recordings.captures import read_capture, write_capture
-from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis.library import make
 
 

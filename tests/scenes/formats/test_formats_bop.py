@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from commands import refused, run
-from test_captures import CAMERA, some_frame
+from made_frames import CAMERA, plain_view, some_frame
 
 from scenes.files.ply import write_ply
 from scenes.geometry import poses
@@ -245,8 +245,6 @@ def assert_close(first, second) -> None:
 
 
 def test_export_counts_what_bop_has_no_place_for_and_describes_what_is_seen(tmp_path, capsys):
-    from test_compare import plain_view
-
     frame = plain_view()
     half = np.zeros(frame.depth.shape, bool)
     half[:, : half.shape[1] // 2] = True

@@ -12,14 +12,14 @@ import docs_commands
 import numpy as np
 import pytest
 from bags import HEIGHT, SECOND, START, WIDTH, Messages
-from test_compare import plain_view
-from test_formats_folders import images, sequence
+from image_folders import images, sequence
+from made_frames import plain_view
 
 from fusion.cli.main import main
-from scenes.files.bop import read_poses
 from scenes.files.off import write_off
 from scenes.files.ply import write_ply
 from scenes.geometry import poses
+from scenes.recordings.bop import read_poses
 from scenes.recordings.captures import read_capture, write_capture
 from scenes.recordings.validation import validate
 from scenes.synthesis.hands import five_finger_hand

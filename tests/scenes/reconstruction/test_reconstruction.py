@@ -5,17 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_compare import plain_view
+from made_frames import plain_view
 
 from fusion.cli.main import main
 from scenes.errors import InputError, MeshError
-from scenes.files.bop import PoseRow, write_poses
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
 from scenes.reconstruction.superquadrics import Superquadric, fit_superquadric
 from scenes.reconstruction.volume import DepthView, ReconstructionSettings, reconstruct
+from scenes.recordings.bop import PoseRow, write_poses
 from scenes.recordings.captures import write_capture
 from scenes.synthesis import library
 

@@ -10,14 +10,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from made_frames import some_frame
 
 from scenes.errors import CaptureError, InputError, PalpateError
 from scenes.files.images import read_mask
 from scenes.files.ply import read_cloud, write_ply
-from scenes.geometry import poses
-from scenes.geometry.cameras import Camera
 from scenes.recordings.captures import read_capture, write_capture
-from scenes.recordings.frames import Contacts, EmptyRegions, Frame, Wrench
+from scenes.recordings.frames import Contacts, Frame
 from scenes.recordings.validation import validate
 from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.library import make

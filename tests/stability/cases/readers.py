@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from scenes.files import bop, images, off, ply, tables
+from scenes.files import images, off, ply, tables
 from scenes.files.problems import refuse
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings import bop
 from scenes.recordings.captures import contacts_of, read_capture, write_capture
 from scenes.recordings.frames import Contacts, EmptyRegions, Frame, Wrench
 from scenes.recordings.manifest import read_manifest, read_model
@@ -45,7 +46,7 @@ def _contacts(path: Path) -> None:
 
 def _cameras(path: Path) -> None:
     for entry in bop.read_frames(path, refuse).values():
-        images.camera(bop.camera_entry(entry), None)
+        bop.camera(bop.camera_entry(entry), None)
 
 
 def _truths(path: Path) -> None:
