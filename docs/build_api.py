@@ -34,14 +34,15 @@ ROOMS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
                 *("pose_error", "nees", "auc", "recall"),
             ),
             "fusion.advice.next_touch": ("next_touches", "NextTouch"),
-            "fusion.advice.grasp": ("assess", "GraspAnswer", "GraspSettings"),
+            "fusion.advice.grasp": ("assess", "GraspAnswer", "GraspAdviceSettings"),
         },
     ),
     "touch": (
         "Where an object is, and which, from contacts alone; contacts from wrenches.",
         {
-            "touch.wrenches.intrinsic": ("wrench_contacts", "sphere_contact"),
-            "touch.wrenches.fingertips": ("tip_contacts", "SoftLayer"),
+            "touch.wrenches.intrinsic": ("wrench_contacts",),
+            "touch.wrenches.sphere": ("sphere_contact",),
+            "touch.wrenches.fingertips": ("tip_contacts", "SoftSkin"),
             "touch.grasp_quality": ("grasp_quality", "Quality", "WrenchSettings"),
         },
     ),

@@ -14,12 +14,12 @@ from scenes.recordings.beliefs import Beliefs, CalibrationModel
 from scenes.recordings.frames import Contacts, Frame
 from touch.arrays.readings import Reading, readings_of
 from touch.arrays.rows import ArrayRowSettings, array_contacts, taxel_rows
-from touch.localization import contact_starts
 from touch.wrenches.intrinsic import wrench_contacts
 
 Array = NDArray[np.float64]
 
-__all__ = ["Felt", "contact_starts", "feel"]
+
+__all__ = ["Felt", "feel"]
 
 
 class Ball(Protocol):
@@ -33,7 +33,7 @@ class Ball(Protocol):
 
 @dataclass(frozen=True)
 class TouchSettings:
-    """How touch becomes rows of evidence."""
+    """How touch becomes rows of evidence. Values by judgement."""
 
     # A contact is as likely a false one at this many sigmas.
     contact_gate: float = 4.0

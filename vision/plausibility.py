@@ -14,7 +14,7 @@ from vision.look.hand import HandView, camera_from_hand, prior_information
 
 @dataclass(frozen=True)
 class PlausibilitySettings:
-    """When the hand is not where, or not as large as, it should be."""
+    """When the hand is not where, or not as large as, it should be. Values tuned on generated captures."""
 
     # Standard deviations by which a usual calibration may be off (a norm of six numbers of which each has one).
     most_sigmas: float = 4.5

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SightSettings:
-    """What seeing past an object costs a pose."""
+    """What seeing past an object costs a pose. Values tuned on generated captures."""
 
     # Surface samples that are looked up, and how many independent cells they amount to.
     samples: int = 400

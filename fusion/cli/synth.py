@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.cli.options import add_object, load_object, names, positive, say, share, write_json
+from fusion.cli.options import add_object, names, positive, say, share, write_json
+from fusion.results.runs import load_object
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

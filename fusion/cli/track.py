@@ -5,18 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from fusion.cli.options import (
-    add_run,
-    announce_compiling,
-    load_object,
-    number,
-    out_folder,
-    prior_setter,
-    progress,
-    say,
-    show_table,
-    write_run,
-)
+from fusion.cli.options import add_run, announce_compiling, number, out_folder, progress, say, show_table, write_run
+from fusion.results.runs import load_object, prior_setter
 
 if TYPE_CHECKING:
     from fusion.tracking.answer import TrackedEstimate

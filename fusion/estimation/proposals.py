@@ -16,7 +16,7 @@ from scenes.evidence.search import SearchStage, starts_around
 from scenes.evidence.table import Evidence
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from touch.contacts import contact_starts
+from touch.multistart import contact_starts
 from vision.starts import StartSettings, seen_starts
 
 Array = NDArray[np.float64]

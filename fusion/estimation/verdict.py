@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class VerdictSettings:
-    """When an answer is sure, and when it is none."""
+    """When an answer is sure, and when it is none. By judgement."""
 
     # Share of the posterior that the first mode must hold to be called the answer.
     sure_share: float = 0.9

@@ -28,7 +28,9 @@ RIGS = tuple(replace(rig, weight=0.5 * rig.weight) for rig in JointSettings().ri
 
 @dataclass(frozen=True)
 class TrackSettings:
-    """Tracking with both senses; `first` is how the first frame, and a lost object, is found."""
+    """Tracking with both senses; `first` is how the first frame, and a lost object, is found. Values tuned on
+    generated sequences.
+    """
 
     first: EstimateSettings = field(default_factory=EstimateSettings)
     look: WarmLookSettings = field(default_factory=WarmLookSettings)
@@ -41,7 +43,7 @@ class TrackSettings:
     # directions that nothing tells of stay where they are (rad, m).
     loose_angle: float = float(np.deg2rad(6.0))
     loose_distance: float = 0.006
-    # A frame's own answer that is this many of those widths from the prediction is not trusted: the object is searched.
+    # A frame's own answer this many times those widths from the prediction is not trusted: the object is searched.
     leap: float = 2.5
     # The joint solution starts within a millimetre and knows the size of the shared errors from the first frames.
     joint: JointSettings = field(
@@ -56,7 +58,7 @@ class TrackSettings:
     lasting: float = 0.8
     # Share of the first estimate's variance that later frames do not average out.
     first_lasting: float = 0.6
-    # Modes carried from frame to frame, and how much of a mode's odds the next frame inherits: frames repeat
+    # Modes carried from frame to frame, and the share of its log odds that the next frame inherits: frames repeat
     # one another's errors, so odds are not multiplied.
     modes: int = 3
     inherited: float = 0.6

@@ -147,7 +147,7 @@ def compare(
 
 def group_of(capture: Capture) -> str:
     """Captures made alike share a group: how they were made when they say it, else their name without its number."""
-    notes = capture.settings.notes
+    notes = capture.manifest.notes
     if "noise" in notes and "occlusion" in notes:
         return f"{notes['noise']}, {100 * float(notes['occlusion']):.0f} % hidden"
     return re.sub(r"[\W_]*\d+$", "", capture.name) or capture.name

@@ -64,7 +64,7 @@ class DepthModel:
 
 @dataclass(frozen=True)
 class CalibrationModel:
-    """How far the robot may be from where it says it is, seen from the camera."""
+    """How far the robot may be from where it says it is, seen from the camera. By judgement."""
 
     # camera_from_robot after a usual hand-eye calibration: metres and radians per axis, at the camera.
     translation_sigma: float = 0.002
@@ -73,7 +73,7 @@ class CalibrationModel:
 
 @dataclass(frozen=True)
 class TouchModel:
-    """What is believed of touch beyond the contacts' own sigmas."""
+    """What is believed of touch beyond the contacts' own sigmas. By judgement."""
 
     # What a contact is worth beside another sense when its recording does not say, metres: kinematics, calibration and
     # fingertip shape together (iCub's fingertips are some millimetres off its stereo cloud).
@@ -84,7 +84,7 @@ class TouchModel:
 
 @dataclass(frozen=True)
 class Beliefs:
-    """Everything that is believed of a recording before it is looked at."""
+    """Everything that is believed of a recording before it is looked at. The mesh by judgement."""
 
     depth: DepthModel = field(default_factory=DepthModel)
     calibration: CalibrationModel = field(default_factory=CalibrationModel)

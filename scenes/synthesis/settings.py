@@ -13,7 +13,7 @@ from scenes.synthesis.views import ViewSettings
 
 @dataclass(frozen=True)
 class SynthesisSettings:
-    """Metres, radians, newtons."""
+    """Metres, radians, newtons. Values by judgement where no source is named."""
 
     # A VGA structured-light camera.
     camera: Camera = field(default_factory=lambda: Camera(570.0, 570.0, 319.5, 239.5, 640, 480))

@@ -12,9 +12,10 @@ from scenes.evidence.align import Prior
 from scenes.geometry import poses
 from scenes.recordings.frames import Contacts
 from scenes.synthesis import library
-from touch.localization import METHODS, contact_index, localize
+from touch.answers import contact_index
+from touch.localization import METHODS, localize
+from touch.published import costs as published
 from touch.published import gradient_descent, levenberg_marquardt, monte_carlo
-from touch.published import trials as published
 from touch.published.direct import BoxSettings, objective
 
 seeds = st.integers(0, 2**32 - 1)

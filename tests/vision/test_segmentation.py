@@ -82,7 +82,7 @@ def test_free_space_is_never_inside_the_true_object(exact_frame, drill, hand_kno
     frame = replace(exact_frame, mask=None)
     if not hand_known:
         frame = replace(frame, hand=None, joints=None, world_from_hand=None)
-    rows = free_space_rows(look(frame, drill, start=frame.prior), SETTINGS)
+    rows = free_space_rows(look(frame, drill, start=frame.prior), ROWS)
     assert len(rows) > 100
     assert (exact_distance(drill, frame.camera_from_object_truth, rows.points) > 0).all()
     assert (rows.rows[:, evidence.GATE_ABOVE] == 0).all()

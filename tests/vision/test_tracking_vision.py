@@ -20,7 +20,7 @@ from vision.tracking.by_vision import (
     explained_share,
     track_by_vision,
 )
-from vision.tracking.particles import ParticleSettings, ParticleTracker, coherences, thin_cloud
+from vision.tracking.particles import ParticleTracker, ParticleTrackerSettings, coherences, thin_cloud
 
 SEEDS = st.integers(0, 2**31)
 
@@ -140,7 +140,9 @@ def test_thinning_keeps_one_mean_a_cell():
 
 def test_the_particle_filter_stays_with_the_object(drill, sequence):
     def run():
-        tracker = ParticleTracker(drill, sequence[0].camera_from_object_truth, ParticleSettings(particles=300), seed=4)
+        tracker = ParticleTracker(
+            drill, sequence[0].camera_from_object_truth, ParticleTrackerSettings(particles=300), seed=4
+        )
         return [tracker.step(frame) for frame in sequence]
 
     found = run()

@@ -27,7 +27,7 @@ COARSE = 3
 
 @dataclass(frozen=True)
 class HandViewSettings:
-    """Alignment of the hand to its pixels."""
+    """Alignment of the hand to its pixels. By judgement, on generated captures."""
 
     # Pixels used.
     most: int = 1200

@@ -27,7 +27,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class LookSettings:
-    """What is looked at and what is taken for the object."""
+    """What is looked at and what is taken for the object. By judgement, on generated captures."""
 
     # Room around the prior's ball in which the object is looked for, metres: T1's coarse starts are 33 mm off.
     slack: float = 0.035

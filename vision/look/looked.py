@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RowSettings:
-    """What pixels say as rows of evidence."""
+    """What pixels say as rows of evidence. Tuned on generated captures."""
 
     # Object pixels that become rows.
     most: int = 500

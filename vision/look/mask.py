@@ -27,7 +27,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class MaskSettings:
-    """What is taken for table, hand and object."""
+    """What is taken for table, hand and object. Tuned on generated captures."""
 
     # Room around a start's ball in which the object is looked for, metres: T1's coarse starts are 33 mm off.
     slack: float = 0.035

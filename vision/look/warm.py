@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class WarmLookSettings:
-    """What is looked at near a predicted pose."""
+    """What is looked at near a predicted pose. Values by judgement, on generated sequences."""
 
     # Pixels farther than this from the predicted surface are not the object's (m): a frame's motion against the
     # prediction and the prediction's own error, two sigmas of either.

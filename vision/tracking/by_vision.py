@@ -36,7 +36,9 @@ FASTEST_TURN = 0.5
 
 @dataclass(frozen=True)
 class VelocitySettings:
-    """How an object moves that nothing is known of: its last velocity, and what that leaves open a frame later."""
+    """How an object moves that nothing is known of: its last velocity, and what that leaves open a frame later.
+    Values by judgement.
+    """
 
     # Share of the last velocity that is believed: full extrapolation doubles the noise of the two poses it is made of.
     damping: float = 0.8
@@ -86,8 +88,8 @@ class ConstantVelocity:
 
 
 @dataclass(frozen=True)
-class TrackerSettings:
-    """The vision tracker."""
+class VisionTrackerSettings:
+    """The vision tracker. Values tuned on generated sequences."""
 
     look: WarmLookSettings = field(default_factory=lambda: WarmLookSettings(most_rows=300))
     # The whole image is searched as it is: nothing is known of a hand.
@@ -132,11 +134,15 @@ class VisionTracker:
     """Follows one object through frames with depth (or clouds)."""
 
     def __init__(
-        self, model: ObjectModel, pose: Array | None = None, settings: TrackerSettings | None = None, seed: int = 0
+        self,
+        model: ObjectModel,
+        pose: Array | None = None,
+        settings: VisionTrackerSettings | None = None,
+        seed: int = 0,
     ) -> None:
         """pose: a start, camera_from_object (4, 4); None takes the first frame's prior or searches."""
         self.model = model
-        self.settings = settings or TrackerSettings()
+        self.settings = settings or VisionTrackerSettings()
         self.motion = ConstantVelocity(model.centroid, self.settings.velocity)
         self._looker = Looker(model, self.settings.look, self.settings.first, self.settings.beliefs)
         self._rng = np.random.default_rng(seed)
@@ -258,7 +264,7 @@ def track_by_vision(
     frames: Iterable[Frame],
     model: ObjectModel,
     pose: Array | None = None,
-    settings: TrackerSettings | None = None,
+    settings: VisionTrackerSettings | None = None,
     seed: int = 0,
 ) -> Iterator[VisionTrack]:
     """A VisionTracker over frames, one answer a frame."""

@@ -244,11 +244,11 @@ def _claims(
 def _settings_table() -> Table:
     from dataclasses import asdict
 
-    from vision.published.icp import IcpSettings
+    from vision.published.icp import CloudIcpSettings
     from vision.published.registration import BaselineSettings
 
     table = Table("Settings of the peers", [Column("setting"), Column("value")])
-    for name, value in {**asdict(BaselineSettings()), "icp from a start": asdict(IcpSettings())}.items():
+    for name, value in {**asdict(BaselineSettings()), "icp from a start": asdict(CloudIcpSettings())}.items():
         parts = {f"{name}: {k}": v for k, v in value.items()} if isinstance(value, dict) else {name: value}
         for part, content in parts.items():
             table.add(part.replace("_", " "), str(content))

@@ -147,7 +147,7 @@ def recorded(
             except InputError:
                 continue
             capture = read_capture(kept)
-            return model, list(capture), capture.settings.notes["motion"]
+            return model, list(capture), capture.manifest.notes["motion"]
     return None
 
 

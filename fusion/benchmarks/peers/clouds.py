@@ -26,7 +26,7 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
 from scenes.synthesis import library
 from vision.published import registration as baselines
-from vision.published.icp import IcpSettings, icp
+from vision.published.icp import CloudIcpSettings, icp
 from vision.published.registration import BaselineSettings
 
 Array = NDArray[np.float64]
@@ -125,11 +125,11 @@ def _ours(with_start: bool) -> Iterator[Peer]:
 
 
 def _icp() -> Iterator[Peer]:
-    def register(settings: IcpSettings) -> Register:
+    def register(settings: CloudIcpSettings) -> Register:
         return lambda frame, points, model, seed: icp(points, model, _start(frame), settings).pose
 
     for most in (100, 300, 1000, 2000, 8000):
-        yield _peer("Open3D ICP", f"{most} points", register(IcpSettings(most_points=most)))
+        yield _peer("Open3D ICP", f"{most} points", register(CloudIcpSettings(most_points=most)))
 
 
 def _start(frame: Frame) -> Array:
@@ -153,7 +153,7 @@ def open3d_gicp(points: Array, model: ObjectModel, start: Array, most: int = 200
     source = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(picked))
     source.estimate_covariances()
     pose = se3.inverse(start)
-    for distance in IcpSettings().distances:
+    for distance in CloudIcpSettings().distances:
         found = registration.registration_generalized_icp(
             source,
             _target(model, samples),

@@ -22,7 +22,7 @@ from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
 from scenes.synthesis import library
-from vision.published.icp import IcpSettings, icp
+from vision.published.icp import CloudIcpSettings, icp
 
 Array = NDArray[np.float64]
 
@@ -87,7 +87,7 @@ def _icp() -> Iterator[Peer]:
         return with_contacts(segmented(case, start), case.frame)
 
     def peer(name: str, points: Callable[[Case, Array], Array], most: int) -> Peer:
-        settings = IcpSettings(most_points=most)
+        settings = CloudIcpSettings(most_points=most)
 
         def solve(case: Case, seed: int) -> Array:
             assert case.frame.prior is not None

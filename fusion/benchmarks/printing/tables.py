@@ -43,6 +43,7 @@ class BenchSettings:
     while others are still to come.
     """
 
+    # As the docstring says; objects: only these; folder: where recordings are kept.
     trials: int | None = None
     seed: int = 0
     quick: bool = False

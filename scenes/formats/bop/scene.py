@@ -17,16 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError
-from scenes.files import bop, images
+from scenes.files import images
 from scenes.files.ply import write_ply
 from scenes.files.problems import refuse
 from scenes.formats.conversion import Converted, Dropped, at_least_one, located, new_folder
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
+from scenes.recordings import bop
 from scenes.recordings.captures import Capture, write_capture
 from scenes.recordings.frames import Frame
-from scenes.recordings.manifest import Settings, read_model
+from scenes.recordings.manifest import Manifest, read_model
 
 Array = NDArray[np.float64]
 
@@ -138,7 +139,7 @@ def _model(folder: Path, object_id: int, models: Path | None) -> ObjectModel:
     for place in [models] if models is not None else list(_model_folders(folder)):
         if (place / f"{name}.ply").is_file():
             return read_model(
-                place.parent, Settings(object_id, f"{place.name}/{name}.ply", "mm", name, None, "camera", {})
+                place.parent, Manifest(object_id, f"{place.name}/{name}.ply", "mm", name, None, "camera", {})
             )
     where = models if models is not None else "a folder models beside the data set's scenes"
     raise CaptureError(f"{folder}: expected {name}.ply in {where}, found none: say --models DIR or --object MESH")
@@ -187,7 +188,7 @@ def _frame(
     return Frame(
         index=number,
         where=f"{folder}, frame {number}",
-        camera=images.camera(entry, seen[0].shape),
+        camera=bop.camera(entry, seen[0].shape),
         camera_from_world=world,
         depth=depth,
         rgb=rgb,
@@ -228,9 +229,9 @@ def export(capture: Capture, out: Path) -> Converted:
     hand knows, for which BOP has no place. Raises CaptureError when no frame has a camera.
     """
     cameras = _optional(capture.path / "scene_camera.json")
-    number = capture.settings.notes.get("scene_id", 0)
+    number = capture.manifest.notes.get("scene_id", 0)
     scene = Path(SPLIT) / f"{number if isinstance(number, int) and number >= 0 else 0:06d}"
-    object_id, model = capture.settings.object_id, capture.model
+    object_id, model = capture.manifest.object_id, capture.model
     dropped = Dropped()
     truths, infos, kept = {}, {}, {}
     renderer = Renderer({"object": (model.vertices, model.faces)})

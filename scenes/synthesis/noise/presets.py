@@ -90,7 +90,7 @@ class TouchNoise:
 
 @dataclass(frozen=True)
 class RobotNoise:
-    """Errors of the robot's knowledge of itself."""
+    """Errors of the robot's knowledge of itself. 0 is off; the presets have values by judgement."""
 
     # camera_from_robot calibration: standard deviation per axis, rotation (rad) and translation (m).
     camera_rotation: float = 0.0
@@ -104,6 +104,7 @@ class RobotNoise:
 class NoisePreset:
     """All errors of a recording."""
 
+    # As `--noise` has it; the errors of depth, of touch, and of the robot's knowledge of itself.
     name: str
     depth: DepthNoise = field(default_factory=DepthNoise)
     touch: TouchNoise = field(default_factory=TouchNoise)

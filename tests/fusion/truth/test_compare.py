@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from made_frames import plain_view
 
 from fusion.results.plots import check_suffix, draw, write_plot
 from fusion.truth import compare as comparing
@@ -15,8 +16,8 @@ from fusion.truth.compare import METHODS, Row, check_methods, compare, compare_f
 from fusion.truth.errors import Agreement, Errors, Judge, json_number
 from fusion.truth.evaluate import evaluate
 from scenes.errors import CaptureError, InputError
-from scenes.files.bop import PoseRow
 from scenes.geometry import poses
+from scenes.recordings.bop import PoseRow
 from scenes.recordings.captures import read_capture, write_capture
 from scenes.synthesis.library import make
 
