@@ -25,7 +25,7 @@ from scenes.depth_noise import (
     quantised,
     smooth_field,
 )
-from scenes.errors import unknown
+from scenes.errors import InputError, unknown
 from scenes.frames import DEFAULT_SIGMA_NORMAL, DEFAULT_SIGMA_POINT, Contacts
 from scenes.optics.known_cameras import KNOWN_CAMERAS
 from scenes.optics.settings import OpticalCamera
@@ -117,8 +117,8 @@ class NoisePreset:
 # A fingertip force/torque sensor of 12 mm after taring: offsets of 20 mN and 0.1 N mm, drifting by a tenth of that.
 _LAB_TOUCH = TouchNoise(force_offset=0.02, torque_offset=1e-4, force_drift=0.002, torque_drift=1e-5, taxel=400.0)
 _LAB_ROBOT = RobotNoise(float(np.deg2rad(0.3)), 0.002, float(np.deg2rad(0.3)))
-# Robots and fingertips beside the cameras imitated from their optics: other sizes than the lab's, so that nothing tuned on
-# the lab knows them. One is calibrated well and has worn fingertips, the other is calibrated badly.
+# Robots and fingertips beside the cameras imitated from their optics: other sizes than the lab's, so that nothing tuned
+# on the lab knows them. Fingertips are worn or crudely made, robots calibrated well or badly; chosen, not measured.
 _WORN_TOUCH = TouchNoise(
     point=0.0007,
     normal=float(np.deg2rad(8.0)),
@@ -258,8 +258,8 @@ def observe_depth(
 class LastingErrors:
     """What is wrong in the same way in every frame of a recording: one camera, one calibration, the same fingers.
 
-    depth: see DepthErrors and CameraUnit. camera_from_robot (4, 4), see camera_from_robot_error. joints: name -> rad. tip: offset of
-    all contacts (m), tips: of each sensor's (m). wrenches: sensor -> (6,) offset of force and torque (N, N m).
+    depth: see DepthErrors, CameraUnit. camera_from_robot (4, 4), see camera_from_robot_error. joints: name -> rad. tip:
+    offset of all contacts (m), tips: of each sensor's (m). wrenches: sensor -> (6,) offset of force, torque (N, N m).
     """
 
     depth: DepthErrors | CameraUnit

@@ -76,7 +76,7 @@ def phasors(  # type: ignore[no-untyped-def]
                     weight, total = 0.0, np.zeros(count, dtype=np.complex128)
                     if detoured.shape[2] == count:
                         a, b = (v - step // 2) / step, (u - step // 2) / step
-                        i0, j0 = int(math.floor(a)), int(math.floor(b))
+                        i0, j0 = math.floor(a), math.floor(b)
                         for i in range(max(i0, 0), min(i0 + 2, near_ids.shape[0])):
                             for j in range(max(j0, 0), min(j0 + 2, near_ids.shape[1])):
                                 if near_ids[i, j] != index:

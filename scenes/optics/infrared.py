@@ -21,7 +21,7 @@ Image = NDArray[np.float32]
 # Texels of the pattern, and of the projector's own view that tells its shadow, to a pixel of the frame.
 TEXELS = 2.0
 SHADOW_TEXELS = 1.5
-# Slack of the shadow's depth (m, and share of the depth at a slope of one texel): below it a surface would shade itself.
+# Slack of the shadow's depth (m): without it rounding would let surfaces shade themselves.
 SHADOW_SLACK = 0.001
 # Rows that are worth a thread.
 ROWS = 32
@@ -91,6 +91,20 @@ def blurred(image: NDArray[np.floating], sigma: float) -> Image:
     return np.asarray(cv2.GaussianBlur(out, (0, 0), sigma)) if sigma > 0 else out
 
 
+def bent(image: Image, camera: Camera, cubic: float) -> Image:
+    """An image through a lens whose tangents are off by `cubic` times their cube: no more than the calibration left."""
+    import cv2
+
+    if cubic == 0.0:
+        return image
+    rays = camera.rays()[..., :2]
+    off = rays * (cubic * np.einsum("ijk,ijk->ij", rays, rays))[..., None]
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    columns, rows = u + camera.fx * off[..., 0], v + camera.fy * off[..., 1]
+    maps = columns.astype(np.float32), rows.astype(np.float32)
+    return np.asarray(cv2.remap(image, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
+
+
 def exposure(image: Image, imager: Imager) -> tuple[float, float]:
     """Exposure (full wells per unit of light) and gain that bring the mean of an image where it is aimed at."""
     mean = float(image.mean())
@@ -99,7 +113,9 @@ def exposure(image: Image, imager: Imager) -> tuple[float, float]:
     return time, float(np.clip(wanted / time, 1.0, imager.gain))
 
 
-def read_out(laser: Image, room: Image, imager: Imager, setting: tuple[float, float], rng: np.random.Generator) -> Counts:
+def read_out(
+    laser: Image, room: Image, imager: Imager, setting: tuple[float, float], rng: np.random.Generator
+) -> Counts:
     """Speckle, shot noise, read noise, saturation and rounding of the light that fell on a sensor."""
     time, gain = setting
     speckled = np.maximum(1.0 + imager.speckle * rng.standard_normal(laser.shape, dtype=np.float32), 0.0)

@@ -23,13 +23,14 @@ D435 = StereoCamera("d435", baseline=0.050, projector=0.029, pattern=_D435_DOTS)
 D455 = StereoCamera("d455", baseline=0.095, projector=0.035, pattern=_D435_DOTS)
 
 # PS1080: baseline 75 mm, windows of 9 x 9, disparity in steps of 1/8 px (Konolige and Mihelich, "Technical description
-# of Kinect calibration", 2011); 3 x 3 tiles of 3861 bright spots over 58 x 45 degrees (Reichinger 2011), light through a
-# narrow filter, so that little of the room's gets in. Range 0.4 m (Kinect, in practice) to 5 m (0.8 to 3.5 m is advised).
+# of Kinect calibration", 2011); 3 x 3 tiles of 3861 bright spots over 58 x 45 degrees (Reichinger, "Kinect pattern
+# uncovered", 2011), light through a narrow filter, so that little of the room's gets in. The range is that of a Kinect
+# in practice, 0.4 to 5 m; 0.8 to 3.5 m is advised.
 XTION = PatternCamera(
     "xtion",
     baseline=0.075,
     pattern=Pattern(density=9 * 3861 / 0.918, radius=0.0009, spread=0.3, haze=0.05, power=0.5),
-    imager=Imager(blur=0.6, ambient=0.05, speckle=0.2, bits=10),
+    imager=Imager(blur=0.6, ambient=0.05, speckle=0.2, bits=10, read_noise=20.0, exposure=(0.02, 1.0)),
     matcher=Matcher(method="block", window=9, disparities=128, step=1 / 8, median=0),
 )
 
@@ -43,12 +44,13 @@ AZURE_KINECT = TimeOfFlightCamera(
 
 # L515: a beam of coded infra-red light is scanned and its phase measured, one detector for the whole field; ways of
 # detoured light are those of a lamp at the camera, backwards. Standard deviation 2.5 mm at 1 m, 15.5 mm at 9 m on
-# 95 % reflectance, range 0.25 to 9 m (datasheet). The code is imitated by two frequencies.
+# 95 % reflectance, range 0.25 to 9 m (datasheet). The code is imitated by three frequencies.
 L515 = TimeOfFlightCamera(
     "l515",
-    frequencies=(120e6, 15e6),
-    electrons=40000.0,
-    ambient=0.02,
+    frequencies=(120e6, 90e6, 75e6),
+    electrons=25000.0,
+    ambient=0.005,
+    read_noise=8.0,
     least=60.0,
     scattered=0.0,
     blur=0.5,

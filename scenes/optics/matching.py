@@ -70,15 +70,15 @@ def _bytes(image: Image) -> NDArray[np.uint8]:
 def _matcher(matcher: Matcher) -> Any:
     import cv2
 
+    opencv: Any = cv2  # its stubs lack the matchers in some versions
     if matcher.method == "block":
-        block = cv2.StereoBM_create(matcher.disparities, matcher.window)
+        block = opencv.StereoBM_create(matcher.disparities, matcher.window)
         block.setUniquenessRatio(matcher.uniqueness)
-        block.setDisp12MaxDiff(matcher.agreement)
-        block.setTextureThreshold(0)
+        block.setTextureThreshold(0)  # `contrast` decides; and no agreement is asked for, see Matcher
         block.setPreFilterCap(63)
         return block
     area = matcher.window**2
-    return cv2.StereoSGBM_create(
+    return opencv.StereoSGBM_create(
         minDisparity=0,
         numDisparities=matcher.disparities,
         blockSize=matcher.window,

@@ -73,7 +73,7 @@ def _add_dots(light, columns, rows, strengths, radius):  # type: ignore[no-untyp
     """Add Gaussian dots of peak `strengths` (n,) and standard deviation `radius` (texels) to light (h, w)."""
     reach = int(np.ceil(4.0 * radius))
     for k in range(len(columns)):
-        u, v = int(round(columns[k])), int(round(rows[k]))
+        u, v = round(columns[k]), round(rows[k])
         for row in range(max(0, v - reach), min(light.shape[0], v + reach + 1)):
             for column in range(max(0, u - reach), min(light.shape[1], u + reach + 1)):
                 square = (row - rows[k]) ** 2 + (column - columns[k]) ** 2

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from scenes import poses
 from scenes.cameras import Camera
-from scenes.optics.infrared import Counts, as_grey, blurred, expose, exposure, project, read_out
+from scenes.optics.infrared import Counts, as_grey, bent, blurred, expose, exposure, project, read_out
 from scenes.optics.matching import disparity
 from scenes.optics.settings import Build, PatternCamera, StereoCamera
 from scenes.optics.shots import Shot
@@ -22,16 +22,16 @@ Image = NDArray[np.float32]
 REACH = 1.0
 
 
-def stereo_shot(
-    scene: Scene, camera: Camera, built: StereoCamera, unit: CameraUnit, rng: np.random.Generator
-) -> Shot:
+def stereo_shot(scene: Scene, camera: Camera, built: StereoCamera, unit: CameraUnit, rng: np.random.Generator) -> Shot:
     """The depth of the left of two infra-red cameras, and its image."""
     reach = built.matcher.disparities / camera.fx
     projector = project(scene, camera, built.pattern, built.projector, reach, unit.seed)
     lamp, setting, seen = np.array(unit.lamp), None, []
-    for eye in (np.eye(4), _right_from_left(built.baseline, built.build, unit)):
+    distortion = built.build.distortion * unit.flaws[5]
+    for eye, cubic in ((np.eye(4), 0.0), (_right_from_left(built.baseline, built.build, unit), distortion)):
         view = see(scene, camera, built.samples, eye)
-        laser, room = expose(view, scene, projector, eye, lamp, built.imager)
+        light = expose(view, scene, projector, eye, lamp, built.imager)
+        laser, room = (bent(image, camera, cubic) for image in light)
         setting = setting or exposure(laser + room, built.imager)
         seen.append(read_out(laser, room, built.imager, setting, rng))
     values = disparity(seen[0], seen[1], built.matcher)
@@ -48,14 +48,16 @@ def pattern_shot(
     projector = project(scene, camera, built.pattern, built.baseline, reach, unit.seed)
     eye = _right_from_left(0.0, built.build, unit)
     view = see(scene, camera, built.samples, eye)
-    laser, room = expose(view, scene, projector, eye, np.array(unit.lamp), built.imager)
+    light = expose(view, scene, projector, eye, np.array(unit.lamp), built.imager)
+    laser, room = (bent(image, camera, built.build.distortion * unit.flaws[5]) for image in light)
     counts = read_out(laser, room, built.imager, exposure(laser + room, built.imager), rng)
     # the pattern as a camera at the projector's place would see it on a wall far away
     columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     scale, cx, cy = projector.light_lens
     u = (scale * (columns - camera.cx) / camera.fx + cx).astype(np.float32)
     v = (scale * (rows - camera.cy) / camera.fy + cy).astype(np.float32)
-    known = blurred(cv2.remap(projector.light.light, u, v, cv2.INTER_LINEAR), built.imager.blur)
+    seen = np.asarray(cv2.remap(projector.light.light, u, v, cv2.INTER_LINEAR), dtype=np.float32)
+    known = blurred(seen, built.imager.blur)
     known = known / np.float32(max(float(known.mean()), 1e-9)) * np.float32(built.imager.aim)
     reference = Counts(known, np.full(known.shape, 1.0 / 255.0, dtype=np.float32))
     values = disparity(counts, reference, built.matcher)

@@ -1,4 +1,4 @@
-"""What things look like in infra-red light: reflectance, its texture, gloss. Drawn per thing, the same in every frame."""
+"""What things look like in infra-red light: reflectance, its texture, gloss; per thing, the same in every frame."""
 
 from __future__ import annotations
 

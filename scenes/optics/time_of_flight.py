@@ -75,12 +75,11 @@ def _received(
     seen, s = view.rendering, view.samples
     step = built.receiver_step * s
     sparse = (slice(step // 2, None, step), slice(step // 2, None, step))
-    near = (seen.ids[sparse], seen.normals[sparse], seen.depth[sparse])
+    near = tuple(np.ascontiguousarray(x[sparse]) for x in (seen.ids, seen.normals, seen.depth))
     detoured = np.zeros((*near[0].shape, 0), dtype=np.complex128)
     if built.bounces > 0 and (seen.ids >= 0).any():
         detoured = _detoured(view, scene, built, waves, sparse)
     images = (seen.depth, seen.ids, seen.normals, scene.materials, view.meshes)
-    near = tuple(np.ascontiguousarray(x) for x in near)
 
     def work(rows: slice) -> None:
         part = (rows.start, rows.stop, s, view.lens)
@@ -90,9 +89,7 @@ def _received(
     return swings, steady
 
 
-def _detoured(
-    view: View, scene: Scene, built: TimeOfFlightCamera, waves: Array, sparse: tuple[slice, slice]
-) -> Swings:
+def _detoured(view: View, scene: Scene, built: TimeOfFlightCamera, waves: Array, sparse: tuple[slice, slice]) -> Swings:
     """(r, c, f) light by way of other surfaces at sparse rays, with the phase it is behind the straight light there,
     times the squared distance.
     """
@@ -144,7 +141,9 @@ def _patches(view: View, scene: Scene, step: int) -> tuple[Array, Array, Array, 
     far = np.linalg.norm(points, axis=1)
     slope = np.maximum(-np.einsum("ni,ni->n", points, normals) / far, LEAST_SLOPE)
     areas = (step * points[:, 2]) ** 2 / (view.camera.fx * view.camera.fy) * (far / points[:, 2]) / slope
-    albedo = [reflectance(scene.materials[i], view.meshes[i], *point) for i, point in zip(ids[seen], points, strict=True)]
+    albedo = [
+        reflectance(scene.materials[i], view.meshes[i], *point) for i, point in zip(ids[seen], points, strict=True)
+    ]
     return points, normals, areas, np.array(albedo)
 
 

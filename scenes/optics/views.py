@@ -42,7 +42,9 @@ class View:
 def see(scene: Scene, camera: Camera, samples: int, eye_from_camera: Array) -> View:
     """The scene from an eye at eye_from_camera (4, 4), the same lens there."""
     fine = camera.scaled(samples)
-    placed = {name: eye_from_camera @ np.asarray(pose, dtype=np.float64) for name, pose in scene.camera_from_mesh.items()}
+    placed = {
+        name: eye_from_camera @ np.asarray(pose, dtype=np.float64) for name, pose in scene.camera_from_mesh.items()
+    }
     meshes = [poses.inverse(pose)[:3] for pose in placed.values()]
     rendering = scene.renderer.render(fine, placed)
     return View(rendering, fine, samples, np.array(meshes).reshape(-1, 3, 4))
