@@ -177,6 +177,15 @@ def test_dark_things_and_empty_scenes_are_holes(name):
         assert (seen.depth > 0).mean() < 0.02  # a wall before the nearest reading is taken for another now and then
 
 
+@pytest.mark.parametrize("name", [*STEREO, *FLIGHT])
+@pytest.mark.parametrize("size", [(1, 1), (5, 4), (40, 23)])
+def test_small_images_are_no_error(name, size):
+    camera = Camera(300.0, 280.0, size[0] / 2, size[1] / 2, *size)
+    depth = shot(name, [wall(0.8), wall(0.7, 0.0, 9.0)], camera=camera).depth
+    assert depth.shape == size[::-1]
+    assert np.isfinite(depth).all()
+
+
 @pytest.mark.parametrize(("name", "albedo"), [("d455", 0.1), ("xtion", 0.5), ("azure-kinect", 0.12), ("l515", 0.04)])
 def test_steep_things_are_holes(name, albedo):
     # Nguyen et al. (3DIMPVT 2012): readings of a Kinect are lost beyond 70 to 80 degrees

@@ -106,9 +106,13 @@ def bent(image: Image, camera: Camera, cubic: float) -> Image:
 
 
 def exposure(image: Image, imager: Imager) -> tuple[float, float]:
-    """Exposure (full wells per unit of light) and gain that bring the mean of an image where it is aimed at."""
+    """Exposure (full wells per unit of light) and gain that bring the mean of an image where it is aimed at, less when
+    too much of it would be full.
+    """
     mean = float(image.mean())
     wanted = imager.aim / mean if mean > 1e-9 else np.inf
+    bright = float(np.quantile(image, 1.0 - imager.overexposed))
+    wanted = min(wanted, 1.0 / bright) if bright > 1e-9 else wanted
     time = float(np.clip(wanted, *imager.exposure))
     return time, float(np.clip(wanted / time, 1.0, imager.gain))
 

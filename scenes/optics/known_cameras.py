@@ -30,7 +30,9 @@ XTION = PatternCamera(
     "xtion",
     baseline=0.075,
     pattern=Pattern(density=9 * 3861 / 0.918, radius=0.0009, spread=0.3, haze=0.05, power=0.5),
-    imager=Imager(blur=0.6, ambient=0.05, speckle=0.2, bits=10, read_noise=20.0, exposure=(0.02, 1.0)),
+    imager=Imager(
+        blur=0.6, ambient=0.05, speckle=0.2, bits=10, read_noise=20.0, exposure=(0.02, 1.0), overexposed=0.02
+    ),
     matcher=Matcher(method="block", window=9, disparities=128, step=1 / 8, median=0),
 )
 

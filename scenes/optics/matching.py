@@ -43,9 +43,11 @@ def normalised(image: Image, floor: Image | float) -> tuple[Image, Image]:
 
 
 def disparity(left: Counts, right: Counts, matcher: Matcher) -> Image:
-    """Disparity (h, w) in pixels of the left image, 0 where none is read."""
+    """Disparity (h, w) in pixels of the left image, 0 where none is read; nowhere in images no larger than a window."""
     import cv2
 
+    if min(left.image.shape) <= matcher.window:
+        return np.zeros(left.image.shape, dtype=np.float32)
     first, contrast = normalised(left.image, left.noise)
     second, _ = normalised(right.image, right.noise)
     pad = matcher.disparities

@@ -42,6 +42,8 @@ class Imager:
     # unit of light), and the largest amplification after it.
     aim: float = 0.28
     exposure: tuple[float, float] = (0.02, 2.0)
+    # Exposure is shortened until no more than this share of the image is full.
+    overexposed: float = 0.03
     gain: float = 8.0
     # Contrast of laser speckle in one pixel (no unit): each eye sees another.
     speckle: float = 0.12

@@ -33,7 +33,7 @@ def draw_material(name: str, seed: int) -> Material:
     rng = np.random.default_rng([seed, *name.encode()])
     ground = name in GROUNDS
     albedo = rng.uniform(0.35, 0.85) if ground else 0.1 * 8.0 ** rng.uniform()
-    texture, grain = rng.uniform(0.02, 0.25), 0.002 * 10.0 ** rng.uniform()
+    texture, grain = rng.uniform(0.01, 0.1 if ground else 0.25), 0.002 * 10.0 ** rng.uniform()
     gloss = 0.0 if ground else 0.15 * rng.uniform() ** 2
     return Material(float(albedo), float(texture), float(grain), float(gloss), float(rng.uniform(8.0, 60.0)))
 

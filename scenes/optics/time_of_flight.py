@@ -48,11 +48,11 @@ def time_of_flight_shot(
     full = built.electrons * steady / 4 + built.modulation * built.electrons * np.abs(swings).max(axis=2) / 4
     keep = (np.abs(measured).min(axis=2) >= built.least) & (full < built.full_well)
     way = np.zeros(steady.shape)
+    reach = min(1.5 * built.farthest, unambiguous(built.frequencies))  # rays slant: a way is longer than its depth
 
     def work(rows: slice) -> None:
         kernels.distances(rows.start, rows.stop, measured, keep, waves, reach, built.disagreement, way)
 
-    reach = min(1.5 * built.farthest, unambiguous(built.frequencies))  # rays slant: a way is longer than its depth
     run_chunks(work, len(way), ROWS)
     way = np.where(way > 0, way + built.delay * unit.flaws[4], 0.0)
     depth = way / np.linalg.norm(camera.rays(), axis=2)
@@ -75,8 +75,9 @@ def _received(
     seen, s = view.rendering, view.samples
     step = built.receiver_step * s
     sparse = (slice(step // 2, None, step), slice(step // 2, None, step))
-    near = tuple(np.ascontiguousarray(x[sparse]) for x in (seen.ids, seen.normals, seen.depth))
-    detoured = np.zeros((*near[0].shape, 0), dtype=np.complex128)
+    ids, normals, depth = (np.ascontiguousarray(x[sparse]) for x in (seen.ids, seen.normals, seen.depth))
+    near = (ids, normals, depth)
+    detoured = np.zeros((*ids.shape, 0), dtype=np.complex128)
     if built.bounces > 0 and (seen.ids >= 0).any():
         detoured = _detoured(view, scene, built, waves, sparse)
     images = (seen.depth, seen.ids, seen.normals, scene.materials, view.meshes)
