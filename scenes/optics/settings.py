@@ -90,7 +90,7 @@ class Build:
     # Baseline (share of it), right camera turned against the calibration about x and z (rad) and about y (rad), and
     # its radial distortion (coefficient of the cubic term, tangents): walls are read as bowls.
     baseline: float = 0.0015
-    turned: float = 1.5e-4
+    turned: float = 8e-5
     verged: float = 1e-4
     distortion: float = 8e-4
 
