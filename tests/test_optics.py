@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scenes import noise
+from scenes import library, noise
 from scenes.cameras import Camera
 from scenes.errors import InputError
 from scenes.optics import KNOWN_CAMERAS, CameraUnit, Material, TimeOfFlightCamera, draw_unit, take
 from scenes.optics.time_of_flight import unambiguous
 from scenes.rendering import Renderer
+from scenes.synthesis import SynthesisSettings, synthesize_frames
 
 CAMERA = Camera(570.0, 570.0, 119.5, 79.5, 240, 160)
 PAINT = Material(albedo=0.5, texture=0.1, grain=0.006)
@@ -237,3 +238,17 @@ def test_presets_have_robots_of_their_own():
             assert preset.touch != noise.PRESETS[other].touch
     with pytest.raises(InputError, match="photographs a scene"):
         noise.observe_depth(None, CAMERA, "d435", np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("name", ["d435", "azure-kinect"])
+def test_a_synthetic_frame_has_the_infrared_image_for_its_colours(name):
+    camera = Camera(285.0, 285.0, 159.5, 119.5, 320, 240)
+    box = library.make("box")
+    grey, colour = (
+        synthesize_frames(box, noise=name, occlusion=0.0, occluders="none", seed=2, settings=settings)[0]
+        for settings in (SynthesisSettings(camera), SynthesisSettings(camera, infrared=False))
+    )
+    assert (grey.depth > 0).mean() > 0.5
+    np.testing.assert_array_equal(grey.depth, colour.depth)
+    assert (grey.rgb[..., :1] == grey.rgb).all()
+    assert not (colour.rgb[..., :1] == colour.rgb).all()
