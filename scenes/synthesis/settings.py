@@ -52,6 +52,8 @@ class SynthesisSettings:
     one_robot: bool = False
     # Depth images are stored in steps of this (m); frames in memory are rounded alike.
     depth_unit: float = 1e-4
-    # Write the true visible pixels as the object's mask, and a colour image.
+    # Write the true visible pixels as the object's mask, and a colour image: of cameras imitated from their optics the
+    # infra-red image that depth was read from, in grey.
     mask: bool = False
     rgb: bool = True
+    infrared: bool = True

@@ -63,13 +63,13 @@ def views(count: int, seed: int) -> Iterator[View]:
 
 def _view(model: ObjectModel, hidden: float, rng: np.random.Generator) -> View:
     from scenes.geometry.rendering import Renderer
-    from scenes.synthesis.noise.presets import observe_depth, preset
+    from scenes.synthesis.noise.presets import observe_depth
 
     middle = np.array([*rng.uniform(-0.05, 0.05, 2), rng.uniform(0.5, 0.8)])
     rotation = se3.random_rotations(1, rng)[0]
     truth = se3.make_pose(rotation, middle - rotation @ model.centroid)
     seen = Renderer({"object": (model.vertices, model.faces)}).render(CAMERA, {"object": truth})
-    depth = observe_depth(seen, CAMERA, preset("clean").depth, rng)
+    depth = observe_depth(seen, CAMERA, "clean", rng)
     mask = (depth > 0) & seen.mask("object")
     v, u = np.nonzero(mask)
     along = np.stack([u, v], axis=1) @ se3.random_unit_vectors(1, rng)[0, :2]
