@@ -15,7 +15,7 @@ import numpy as np
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Quantile, Rate, Report, Table
 from fusion.benchmarks.real import frames as recordings
 from fusion.benchmarks.real import grasps
-from fusion.benchmarks.real.diagnosis import excess
+from fusion.benchmarks.real.diagnosis import diagnose
 from fusion.benchmarks.real.frames import RealSettings, Recorded
 from fusion.benchmarks.real.sheet import contact_sheet
 from fusion.benchmarks.real.trials import METHODS, OURS, STARTS, Start, Trial, trials, warm_up
@@ -84,7 +84,7 @@ def _look(report: Report, ones: list[Recorded], left: list[str], settings: Bench
     by_case: dict[Case, list[Trial]] = defaultdict(list)
     for t in found:
         by_case[t.mask, t.start].append(t)
-    for table in (_cases_table(by_case, ones), _each_table(by_case, ones), _wrong_table(found, ones)):
+    for table in (_cases_table(by_case, ones), _each_table(by_case, ones), _wrong_table(by_case, ones)):
         report.tables.append(table)
         settings.show(table)
     _claims(report, by_case)
@@ -115,8 +115,9 @@ def _frames_table(ones: list[Recorded], left: list[str]) -> Table:
         table.add(one.name, len(one.points), at, one.truth is not None, 1e3 * one.floor, one.floor_overlap)
     table.note = (
         "Median distance of the mask's pixels from the surface. A given pose within"
-        f" {1e3 * s.true_within:.1f} mm, or one of a BOP data set, is the truth. Floor:"
-        " point-to-plane ICP on the mask's own pixels from the given pose; without a truth it is the reference, around which starts are drawn."
+        f" {1e3 * s.true_within:.1f} mm, or one of a BOP data set, is the truth."
+        " Floor: the best of two ICPs on the mask's own pixels from the given pose; without a truth starts are drawn"
+        " around it, and the measure is what ICP makes small: such frames favour ICP."
     )
     if left:
         table.note += f" Left out: {'; '.join(left)}."
@@ -229,33 +230,39 @@ def _of(some: Sequence[Trial]) -> str:
     return f"{sum(not t.wrong for t in some)} of {len(some)}"
 
 
-def _wrong_table(found: Sequence[Trial], ones: list[Recorded]) -> Table:
-    """Every wrong answer of ours, and whether search or objective is to blame."""
-    named = {one.name: one for one in ones}
-    columns = [
-        Column("frame"),
-        Column("mask"),
-        Column("start"),
-        Column("try", 0),
-        Column("verdict"),
-        Column("ADD-S mm"),
-    ]
-    columns += [Column("mask mm"), Column("overlap"), Column("from the reference"), Column("costs more by nats", 1)]
-    table = Table("Wrong answers of ours", columns)
+def _wrong_table(by_case: dict[Case, list[Trial]], ones: list[Recorded]) -> Table:
+    """Where ours are wrong, and what is to blame: a row a frame and case."""
+    columns = [Column("frame"), Column("mask"), Column("start"), Column("wrong"), Column("ok / ambiguous / lost")]
+    columns += [Column("ADD-S mm"), Column("mask mm"), Column("overlap"), Column("costs more by nats", 1)]
+    columns += [Column("right without joint solution"), Column("from the reference")]
+    table = Table("Wrong answers of ours, and why", columns)
     table.note = (
-        "From the reference: what ours makes of the same frame when it is started there; wrong, too, means that the"
-        " objective leads away, right means that the search does not get there. Costs more: the answer's cost of"
-        " pixels and sight lines less the reference's, as the search ranks them; below 0 the wrong pose is preferred."
+        "Medians over the wrong answers. Costs more: the answer's cost of pixels and sight lines less the reference's,"
+        " as the search ranks them; below 0 the objective prefers the wrong pose. Without the joint solution"
+        " (--budget-ms 0): how many are right then. From the reference: what ours makes of the same frame when it is started there."
     )
-    at = {(t.frame, t.mask): t for t in found if t.method == OURS and t.start.once}
-    for t in found:
-        if t.method != OURS or not t.wrong:
-            continue
-        there = at.get((t.frame, t.mask))
-        said = None if there is None else "wrong" if there.wrong else "right"
-        mask = "mask" if t.mask else "none"
-        numbers = 1e3 * t.add_s, 1e3 * t.residual, t.overlap
-        table.add(t.frame, mask, t.start.name, t.number, t.verdict, *numbers, said, excess(named[t.frame], t))
+    for one in ones:
+        for (mask, start), here in by_case.items():
+            ours = [t for t in here if t.frame == one.name and t.method == OURS]
+            wrong = [t for t in ours if t.wrong]
+            if not wrong:
+                continue
+            why = [diagnose(one, t, t.seed) for t in wrong]
+            there = [t for (m, at), all_of in by_case.items() if m == mask and at.once for t in all_of]
+            ended = ["wrong" if t.wrong else "right" for t in there if t.frame == one.name and t.method == OURS]
+            table.add(
+                one.name,
+                "mask" if mask else "none",
+                start.name,
+                f"{len(wrong)} of {len(ours)}",
+                _verdicts(wrong),
+                Quantile.of([t.add_s for t in wrong], 1e3),
+                Quantile.of([t.residual for t in wrong], 1e3),
+                Quantile.of([t.overlap for t in wrong]),
+                Quantile.of([d.excess for d in why]),
+                f"{sum(d.skipped_right for d in why)} of {len(wrong)}",
+                ended[0] if ended else None,
+            )
     return table
 
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +62,8 @@ class Trial:
     """One method on one frame from one start.
 
     mask: whether the method was given it; number: of the try; add_s (m), nees: NaN without truth; residual (m) and
-    overlap of the mask; verdict "" of a method that does not judge itself; true: the truth is known.
+    overlap of the mask; verdict "" of a method that does not judge itself; true: the truth is known; prior (4, 4):
+    where it started; seed: of the method's own chance.
     """
 
     frame: str
@@ -81,23 +81,7 @@ class Trial:
     nees: float = float("nan")
     true: bool = False
     prior: Array | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """Millimetres, milliseconds."""
-        return {
-            "frame": self.frame,
-            "mask": self.mask,
-            "start": self.start.name,
-            "method": self.method,
-            "try": self.number,
-            "add_s_mm": 1e3 * self.add_s,
-            "residual_mm": 1e3 * self.residual,
-            "overlap": self.overlap,
-            "wrong": self.wrong,
-            "verdict": self.verdict,
-            "time_ms": self.time_ms,
-            "pose": self.pose,
-        }
+    seed: int = 0
 
 
 def methods_of(start: Start, mask: bool) -> tuple[str, ...]:
@@ -158,4 +142,4 @@ def trial(one: Recorded, frame: Frame, start: Start, method: str, number: int = 
     residual, overlap = one.residual(pose), one.overlap(pose)
     wrong = one.wrong(add_s, residual, overlap)
     kept = frame.mask is not None, start, method, number, pose, add_s, residual, overlap, wrong, spent, verdict, nees
-    return Trial(one.name, *kept, one.truth is not None, frame.prior)
+    return Trial(one.name, *kept, one.truth is not None, frame.prior, seed)
