@@ -54,8 +54,6 @@ class RealSettings:
     hidden: float = 0.015
     # Fewest pixels of a mask with depth: fewer show no object.
     fewest: int = 100
-    # Images of one recording that are used, evenly picked: frames of a video repeat one another.
-    images: int = 3
 
 
 @dataclass(frozen=True)
@@ -170,21 +168,22 @@ def folder(data: Path | None) -> Path:
     return root
 
 
-def bop_frames(root: Path, images: int, settings: RealSettings | None = None) -> Iterator[Recorded | str]:
-    """Every object of every scene of a BOP data set, a split of it or one scene: up to `images` images of each.
+def bop_frames(root: Path, images: int, most: int | None = None) -> Iterator[Recorded | str]:
+    """Every object of every scene of a BOP data set, a split of it or one scene: up to `images` images of each. most:
+    pairs of scene and object, evenly picked; None for all.
 
     Raises InputError for a folder without a scene.
     """
-    scenes = [root] if bop_scene.is_scene(root) else sorted(p.parent for p in root.rglob("scene_camera.json"))
-    scenes = [path for path in scenes if bop_scene.is_scene(path)]
+    # the scene itself, those of a split, those of all splits
+    places = [path for depth in ("", "*/", "*/*/") for path in sorted(root.glob(f"{depth}scene_camera.json"))]
+    scenes = [path.parent for path in places if bop_scene.is_scene(path.parent)]
     if not scenes:
         raise InputError(f"bench real: expected a BOP scene (scene_camera.json) in {root}, found none")
-    for scene in scenes:
-        for object_id in bop_scene.objects(scene):
-            model, found = bop_scene.read(scene, bop_scene.Choice(object_id), images)
-            for frame in found:
-                name = f"{scene.name}/{frame.index:06d} object {object_id}"
-                yield recorded(name, frame, model, vouched=True, settings=settings)
+    pairs = [(scene, object_id) for scene in scenes for object_id in bop_scene.objects(scene)]
+    for scene, object_id in pairs if most is None else even(pairs, most):
+        model, found = bop_scene.read(scene, bop_scene.Choice(object_id), images)
+        for frame in found:
+            yield recorded(f"{scene.name}/{frame.index:06d} object {object_id}", frame, model, vouched=True)
 
 
 def _below(root: Path, usual: str) -> list[Path]:
@@ -193,15 +192,16 @@ def _below(root: Path, usual: str) -> list[Path]:
     return sorted({path for place in places for path in place.iterdir() if path.is_dir()})
 
 
-def captures(root: Path, images: int, settings: RealSettings | None = None) -> Iterator[Recorded | str]:
-    """Every capture in the folder or its part `real`: up to `images` frames of each, or why one is left out."""
-    for path in _below(root, CAPTURES):
-        if not (path / "capture.json").is_file():
-            continue
+def captures(root: Path, images: int, most: int | None = None) -> Iterator[Recorded | str]:
+    """Captures in the folder or its part `real`: up to `images` frames of each, or why one is left out. most: captures,
+    evenly picked; None for all.
+    """
+    paths = [path for path in _below(root, CAPTURES) if (path / "capture.json").is_file()]
+    for path in paths if most is None else even(paths, most):
         capture = read_capture(path)
         for number in even(capture.frame_ids, images):
             name = capture.name if len(capture) == 1 else f"{capture.name} {number}"
-            yield recorded(name, capture.frame(number), capture.model, settings=settings)
+            yield recorded(name, capture.frame(number), capture.model)
 
 
 def grasps(root: Path) -> list[Path]:
