@@ -24,6 +24,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--objects", metavar="A,B", type=names_list, help="objects of `vision` (default: all there are)"
     )
     parser.add_argument(
+        "--data",
+        metavar="DIR",
+        type=Path,
+        help="recorded captures for `real`, in DIR or its part real (default: PALPATE_DATA, ../shared/data)",
+    )
+    parser.add_argument("--bop", metavar="DIR", type=Path, help="a BOP data set, split or scene for `real`")
+    parser.add_argument(
         "--quick", action="store_true", help="less of everything, but all of it (all: five minutes on two cores)"
     )
     parser.add_argument(
@@ -41,6 +48,8 @@ def names_list(text: str) -> tuple[str, ...]:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 also when a demand is missed: the report says so."""
+    from dataclasses import replace
+
     from fusion import benchmarks
     from fusion.benchmarks.printing.tables import BenchSettings, Table, show_report, show_table, write_report
     from scenes.errors import unknown
@@ -56,6 +65,7 @@ def run(args: argparse.Namespace) -> int:
         shown.append(table)
 
     settings = BenchSettings(args.trials, args.seed, args.quick, progress, args.objects, args.out, show)
+    settings = replace(settings, data=args.data, bop=args.bop)
     if args.name == "all":
         return _run_all(args, names, settings)
     report = benchmarks.load(args.name).run(settings)

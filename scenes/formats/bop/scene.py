@@ -95,13 +95,43 @@ def convert(folder: Path, out: Path, choice: Choice | None = None, model: Object
     return Converted((written,), len(kept), dropped)
 
 
+def objects(folder: Path) -> list[int]:
+    """Numbers of the objects whose poses the scene's ground truth knows; none without one."""
+    return _known(_optional(folder / "scene_gt.json"))
+
+
+def read(folder: Path, choice: Choice, most: int) -> tuple[ObjectModel, list[Frame]]:
+    """The chosen object's mesh, and up to `most` of the images that show it, evenly picked, without writing a capture.
+
+    Of several instances in an image the first is taken unless one is chosen. Raises PalpateError for broken files.
+    """
+    cameras = bop.read_frames(folder / "scene_camera.json", refuse)
+    truths = _optional(folder / "scene_gt.json")
+    object_id = _object_id(folder, truths, choice.object_id)
+    wanted = choice.instance or 0
+    rows = {number: _row(folder, number, entry, object_id, wanted) for number, entry in truths.items()}
+    seen = sorted(number for number, row in rows.items() if row is not None and number in cameras)
+    dropped, found = Dropped(), []
+    for at in sorted(set(np.linspace(0, len(seen) - 1, min(most, len(seen))).astype(int))):
+        number = seen[at]
+        entry = _camera(folder, number, cameras[number])
+        frame = _frame(folder, number, entry, rows[number], truths[number], False, dropped)
+        if frame is not None:
+            found.append(frame)
+    return _model(folder, object_id, choice.models), found
+
+
 def _optional(path: Path) -> dict[int, Any]:
     return bop.read_frames(path, refuse) if path.is_file() else {}
 
 
-def _object_id(folder: Path, truths: dict[int, Any], asked: int | None) -> int:
+def _known(truths: dict[int, Any]) -> list[int]:
     rows = [row for entry in truths.values() if isinstance(entry, list) for row in entry if isinstance(row, dict)]
-    known = sorted({row["obj_id"] for row in rows if isinstance(row.get("obj_id"), int)})
+    return sorted({row["obj_id"] for row in rows if isinstance(row.get("obj_id"), int)})
+
+
+def _object_id(folder: Path, truths: dict[int, Any], asked: int | None) -> int:
+    known = _known(truths)
     listed = ", ".join(map(str, known))
     if asked is not None:
         if known and asked not in known:
