@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scenes.evidence import table as tables
+from scenes.evidence.table import VISION, Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.cameras import Camera, is_reading
 from scenes.geometry.objects import ObjectModel
@@ -33,6 +35,14 @@ class PredictionSettings:
     side: int = 16
     # The same where pixels are wanted as rows of evidence.
     side_rows: int = 32
+    # Things of which less than this share of what is seen is off the edge are thin: then edges count, too.
+    thin_share: float = 0.4
+    # Depths (m) beyond where a ray that is seen past meets the object, at which it must be empty; the distance kept from
+    # what is seen, sigma (m) and gate (sigmas) of these rows.
+    empty_depths: tuple[float, ...] = (0.002, 0.006, 0.014)
+    empty_clearance: float = 0.006
+    empty_sigma: float = 0.003
+    empty_gate: float = 3.0
     # Points of the surface whose projections bound the outline.
     bounding: int = 200
     # Independent cells that a whole outline amounts to: neighbouring pixels share what is in front of them.
@@ -42,6 +52,8 @@ class PredictionSettings:
     seen: float = 2.0
     past: float = 4.0
     hidden: float = 0.6
+    # Of what gives no reading this share is left out of the count.
+    unread: float = 0.7
     # A cell's depth agrees within so many sigmas (noise, smooth bias and scale); seen fades with so many (no scale).
     tolerance: float = 2.5
     fading: float = 1.5
@@ -53,6 +65,9 @@ class PredictionSettings:
     # The hand is drawn at every so many pixels; a reading this near (m) to it is the hand's.
     hand_step: int = 3
     hand_margin: float = 0.006
+    # A reading this near (m, and sigmas of its noise on top) to the table or wall is the table's or wall's.
+    plane_margin: float = 0.004
+    plane_sigmas: float = 2.0
 
 
 @dataclass(frozen=True)
@@ -60,7 +75,7 @@ class Prediction:
     """Shares (n,) of the predicted pixels inside the image, for n poses.
 
     seen: at the depth predicted, falling off smoothly with the difference; agree: within the tolerance; past: seen
-    through; hidden: behind something that is not the robot's hand; behind_hand: the hand explains it; outline: of the
+    through, or under a table; hidden: behind something that is not the robot's hand; behind_hand: the hand explains it; outline: of the
     border, where the seen surface runs on smoothly beyond it. count: rays that met the object inside the image.
     """
 
@@ -75,13 +90,14 @@ class Prediction:
 
 @dataclass(frozen=True)
 class _View:
-    """Pixels u, v of the rays (n, k); whether each meets the object, is read, and what is seen (m) there; which are at
+    """Pixels u, v of the rays (n, k); whether each meets the object and at which depth (m), is read, and what is seen; which are at
     the predicted depth, seen past, hidden by something unknown or by the hand; fade: how well a near one agrees.
     """
 
     u: NDArray[np.int64]
     v: NDArray[np.int64]
     hit: NDArray[np.bool_]
+    expected: Array
     read: NDArray[np.bool_]
     seen: Array
     near: NDArray[np.bool_]
@@ -101,8 +117,10 @@ class Predictor:
         depth: DepthModel,
         hand: HandView | None = None,
         settings: PredictionSettings | None = None,
+        plane: Array | None = None,
     ) -> None:
-        """hand: the robot's own as seen in this frame; what it hides is no wonder."""
+        """hand: the robot's own as seen in this frame; what it hides is no wonder. plane (4,): of the table or wall."""
+        self._plane = plane
         self.settings = settings or PredictionSettings()
         self.model = model
         self.camera: Camera | None = frame.camera
@@ -130,7 +148,9 @@ class Predictor:
         """What becomes of the predicted pixels of each pose (n, 4, 4); side: rays along the outline's box."""
         side = self.settings.side if side is None else side
         view = self._view(candidates, side)
-        total = np.maximum(view.hit.sum(axis=1), 1)
+        # where nothing is read little is known: surfaces that give no reading are the object's or not
+        unread = (view.hit & ~view.read).sum(axis=1)
+        total = np.maximum(view.hit.sum(axis=1) - self.settings.unread * unread, 1.0)
 
         def share(which: NDArray) -> Array:
             return np.asarray(which.sum(axis=1) / total)
@@ -167,11 +187,13 @@ class Predictor:
         known = read & hit
         off = np.where(known, seen - z, 0.0)
         by_hand = known & self._is_hand(u, v, seen, inside)
-        past = known & (off > tolerance)
-        near = known & ~by_hand & (np.abs(off) <= tolerance)
-        hidden = known & ~by_hand & (off < -tolerance)
+        plane = known & self._is_plane(rays, seen)
+        # nothing is under the table or behind the wall; what is at its depth is the table, and hides the object at most
+        past = known & ((off > tolerance) | (plane & (off < -tolerance)))
+        near = known & ~by_hand & ~plane & (np.abs(off) <= tolerance)
+        hidden = known & ~by_hand & ~past & (plane | (off < -tolerance))
         fade = np.exp(-0.5 * np.square(off / (s.fading * smooth))) * near
-        return _View(u, v, hit, read, seen, near, past, hidden, by_hand & ~past, fade)
+        return _View(u, v, hit, expected, read, seen, near, past, hidden, by_hand & ~past, fade)
 
     def seen_pixels(self, pose: Array, side: int | None = None, inner: int = 1) -> Pixels:
         """The pixels that show the object at pose (4, 4): inside its outline by `inner` rays, where edges smear no
@@ -186,10 +208,28 @@ class Predictor:
             padded = np.pad(core, 1)
             core = core & padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
         good = core.ravel() & view.near[0]
+        if good.sum() < s.thin_share * view.near[0].sum():  # a thin thing is all edge
+            good = view.near[0]
         uv = np.stack([view.u[0, good], view.v[0, good]], axis=1)
         rays = np.stack([(uv[:, 0] - camera.cx) / camera.fx, (uv[:, 1] - camera.cy) / camera.fy, np.ones(len(uv))], 1)
         area = float(np.ptp(view.u[0]) * np.ptp(view.v[0])) / side**2
         return Pixels(uv, rays * view.seen[0, good, None], max(area, 1.0))
+
+    def empty_rows(self, pose: Array) -> Evidence:
+        """OUTSIDE rows on the rays that see past the object at pose (4, 4): there it cannot be."""
+        assert self.camera is not None
+        s, camera = self.settings, self.camera
+        view = self._view(pose[None], s.side)
+        past = view.past[0] & (view.seen[0] > view.expected[0])
+        if not past.any():
+            return tables.empty()
+        u, v = view.u[0, past], view.v[0, past]
+        rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(u))], axis=1)
+        depth = view.expected[0, past, None] + np.array(s.empty_depths)
+        free = depth < view.seen[0, past, None] - s.empty_clearance
+        points = (rays[:, None] * depth[..., None])[free]
+        rows = tables.outside(points, s.empty_sigma, VISION, gate=s.empty_gate)
+        return rows.reweighted(s.cells / max(float(view.hit.sum()), 1.0) / len(s.empty_depths))
 
     def _grid(self, candidates: Array, side: int) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
         """Pixels u, v (n, side^2) over the box of each pose's outline, and which of them are in the image."""
@@ -223,6 +263,14 @@ class Predictor:
         low, high = self._hand[0][row, column], self._hand[1][row, column]
         margin = self.settings.hand_margin
         return (seen > low - margin) & (seen < high + margin)
+
+    def _is_plane(self, rays: Array, seen: Array) -> NDArray[np.bool_]:
+        """Whether each reading is the table's or wall's."""
+        if self._plane is None:
+            return np.zeros(seen.shape, dtype=bool)
+        s = self.settings
+        room = s.plane_margin + s.plane_sigmas * self._belief.independent_sigma(seen)
+        return np.asarray(np.abs(seen * (rays @ self._plane[:3]) + self._plane[3]) < room)
 
     def _runs_on(self, view: _View, side: int) -> Array:
         """(n,) share of the outline across which the surface that is seen inside goes on as it was."""

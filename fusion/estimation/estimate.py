@@ -15,8 +15,9 @@ from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import as_prior, check_limits, check_senses
 from fusion.estimation.moments import moments
+from fusion.estimation.pool import Pool
 from fusion.estimation.proposals import search_stages, starts_of
-from fusion.estimation.ranking import ranked
+from fusion.estimation.ranking import guarded, ranked
 from fusion.estimation.search import find_modes, worth_solving
 from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.solve.problem import JointProblem
@@ -34,6 +35,7 @@ from scenes.threads import one_blas_thread
 from touch.contacts import feel
 from vision.look.look import look, look_closer
 from vision.plausibility import doubts
+from vision.predicted import Predictor
 from vision.sight import Sight
 from vision.visibility import visibility
 
@@ -123,13 +125,23 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> 
     with trace.stage("look again", wide, "the region was narrow") as stage:
         if wide:
             likely = np.array([m.pose for m in modes if m.weight > settings.plan.negligible or m is modes[0]])
-            looked = look_closer(viewed, model, looked, likely, settings.look)
+            looked = look_closer(viewed, model, looked, likely, beliefs, settings.look)
             seen = looked.rows(beliefs.depth, settings.look.rows)
             rows = tables.stack(seen, felt.rows)
             last = search_stages(blur, how.near)[-1:]
             modes = find_modes(model, rows, likely, last, None, sight.costs, settings.plan, settings.modes).modes
             stage.note(len(rows), f"{len(looked.pixels)} object pixels around {len(likely)} poses")
 
+    predictor = Predictor(viewed, model, beliefs.depth, hand, settings.prediction, looked.plane)
+    known = settings.look.rows, settings.modes, settings.pool
+    pieces_by = search_stages(blur, how.sifted)
+    pool = Pool(model, felt.rows, believed, predictor, sight, looked, beliefs.depth, *known)
+    with trace.stage("compete", predictor.sees, "no depth image to predict") as stage:
+        if predictor.sees:
+            more = [pool.proposed(starts, stages, seen, start), pool.of_pieces(pieces_by, rng, how.of_piece)]
+            candidates = np.concatenate([np.array([m.pose for m in modes]), *more])
+            modes = pool.compete(candidates)
+            stage.note(len(candidates), f"{len(modes)} of {len(candidates)} proposals are left")
     rough = with_shared_errors(modes, viewed, beliefs.depth)
     spent, settled = trace.over_budget, is_within(rough, asked.tolerance, settings)
     why_not = "the time budget is spent" if spent else "the rows alone are within the tolerance"
@@ -137,10 +149,14 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> 
     modes = modes if finish else rough
     with trace.stage("solve together", finish, why_not) as stage:
         if finish:
-            reported = felt.reported_rows
-            problem = JointProblem.of(model, frame, seen, reported, believed, hand, beliefs, settings.joint)
-            solved = solve_modes(problem, worth_solving(modes, settings.plan))
-            best, modes = ranked(touched, model, solved, sight, settings)
+            worth = worth_solving(modes, settings.plan)[: settings.joint.modes]
+            shown = [pool.evidence(pose) if predictor.sees else seen for pose in worth]
+            known_of = felt.reported_rows, believed, hand, beliefs, settings.joint
+            solved = solve_modes([JointProblem.of(model, frame, rows, *known_of) for rows in shown], worth)
+            solved = guarded(pool, solved, worth, settings)
+            first_of, modes = ranked(touched, pool, solved, sight, settings)
+            best, seen = solved[first_of], shown[first_of]
+            rows = tables.stack(seen, felt.rows)
             felt = felt.corrected(best.correct())
             off = f"calibration off by {best.millimetres:.1f} mm, depth scale by {100 * best.scale:+.2f} %"
             stage.note(len(rows), off)

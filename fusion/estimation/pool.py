@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 from scenes.evidence import table as tables
 from scenes.evidence.align import Alignment, AlignSettings, Prior, align, costs
 from scenes.evidence.modes import Mode, ModeSettings, distinct_modes
-from scenes.evidence.search import SearchStage, leaders, search
+from scenes.evidence.search import SearchStage, leaders, search, thin
 from scenes.evidence.table import GATE_ABOVE, Evidence
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import DepthModel
 from vision.look.looked import Looked, RowSettings, free_space_rows, surface_rows
 from vision.predicted import Predictor
+from vision.sight import Sight
+from vision.starts import StartSettings, seen_starts
 
 Array = NDArray[np.float64]
 
@@ -32,11 +34,15 @@ class PoolSettings:
 
     # Poses that touch alone proposes.
     by_touch: int = 8
-    # Blurs (m) of the passes of a plain descent from the start, as ICP's shrinking gates.
+    # Starts near a prior from which pixels alone are descended to, the prior's own pose first; blurs (m) of the passes,
+    # as ICP's shrinking gates; steps of each, and rows.
+    descents: int = 48
     descent: tuple[float, ...] = (0.02, 0.01, 0.005, 0.002)
+    descent_steps: int = 6
+    descent_rows: int = 160
     # Poses, the best first, that are fitted to the pixels inside their own outlines; how often; the fewest such pixels.
     fitted: int = 6
-    rounds: int = 2
+    rounds: int = 3
     least_pixels: int = 25
     # Poses nearer to each other than this share of the distance at which modes are one go on as one.
     together: float = 0.5
@@ -45,13 +51,14 @@ class PoolSettings:
 @dataclass(frozen=True)
 class Pool:
     """What is known of the frame beyond poses: rows of touch as they are believed now, and a prior; `predictor` says
-    what must be seen. looked and depth: what pixels are worth as rows.
+    what must be seen, `sight` quickly what is seen past. looked and depth: what pixels are worth as rows.
     """
 
     model: ObjectModel
     felt: Evidence
     prior: Prior | None
     predictor: Predictor
+    sight: Sight
     looked: Looked
     depth: DepthModel
     rows: RowSettings
@@ -71,19 +78,37 @@ class Pool:
             parts.append(felt.poses[best[: s.by_touch]])
         on = seen.take(seen.rows[:, GATE_ABOVE] > 0)
         if start is not None and len(on):
-            pose = start[None]
+            few, poses = thin(on, s.descent_rows), np.concatenate([start[None], starts[: s.descents - 1]])
             for blur in s.descent:
-                pose = align(self.model, on, pose, None, AlignSettings(blur=blur, iterations=8)).poses
-            parts.append(pose)
+                how = AlignSettings(blur=blur, iterations=s.descent_steps)
+                poses = align(self.model, few, poses, None, how).poses
+            parts.append(poses)
         return np.concatenate(parts) if parts else np.zeros((0, 4, 4))
 
+    def of_pieces(self, passes: tuple[SearchStage, ...], rng: np.random.Generator, seen: StartSettings) -> Array:
+        """(n, 4, 4) poses that each connected piece of the image proposes by itself: for every piece a search in which
+        the whole predicted image ranks.
+        """
+        found = [np.zeros((0, 4, 4))]
+
+        def rank(poses: Array, blur: float) -> Array:
+            return self.sight.costs(poses, blur)
+
+        for piece in self.looked.pieces:
+            rows = surface_rows(replace(self.looked, pixels=piece, told_apart=True), self.depth, self.rows)
+            starts = seen_starts(self.model, piece.points, rows, rank, rng, seen)
+            if len(starts):
+                found.append(search(self.model, rows, starts, passes, self.prior, rank=rank).poses)
+        return np.concatenate(found)
+
     def evidence(self, pose: Array) -> Evidence:
-        """Vision's rows if the object is at pose (4, 4): the pixels inside its outline, and what was seen to be
-        free.""" pixels = self.predictor.seen_pixels(pose)
+        """Vision's rows if the object is at pose (4, 4): pixels inside its outline, and what was seen to be free."""
+        pixels = self.predictor.seen_pixels(pose)
+        free = tables.stack(free_space_rows(self.looked, self.rows), self.predictor.empty_rows(pose))
         if len(pixels) < self.settings.least_pixels:
-            return tables.empty()
+            return free
         mine = replace(self.looked, pixels=pixels, told_apart=True)
-        return tables.stack(surface_rows(mine, self.depth, self.rows), free_space_rows(self.looked, self.rows))
+        return tables.stack(surface_rows(mine, self.depth, self.rows), free)
 
     def compete(self, candidates: Array) -> tuple[Mode, ...]:
         """The best of poses (n, 4, 4), n at least 1, each fitted to what is seen inside its own outline, as modes."""

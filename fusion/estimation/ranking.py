@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation.pool import Pool
 from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.solve.joint import JointResult
 from scenes.evidence import align as alignment
 from scenes.evidence.align import Alignment
 from scenes.evidence.modes import Mode, distinct_modes
+from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
 from touch.arrays.ranking import pattern_costs
@@ -21,14 +25,41 @@ Array = NDArray[np.float64]
 
 
 def ranked(
-    frame: Frame, model: ObjectModel, solved: list[JointResult], sight: Sight, settings: EstimateSettings
-) -> tuple[JointResult, tuple[Mode, ...]]:
-    """The best of the solutions and the modes they make: poses and covariances of the joint solution, weights by
+    frame: Frame, pool: Pool, solved: list[JointResult], sight: Sight, settings: EstimateSettings
+) -> tuple[int, tuple[Mode, ...]]:
+    """Index of the best of the solutions, and the modes they make: poses and covariances of the joint solution, weights by
     Laplace's method. frame: with the touch that may be used.
     """
-    costs = comparable(solved, settings) + sight.costs(np.array([s.pose for s in solved]))
-    costs += beyond_rows(frame, model, solved, settings)
-    return solved[int(np.argmin(costs))], rejudged(model, solved, costs, settings)
+    poses = np.array([s.pose for s in solved])
+    if pool.predictor.sees:
+        # each was solved with the pixels inside its own outline: what all must show is compared instead
+        costs = np.array([s.cost - s.pixel_cost for s in solved]) + pool.predictor.costs(
+            np.array([s.as_seen for s in solved])
+        )
+    else:
+        costs = comparable(solved, settings) + sight.costs(poses)
+    costs = costs + beyond_rows(frame, pool.model, solved, settings)
+    return int(np.argmin(costs)), rejudged(pool.model, solved, costs, settings)
+
+
+def guarded(
+    pool: Pool, solved: list[JointResult], starts: list[Array], settings: EstimateSettings
+) -> list[JointResult]:
+    """The solutions; where what must be seen of the object speaks against one more than against its start (4, 4), that
+    start, as wide as the two are apart: calibration, scale and bias may explain anything but the picture.
+    """
+    if not pool.predictor.sees:
+        return solved
+    after = pool.predictor.costs(np.array([s.as_seen for s in solved]))
+    before = pool.predictor.costs(np.array(starts[: len(solved)]))
+    out = []
+    for one, start, worse in zip(solved, starts, after - before):
+        if worse <= settings.most_worse:
+            out.append(one)
+            continue
+        apart = se3.difference(one.pose, start, pool.model.centroid)
+        out.append(replace(one, pose=start, as_seen=start, covariance=one.covariance + np.outer(apart, apart)))
+    return out
 
 
 def comparable(solved: list[JointResult], settings: EstimateSettings) -> Array:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fusion.estimation.moments import MomentSettings
+from fusion.estimation.pool import PoolSettings
 from fusion.estimation.proposals import ProposalSettings
 from fusion.estimation.search import PlanSettings
 from fusion.estimation.solve.settings import JointSettings
@@ -19,6 +20,7 @@ from touch.arrays.ranking import RankingSettings
 from touch.contacts import TouchSettings
 from vision.look.look import LookSettings
 from vision.plausibility import PlausibilitySettings
+from vision.predicted import PredictionSettings
 from vision.sight import SightSettings
 
 
@@ -33,9 +35,14 @@ class EstimateSettings:
     # and a mesh leave out of a surface. Of 81 pairs of a right and a wrong minimum (384 frames without a start, not
     # those that are reported) the wrong one cost up to 8 nats less in 26.
     pixel_temperature: float = 4.0
+    # Nats by which the picture may speak more against a joint solution than against where it began: a few rays more or
+    # less at the outline.
+    most_worse: float = 8.0
     look: LookSettings = field(default_factory=LookSettings)
     touch: TouchSettings = field(default_factory=TouchSettings)
     proposals: ProposalSettings = field(default_factory=ProposalSettings)
+    prediction: PredictionSettings = field(default_factory=PredictionSettings)
+    pool: PoolSettings = field(default_factory=PoolSettings)
     plan: PlanSettings = field(default_factory=PlanSettings)
     sight: SightSettings = field(default_factory=SightSettings)
     modes: ModeSettings = field(default_factory=ModeSettings)

@@ -273,7 +273,7 @@ class Tracker:
         hand = looked.hand
         rows = felt.reported_rows if hand is not None else felt.rows
         problem = JointProblem.of(self.model, frame, seen, rows, prior, hand, self._beliefs, how)
-        solved = solve_modes(problem, [start])[0]
+        solved = solve_modes([problem], [start])[0]
         if not known and len(seen) and hand is not None:
             self._rigs.append(solved.level)
         return solved

@@ -55,6 +55,8 @@ class Looked:
     is_cloud: bool = False
     told_apart: bool = False
     how: str = ""
+    plane: Array | None = None
+    pieces: tuple[Pixels, ...] = ()
 
     @property
     def seen_hand(self) -> HandView | None:

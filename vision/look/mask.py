@@ -111,7 +111,7 @@ def object_mask(
     if view is not None:
         rgb = frame.rgb[part] if colour and frame.rgb is not None else None
         candidates &= ~_hand_pixels(frame, view, box, points[..., 2], candidates, rgb, settings)
-    pieces = _pieces(points[..., 2], candidates, settings)
+    pieces = connected_pieces(points[..., 2], candidates, settings)
     mask[part] = _chosen(pieces, points, frame, model, start, view, settings)
     return mask
 
@@ -142,12 +142,17 @@ def _candidates(
         good &= away < region.radius**2
     plane = find_plane(frame, settings, depth_model)
     if plane is not None:
-        room = settings.plane_margin + settings.plane_sigmas * depth_model.independent_sigma(z)
-        good &= points @ plane[:3] + plane[3] > room
+        good &= ~on_plane(points, plane, depth_model, settings)
     if start is not None and good.any():
         distance = model.field.distance(poses.apply(poses.inverse(start), points[good]))
         good[good] = np.abs(distance) < settings.reach
     return points, good
+
+
+def on_plane(points: Array, plane: Array, depth_model: DepthModel, settings: MaskSettings) -> Mask:
+    """(...) whether points (..., 3) are on a plane (4,), within what a camera makes of it, or behind it."""
+    room = settings.plane_margin + settings.plane_sigmas * depth_model.independent_sigma(points[..., 2])
+    return np.asarray(points @ plane[:3] + plane[3] <= room)
 
 
 def find_plane(frame: Frame, settings: MaskSettings, depth_model: DepthModel) -> Array | None:
@@ -256,7 +261,7 @@ def _colour_scores(
     return np.asarray(off[1] - off[0])
 
 
-def _pieces(z: Array, candidates: Mask, settings: MaskSettings) -> NDArray[np.int64]:
+def connected_pieces(z: Array, candidates: Mask, settings: MaskSettings) -> NDArray[np.int64]:
     """(h, w) number of the connected piece that each candidate pixel belongs to, from 0; -1 elsewhere."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components

@@ -11,10 +11,9 @@ import numpy as np
 from fusion.benchmarks.real.frames import Recorded
 from fusion.benchmarks.real.trials import Trial
 from fusion.estimation.estimate import estimate
-from fusion.estimation.stages import EstimateSettings, look, vision_rows
-from scenes.evidence import align
+from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
-from vision.sight import Sight
+from vision.predicted import Predictor
 
 
 @dataclass(frozen=True)
@@ -37,15 +36,10 @@ def diagnose(one: Recorded, trial: Trial, seed: int) -> Diagnosis:
 
 
 def excess(one: Recorded, frame: Frame, trial: Trial) -> float:
-    """Nats by which the answer costs more than the reference pose under the rows of vision and the sight lines, as the
-    search ranks them; NaN without a reference or without rows. Below 0 the objective prefers the wrong pose.
+    """Nats by which the answer costs more than the reference pose under what must be seen of the object, as
+    poses are ranked; NaN without a reference. Below 0 the objective prefers the wrong pose.
     """
     if one.reference is None:
         return float("nan")
-    settings = EstimateSettings()
-    rows = vision_rows(look(frame, one.model, trial.prior, settings)[0], settings)
-    if not len(rows):
-        return float("nan")
-    both = np.array([trial.pose, one.reference])
-    costs = align.costs(one.model, rows, both) + Sight(frame, one.model, settings.depth).costs(both)
+    costs = Predictor(frame, one.model, Beliefs().depth).costs(np.array([trial.pose, one.reference]))
     return float(costs[0] - costs[1])

@@ -25,7 +25,7 @@ from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
 from scenes.recordings.captures import read_capture
 from scenes.recordings.frames import Frame
-from vision.published.icp import IcpSettings, icp
+from vision.published.icp import CloudIcpSettings, icp
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -33,7 +33,7 @@ T = TypeVar("T")
 ROOT = Path(__file__).resolve().parents[3]
 CAPTURES, GRASPS = "real", "icub-handover"
 # ICPs whose better end is the reference: the usual one, and a narrow one for a pose some millimetres off.
-REFERENCE_ICP = (IcpSettings(), IcpSettings((0.010, 0.005, 0.003)))
+REFERENCE_ICP = (CloudIcpSettings(), CloudIcpSettings((0.010, 0.005, 0.003)))
 
 
 @dataclass(frozen=True)

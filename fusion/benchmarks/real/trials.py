@@ -21,7 +21,7 @@ from fusion.benchmarks.real.frames import Recorded
 from fusion.truth.compare import compare_frame
 from scenes.geometry import poses
 from scenes.recordings.frames import Frame
-from vision.look.segments import object_points
+from vision.look.look import object_points
 from vision.published import registration
 
 Array = NDArray[np.float64]

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.solve.problem import JointProblem
-from fusion.estimation.solve.system import POSE, SCALE, XI, System
+from fusion.estimation.solve.system import FIXED, POSE, SCALE, XI, System
 from scenes.geometry import poses as se3
 
 Array = NDArray[np.float64]
@@ -41,6 +41,7 @@ class JointResult:
     posterior, pixel_cost what of it the vision rows say; log_evidence of the level of shared errors it was solved for.
     Of the frame alone, without the prior on the pose: covariances (6, 6) independent, of independent noise, and shared,
     of calibration, depth scale and bias; a direction that the frame does not tell is as wide as the object, in shared.
+    as_seen (4, 4): where the uncorrected depth image shows the object, scale and mean bias put back along its ray.
     """
 
     pose: Array
@@ -54,6 +55,7 @@ class JointResult:
     pixel_cost: float = 0.0
     independent: Array = field(default_factory=lambda: np.zeros((6, 6)))
     shared: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    as_seen: Array = field(default_factory=lambda: np.eye(4))
 
     @property
     def millimetres(self) -> float:
@@ -68,14 +70,20 @@ class JointResult:
 def solve(problem: JointProblem, pose: Array, level: float, weight: float | None = None) -> JointResult:
     """Gauss-Newton from `pose` (4, 4) for shared errors `level` times as large as believed.
 
-    weight: of a pixel; the least of all rigs' when not told, so that log evidences of levels can be compared.
+    weight: of a pixel; the least of all rigs' when not told, so that log evidences of levels can be compared. Where
+    nothing of known shape ties depth's scale and bias (problem.ties_depth), they are not solved for, because a wrong
+    outline is then explained by a wrong scale: they widen the covariance by what they do to the pose (a consider
+    analysis, Schmidt 1966), and move nothing.
     """
     system = System(problem, pose, level, problem.settings.least_weight if weight is None else weight)
     here, unknown = pose, system.start()
+    free = system.size if problem.ties_depth else SCALE
     cost, gradient, normal = system.terms(here, unknown)
     damping = 1e-6
     for _ in range(problem.settings.steps):
-        step = -np.linalg.solve(normal + np.diag(damping * np.diag(normal) + system.width), gradient)
+        damped = normal + np.diag(damping * np.diag(normal) + system.width)
+        step = np.zeros(system.size)
+        step[:free] = -np.linalg.solve(damped[:free, :free], gradient[:free])
         shorten = min(1.0, 0.3 / max(np.abs(step[:3]).max(), 1e-12))
         shorten = min(shorten, 0.3 * problem.model.radius / max(np.abs(step[3:6]).max(), 1e-12))
         step *= shorten
@@ -92,7 +100,14 @@ def solve(problem: JointProblem, pose: Array, level: float, weight: float | None
                 break
         else:
             damping = max(damping, 1e-5) * 10
-    covariance, log_det = _marginal(normal + np.diag(system.width))
+    whole = normal + np.diag(system.width)
+    gain, log_det = _marginal(whole[:free, :free])
+    covariance = gain
+    if free < system.size:
+        inverse = np.linalg.solve(whole[:free, :free], whole[:free, free:])[:6]
+        covariance = gain + inverse @ inverse.T
+    vision = system.vision(here, unknown)[0] if len(problem.seen) else 0.0
+    covariance = covariance + gain @ system.excess_scatter() @ gain
     return JointResult(
         here,
         covariance,
@@ -102,9 +117,23 @@ def solve(problem: JointProblem, pose: Array, level: float, weight: float | None
         float(cost),
         float(-cost - 0.5 * log_det),
         level,
-        system.vision(here, unknown)[0] if len(problem.seen) else 0.0,
+        vision,
         *_split(system, here, normal),
+        as_seen=_as_seen(system, here, unknown),
     )
+
+
+def _as_seen(system: System, pose: Array, unknown: Array) -> Array:
+    """The pose (4, 4) moved along its ray by what scale and bias make of depth there."""
+    problem = system.problem
+    if problem.camera is None or not problem.on.any():
+        return pose
+    middle = pose[:3, :3] @ problem.model.centroid + pose[:3, 3]
+    bias = float((system.seen_white[problem.on] @ unknown[FIXED:]).mean())
+    share = float(system.white[SCALE] * unknown[SCALE]) + bias / max(float(middle[2]), 1e-3)
+    out = pose.copy()
+    out[:3, 3] += share * middle
+    return out
 
 
 def _split(system: System, pose: Array, normal: Array) -> tuple[Array, Array]:

@@ -93,6 +93,14 @@ class JointProblem:
         self.felt_rows = row_kernels.prepare(np.ascontiguousarray(self.felt.rows), 0.0, 0.0)
         self.prior_parts, self.no_prior = prior_of(self.model, self.prior), prior_of(self.model, None)
 
+    @property
+    def ties_depth(self) -> bool:
+        """Whether something of known shape and place says how wrong depth is: the hand in view, or contacts that hold
+        the object; a cloud's points are as they are.
+        """
+        touched = int((self.felt.rows[:, GATE_ABOVE] > 0).sum())
+        return self.hand is not None or self.camera is None or touched >= self.settings.tying_contacts
+
     def _lay_hand(self, points: Array) -> None:
         """The hand's pixels, linear in (xi, s, b): their constant part, for unit sigmas of s and b."""
         if self.hand is None:

@@ -42,6 +42,12 @@ class JointSettings:
     # Independent error of the hand's surface (m): joint errors move whole links; and how many of its pixels share it.
     hand_sigma: float = 0.001
     hand_sharing: float = 6.0
+    # Contacts that hold an object in place: three points. With so many, depth's scale and bias are solved for.
+    tying_contacts: int = 3
+    # Side (px) of the blocks of the image within which pixels may share errors that no belief describes, and the fewest
+    # blocks that tell how much they scatter.
+    block: float = 16.0
+    least_blocks: int = 6
     # Least cosine of the incidence of a pixel: cameras read nothing of surfaces steeper than 80 degrees.
     least_cosine: float = 0.17
 

@@ -50,6 +50,7 @@ class System:
         self.width[POSE] = np.array([1.0] * 3 + [problem.model.radius] * 3) ** -2.0
         self._hand_white = self._whitened_hand() if problem.hand is not None else None
         self.normals, self.slope = self._facing(pose)
+        self._used = 0
 
     def start(self) -> Array:
         """The unknowns (size,) as first guessed: the calibration as the hand is seen."""
@@ -127,12 +128,43 @@ class System:
             self.seen_white @ unknown[FIXED:],
             *self.problem.room,
         )
+        self._used = k
         jac = np.zeros((k, len(unknown)))
         jac[:, POSE] = jac_fixed[:k, :6]
         jac[:, SCALE] = jac_fixed[:k, 6] * scale
         jac[:, FIXED:] = along[:k, None] * self.seen_white[index[:k]]
         weighted = jac * information[:k, None]
         return float(cost), weighted.T @ residual[:k], weighted.T @ jac
+
+    def excess_scatter(self) -> Array:
+        """(6, 6) by how much the pixels' pulls on the pose scatter more than their sigmas say, where `vision` last was.
+
+        Neighbours share errors that no belief describes. Pixels are put into blocks of the image; pulls summed over a
+        block, their outer products summed over blocks, are the scatter that there is (a cluster-robust covariance:
+        Liang and Zeger, Biometrika 73, 1986), and what exceeds the rows' own information counts.
+        """
+        problem = self.problem
+        index, jac, _, residual, information = problem.room
+        if problem.camera is None or not self._used:
+            return np.zeros((6, 6))
+        index, jac = index[: self._used], jac[: self._used, :6]
+        residual, information = residual[: self._used], information[: self._used]
+        uv, _ = problem.camera.project(problem.seen.points[index])
+        block = np.floor(uv / problem.settings.block).astype(np.int64)
+        _, group = np.unique(block, axis=0, return_inverse=True)
+        groups = int(group.max()) + 1
+        if groups < problem.settings.least_blocks:
+            return np.zeros((6, 6))
+        pulls = np.zeros((groups, 6))
+        np.add.at(pulls, group.ravel(), jac * (information * residual)[:, None])
+        scatter = pulls.T @ pulls * (groups / (groups - 3.0))
+        own = (jac * information[:, None]).T @ jac
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-300))
+        lower = np.linalg.cholesky(own * scale * scale[:, None] + 1e-6 * np.eye(6)) / scale[:, None]
+        white = np.linalg.solve(lower, np.linalg.solve(lower, scatter).T)
+        values, vectors = np.linalg.eigh(0.5 * (white + white.T))
+        root = lower @ vectors * np.sqrt(np.maximum(values - 1.0, 0.0))
+        return np.asarray(root @ root.T, dtype=np.float64)
 
     def touch(self, pose: Array, unknown: Array) -> tuple[float, Array, Array]:
         """Contacts and the space that links fill, as the robot reports them and xi moves them."""
