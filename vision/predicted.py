@@ -34,7 +34,7 @@ class PredictionSettings:
     # Rays along each side of the box around the outline: some six in ten of their square meet the object.
     side: int = 16
     # The same where pixels are wanted as rows of evidence.
-    side_rows: int = 32
+    side_rows: int = 64
     # Things of which less than this share of what is seen is off the edge are thin: then edges count, too.
     thin_share: float = 0.4
     # Depths (m) beyond where a ray that is seen past meets the object, at which it must be empty; the distance kept from
@@ -52,6 +52,11 @@ class PredictionSettings:
     seen: float = 2.0
     past: float = 4.0
     hidden: float = 0.6
+    # Where an unknown thing touches the object, something in front is no wonder; and the most nats that one connected
+    # piece of the image earns: six parameters laid over a surface fit it wherever it is.
+    hidden_by_unknown: float = 0.2
+    most_of_piece: float = 30.0
+    piece_step: int = 3
     # Of what gives no reading this share is left out of the count.
     unread: float = 0.7
     # A cell's depth agrees within so many sigmas (noise, smooth bias and scale); seen fades with so many (no scale).
@@ -118,9 +123,15 @@ class Predictor:
         hand: HandView | None = None,
         settings: PredictionSettings | None = None,
         plane: Array | None = None,
+        pieces: NDArray[np.int64] | None = None,
     ) -> None:
-        """hand: the robot's own as seen in this frame; what it hides is no wonder. plane (4,): of the table or wall."""
-        self._plane = plane
+        """hand: the robot's own as seen in this frame; what it hides is no wonder. plane (4,): of the table or wall.
+
+        pieces (h, w) at every settings.piece_step pixels, from 0, -1 for none: connected surfaces of the image, given
+        where something touches the object that nobody has a model of, so that what is seen may be that. One piece is
+        then one thing, whose word is bounded however many pixels it has, and something in front is no wonder.
+        """
+        self._plane, self._pieces = plane, pieces
         self.settings = settings or PredictionSettings()
         self.model = model
         self.camera: Camera | None = frame.camera
@@ -140,7 +151,8 @@ class Predictor:
         if not self.sees or not len(candidates):
             return np.zeros(len(candidates))
         p = self.predict(candidates)
-        cost = s.cells * (s.past * p.past + s.hidden * p.hidden - s.seen * p.seen) + s.runs_on * p.outline
+        hidden = s.hidden if self._pieces is None else s.hidden_by_unknown
+        cost = s.cells * (s.past * p.past + hidden * p.hidden) - s.cells * s.seen * p.seen + s.runs_on * p.outline
         # an object that is nowhere in the image is hidden by the image's border
         return np.where(p.count > 0, cost, s.cells * s.hidden)
 
@@ -155,8 +167,11 @@ class Predictor:
         def share(which: NDArray) -> Array:
             return np.asarray(which.sum(axis=1) / total)
 
+        seen = share(view.fade)
+        if self._pieces is not None:
+            seen = self._bounded(view, self._pieces, total)
         return Prediction(
-            seen=share(view.fade),
+            seen=seen,
             agree=share(view.near),
             past=share(view.past),
             hidden=share(view.hidden),
@@ -164,6 +179,17 @@ class Predictor:
             outline=self._runs_on(view, side),
             count=view.hit.sum(axis=1).astype(np.int64),
         )
+
+    def _bounded(self, view: _View, pieces: NDArray[np.int64], total: Array) -> Array:
+        """(n,) share seen, of each piece no more than what bounds its word."""
+        s = self.settings
+        count = int(pieces.max(initial=-1)) + 2
+        row = np.clip(view.v // s.piece_step, 0, pieces.shape[0] - 1)
+        column = np.clip(view.u // s.piece_step, 0, pieces.shape[1] - 1)
+        label = pieces[row, column] + 1 + count * np.arange(len(view.u))[:, None]
+        each = np.bincount(label.ravel(), view.fade.ravel(), minlength=count * len(view.u)).reshape(-1, count)
+        bound = s.most_of_piece / (s.cells * s.seen)
+        return np.asarray(np.minimum(each / total[:, None], bound).sum(axis=1))
 
     def _view(self, candidates: Array, side: int) -> _View:
         """The predicted pixels of poses (n, 4, 4), side^2 rays each, and what each of them is."""

@@ -33,7 +33,7 @@ from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
 from scenes.threads import one_blas_thread
 from touch.contacts import feel
-from vision.look.look import look, look_closer
+from vision.look.look import look, look_closer, surfaces
 from vision.plausibility import doubts
 from vision.predicted import Predictor
 from vision.sight import Sight
@@ -132,7 +132,10 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> 
             modes = find_modes(model, rows, likely, last, None, sight.costs, settings.plan, settings.modes).modes
             stage.note(len(rows), f"{len(looked.pixels)} object pixels around {len(likely)} poses")
 
-    predictor = Predictor(viewed, model, beliefs.depth, hand, settings.prediction, looked.plane)
+    # something that nobody has a model of touches the object, and may be what is seen
+    unknown = contacts > 0 and not looked.told_apart and viewed.depth is not None
+    pieces = surfaces(viewed, looked.plane, beliefs, settings.look)[1] if unknown else None
+    predictor = Predictor(viewed, model, beliefs.depth, hand, settings.prediction, looked.plane, pieces)
     known = settings.look.rows, settings.modes, settings.pool
     pieces_by = search_stages(blur, how.sifted)
     pool = Pool(model, felt.rows, believed, predictor, sight, looked, beliefs.depth, *known)

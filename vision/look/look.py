@@ -126,17 +126,11 @@ def _find_pieces(
     frame: Frame, model: ObjectModel, plane: Array | None, beliefs: Beliefs, settings: LookSettings
 ) -> tuple[Pixels, ...]:
     """Connected surfaces off the plane, largest first, those that are not far too small to be the object's."""
-    assert frame.depth is not None
     assert frame.camera is not None
     camera, step = frame.camera, settings.piece_step
     v, u = np.mgrid[0 : camera.height : step, 0 : camera.width : step]
-    z = frame.depth[::step, ::step].astype(np.float64)
-    good = is_reading(z)
-    z = np.where(good, z, 0.0)
-    points = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=2)
-    if plane is not None:
-        good &= ~on_plane(points, plane, beliefs.depth, settings.mask)
-    pieces = connected_pieces(z, good, settings.mask)
+    points, pieces = surfaces(frame, plane, beliefs, settings)
+    z = points[..., 2]
     size = np.bincount(pieces[pieces >= 0], minlength=1)
     out = []
     for piece in np.argsort(-size, kind="stable")[: settings.most_pieces]:
@@ -149,6 +143,25 @@ def _find_pieces(
         pixels = Pixels(np.stack([u[own], v[own]], axis=1).astype(np.int64), points[own], float(step**2))
         out.append(pixels.thinned(settings.most_in_piece))
     return tuple(out)
+
+
+def surfaces(
+    frame: Frame, plane: Array | None, beliefs: Beliefs, settings: LookSettings
+) -> tuple[Array, NDArray[np.int64]]:
+    """Points (h, w, 3) at every settings.piece_step pixels, and the number of the connected surface that each is on,
+    from 0, largest or not; -1 where nothing is read, or on the plane (4,).
+    """
+    assert frame.depth is not None
+    assert frame.camera is not None
+    camera, step = frame.camera, settings.piece_step
+    v, u = np.mgrid[0 : camera.height : step, 0 : camera.width : step]
+    z = frame.depth[::step, ::step].astype(np.float64)
+    good = is_reading(z)
+    z = np.where(good, z, 0.0)
+    points = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=2)
+    if plane is not None:
+        good &= ~on_plane(points, plane, beliefs.depth, settings.mask)
+    return points, connected_pieces(z, good, settings.mask)
 
 
 def _find_hand(frame: Frame, beliefs: Beliefs, settings: LookSettings) -> HandView | None:
