@@ -52,6 +52,7 @@ def settings_key(settings: BenchSettings) -> dict[str, Any]:
         "seed": settings.seed,
         "quick": settings.quick,
         "objects": None if settings.objects is None else list(settings.objects),
+        "family": settings.family,
     }
 
 

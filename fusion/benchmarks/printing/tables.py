@@ -40,7 +40,7 @@ def _no_show(table: Table) -> None:
 class BenchSettings:
     """trials: of every cell, None = the benchmark's own number; quick: a tenth of the work or less, but all of it;
     progress(items, total, what) yields the items and may draw a bar; show(table) is told of a table that is complete
-    while others are still to come.
+    while others are still to come; family: of frames, "all", "tuning" or "report", None = the benchmark's own choice.
     """
 
     trials: int | None = None
@@ -50,6 +50,7 @@ class BenchSettings:
     objects: tuple[str, ...] | None = None
     folder: Path | None = None
     show: Callable[[Table], None] = _no_show
+    family: str | None = None
 
     def count(self, usual: int, quick: int | None = None) -> int:
         """Trials of a cell that usually has `usual` of them (`quick` of them, default a tenth, when in a hurry)."""
