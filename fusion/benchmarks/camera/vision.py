@@ -71,6 +71,7 @@ def run(settings: BenchSettings) -> Report:
 
     if settings.family is not None:
         report = Report("vision", "Registration of what the camera sees, by family", "", settings.seed)
+        report.trials = f"{settings.count(FAMILY_TRIALS, quick=1)} frames of an object at each hidden share"
         _families(report, settings)
         return report
     makers = vision_frames.objects(settings.objects or (("drill",) if settings.quick else None))
