@@ -8,6 +8,8 @@ import pytest
 from fusion.benchmarks import strata
 from fusion.benchmarks.families import making
 from fusion.benchmarks.families.table import FAMILIES, RECORDED, REPORT, TUNED_OBJECTS, TUNING, chosen
+from fusion.benchmarks.frames import faults, tracking
+from fusion.benchmarks.peers.occlusion import hidden
 from fusion.benchmarks.printing.tables import BenchSettings
 from fusion.cli.main import main
 from scenes.errors import InputError
@@ -15,6 +17,7 @@ from scenes.geometry.cameras import Camera
 from scenes.synthesis import library
 from scenes.synthesis.hands import HandShape
 from scenes.synthesis.noise.depth import DepthNoise
+from scenes.synthesis.settings import SynthesisSettings
 
 TUNED, HELD = chosen(TUNING), chosen(REPORT)
 MADE = tuple(family for family in HELD if family.name != RECORDED)
@@ -148,6 +151,20 @@ def test_a_cell_is_answered_by_every_method_with_a_start_and_without(monkeypatch
     assert all(0 <= a.share <= 1 and a.per_dof >= 0 and a.verdict for a in ours)
     strip = [replace(a, ms=0.0) for a in found]
     assert [repr(replace(a, ms=0.0)) for a in strata.answer_cell(cell)] == [repr(a) for a in strip]
+
+
+def test_sequences_faults_and_fronts_know_families():
+    unknown, small = FAMILIES["human-hand"], SynthesisSettings(rgb=False, camera=SMALL)
+    model, frames, notes = tracking.recorded("kettle", "carry", 2, 0, None, 0.3, small, unknown)
+    assert (model.name, len(frames), notes["kind"]) == ("kettle", 2, "carry")
+    assert frames[0].hand is None
+    assert frames[0].prior is not None
+    assert len(frames[0].contacts) == 0
+    spoiled = {family.name for family in FAMILIES.values() if faults.usable(family)}
+    assert {"lab", "harsh", "gripper", "other-scan"} <= spoiled
+    assert not {"loose", "desk", "human-hand", "hand-unmodelled", "neighbours", RECORDED} & spoiled
+    assert (hidden(FAMILIES["lab"]), hidden(FAMILIES["gripper"])) == (0.8, 0.4)
+    assert np.isnan(hidden(FAMILIES[RECORDED]))
 
 
 def test_unknown_families_are_refused_before_any_work(capsys):
