@@ -23,6 +23,7 @@ from scenes.recordings.captures import read_capture
 from scenes.recordings.frames import Frame
 from scenes.robot.hands import Hand
 from scenes.synthesis.hands import FingerShape, HandShape
+from scenes.synthesis.settings import SynthesisSettings
 
 Array = NDArray[np.float64]
 
@@ -137,12 +138,16 @@ def _seed(family: Family, seed: int, *what: str | float) -> int:
     return family.seeds[drawn % len(family.seeds)]
 
 
+def settings_of(family: Family) -> SynthesisSettings:
+    """Camera, distances and start of its frames."""
+    usual = SynthesisSettings(camera=family.lens, mask=family.mask, prior_angle=START[0], prior_distance=START[1])
+    return replace(usual, views=replace(usual.views, nearest=family.distance[0], farthest=family.distance[1]))
+
+
 def _made(family: Family, name: str, occlusion: float, trial: int, seed: int) -> Made | None:
-    from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
+    from scenes.synthesis.recording import synthesize_frames
 
     model = true_model(name)
-    settings = SynthesisSettings(camera=family.lens, mask=family.mask, prior_angle=START[0], prior_distance=START[1])
-    settings = replace(settings, views=replace(settings.views, nearest=family.distance[0], farthest=family.distance[1]))
     for attempt in range(MOST_REFUSED):
         try:
             (frame,) = synthesize_frames(
@@ -154,7 +159,7 @@ def _made(family: Family, name: str, occlusion: float, trial: int, seed: int) ->
                 family.preset(),
                 _seed(family, seed, name, occlusion, trial, attempt),
                 family.occluders,
-                settings,
+                settings_of(family),
                 scene=family.scene,
             )
         except InputError:  # a grasp or view that cannot hide so much is drawn anew

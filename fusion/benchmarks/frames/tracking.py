@@ -11,14 +11,14 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.benchmarks.families.making import hand_of, judge_of, objects_of, true_model, why_not
+from fusion.benchmarks.families.making import hand_of, judge_of, objects_of, settings_of, true_model, why_not
 from fusion.benchmarks.families.table import FAMILIES, Family, chosen
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Rate, Report, Table
 
@@ -153,13 +153,14 @@ def recorded(
 ) -> tuple[ObjectModel, list[Frame], dict[str, Any]] | None:
     """A sequence and its notes; None when no grasp of three seeds hides the object by as much as asked.
 
-    folder: where the capture is kept for the next run, None keeps none. how: more arguments of scenes.synthesize.
+    folder: where the capture (with the true mesh) is kept for the next run, None keeps none. how: more arguments of
+    scenes.synthesize.
     """
     from scenes.errors import InputError
     from scenes.recordings.captures import read_capture
-    from scenes.synthesis.recording import SynthesisSettings, synthesize
+    from scenes.synthesis.recording import synthesize
 
-    settings = settings or SynthesisSettings(rgb=False, camera=family.lens)
+    settings = settings or replace(settings_of(family), rgb=False)
     model = judge_of(name, family.mesh_error).model
     for attempt in range(3):
         with tempfile.TemporaryDirectory() as scratch:
@@ -171,7 +172,7 @@ def recorded(
                     arguments = {"touch": family.touch, "scene": family.scene, **how}
                     synthesize(
                         kept, true_model(name), hand_of(family), frames, occlusion, noise=family.preset(), seed=drawn,
-                        motion=motion, settings=settings, mesh_error=family.mesh_error, **arguments,
+                        motion=motion, settings=settings, **arguments,
                     )  # fmt: skip
             except InputError:
                 continue
