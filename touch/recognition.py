@@ -23,14 +23,14 @@ from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from touch.localization import contact_starts
+from touch.multistart import contact_starts
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class RecognitionSettings:
-    """The search of every candidate, and what its fit is worth."""
+    """The search of every candidate, and what its fit is worth. Values by judgement."""
 
     # Starts of every candidate, and again of those still in play.
     starts: int = 1000

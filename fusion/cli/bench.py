@@ -30,6 +30,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         " occlusion, calibration, vision, faults, tracking, peers",
     )
     parser.add_argument(
+        "--data",
+        metavar="DIR",
+        type=Path,
+        help="recorded captures for `real`, in DIR or its part real (default: PALPATE_DATA, ../shared/data)",
+    )
+    parser.add_argument("--bop", metavar="DIR", type=Path, help="a BOP data set, split or scene for `real`")
+    parser.add_argument(
         "--quick", action="store_true", help="less of everything, but all of it (all: five minutes on two cores)"
     )
     parser.add_argument(
@@ -47,6 +54,8 @@ def names_list(text: str) -> tuple[str, ...]:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 also when a demand is missed: the report says so."""
+    from dataclasses import replace
+
     from fusion import benchmarks
     from fusion.benchmarks.printing.tables import BenchSettings, Table, show_report, show_table, write_report
     from scenes.errors import unknown
@@ -62,6 +71,7 @@ def run(args: argparse.Namespace) -> int:
         shown.append(table)
 
     settings = BenchSettings(args.trials, args.seed, args.quick, progress, args.objects, args.out, show, args.family)
+    settings = replace(settings, data=args.data, bop=args.bop)
     if args.family is not None:
         from fusion.benchmarks.families.table import chosen
 

@@ -6,16 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion.cli.options import (
-    add_object,
-    check_folder,
-    check_target,
-    load_object,
-    positive_number,
-    say,
-    whole,
-    write_json,
-)
+from fusion.cli.options import add_object, check_folder, check_target, positive_number, say, whole, write_json
+from fusion.results.runs import load_object
 
 if TYPE_CHECKING:
     from scenes.formats.conversion import Converted
@@ -224,8 +216,8 @@ def _intrinsics(args: argparse.Namespace) -> Any:
     import numpy as np
 
     from scenes.errors import InputError
-    from scenes.files import bop
     from scenes.formats import image_folder
+    from scenes.recordings import bop
 
     if args.intrinsics is None:
         if args.depth_scale is not None:
@@ -293,7 +285,7 @@ def _poses(capture: Capture, result: Path | None) -> dict[int, Any]:
 def _result_poses(path: Path) -> dict[int, Any]:
     from fusion.results.files import find_result, read_result
     from scenes.errors import CaptureError
-    from scenes.files.bop import read_poses
+    from scenes.recordings.bop import read_poses
 
     result = find_result(path)
     if result is not None:
@@ -308,7 +300,7 @@ def _result_poses(path: Path) -> dict[int, Any]:
 
 def _stamps(capture: Capture, fps: float) -> dict[int, int]:
     """Nanoseconds by frame: what the recording said, else frames at `fps` from 0."""
-    noted = capture.settings.notes.get("stamps_ns")
+    noted = capture.manifest.notes.get("stamps_ns")
     noted = noted if isinstance(noted, dict) else {}
     said = {int(key): value for key, value in noted.items() if key.isdecimal() and isinstance(value, int)}
     if set(capture.frame_ids) <= set(said):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.cli.options import add_object, load_object, names, positive, say, share, write_json
+from fusion.cli.options import add_object, names, positive, say, share, write_json
+from fusion.results.runs import load_object
 from scenes.synthesis.staging.pieces import PIECES
 
 
@@ -23,7 +24,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--touch", metavar="KINDS", type=names, default=("point",), help="point, wrench, array, empty")
     parser.add_argument("--taxels", metavar="LAYOUT", default="fingertip", help="fingertip (12, default), pad (3 x 8)")
-    noises = "none, clean, lab (default), harsh, lab-time-of-flight, lab-stereo"
+    noises = (
+        "none, clean, lab (default), harsh, lab-time-of-flight, lab-stereo;"
+        " or a camera imitated from its optics: d435, d455, xtion, azure-kinect, l515"
+    )
     parser.add_argument("--noise", metavar="NAME", default="lab", help=noises)
     hiders = "hand, fingers, object, neighbours (on a table), border or none; +clutter lets other things stand about"
     parser.add_argument("--occluders", metavar="KIND", help=hiders)

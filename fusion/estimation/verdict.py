@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.answer import ContactResidual, Contribution, Mode
+from fusion.estimation.answer import ContactResidual, Contribution, Estimate, Mode, Stage
 from scenes.evidence import align as alignment
 from scenes.evidence.align import Prior
-from scenes.evidence.modes import covariance_of
-from scenes.evidence.table import POINT, SIGMA, TOUCH, VISION, Evidence, empty
+from scenes.evidence.modes import ModeSettings, covariance_of, distinct_modes
+from scenes.evidence.table import GATE_ABOVE, POINT, SIGMA, TOUCH, VISION, Evidence, empty
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
-from scenes.recordings.frames import Contacts
+from scenes.recordings.frames import Contacts, Frame
 from vision.visibility import Visibility
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class VerdictSettings:
-    """When an answer is sure, and when it is none."""
+    """When an answer is sure, and when it is none. By judgement."""
 
     # Share of the posterior that the first mode must hold to be called the answer.
     sure_share: float = 0.9
@@ -66,7 +66,7 @@ def contact_residuals(
 
 def pixel_agreement(model: ObjectModel, seen: Evidence, pose: Array) -> tuple[float, float]:
     """Share of the ON pixels within three sigmas of the surface at pose, and the RMS distance (m) of those."""
-    on = seen.rows[seen.rows[:, 9] > 0]
+    on = seen.rows[seen.rows[:, GATE_ABOVE] > 0]
     if not len(on):
         return float("nan"), float("nan")
     distance = model.field.distance(se3.apply(se3.inverse(pose), on[:, POINT]))
@@ -163,3 +163,31 @@ def verdict(
     if hidden and not model.symmetries.is_spherical:
         return "ambiguous", f"{', '.join(hidden)} unknown"
     return "ok", f"first mode holds {modes[0].weight:.0%}"
+
+
+def no_answer(
+    frame: Frame,
+    model: ObjectModel,
+    prior: Prior | None,
+    trace: tuple[Stage, ...],
+    mode_settings: ModeSettings,
+    settings: VerdictSettings,
+) -> Estimate:
+    """No row of evidence at all: the prior (or the identity), as wide as it is, and the verdict lost."""
+    pose = prior.pose if prior is not None else np.eye(4)
+    information = prior.information if prior is not None else np.zeros((6, 6))
+    nothing = alignment.Alignment(pose[None], np.zeros(1), information[None], np.zeros(1, dtype=np.int64))
+    modes = distinct_modes(model, nothing, mode_settings)
+    return Estimate(
+        frame.index,
+        pose,
+        modes[0].covariance,
+        modes,
+        "lost",
+        unobservable(model, pose, modes[0].covariance, settings),
+        frame.hand_from_object(pose, np.eye(4)),
+        0.0,
+        trace,
+        notes=("no evidence: no pixel of the object and no contact",),
+        start=prior.pose if prior is not None else None,
+    )

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from scenes.recordings.captures import Capture
     from scenes.robot.hands import Hand
     from scenes.synthesis.grasping.grasps import Grasp
-    from scenes.synthesis.motion import MotionSettings, Step
+    from scenes.synthesis.motion import MotionSettings, MotionStep
 
 __all__ = ["OCCLUDERS", "TOUCH_KINDS", "SynthesisSettings", "synthesize", "synthesize_frames"]
 
@@ -210,7 +210,7 @@ class _Recording:
 
     def _recorded(
         self,
-        steps: list[Step],
+        steps: list[MotionStep],
         children: list[np.random.SeedSequence],
         errors: list[LastingErrors],
         around: dict[str, Array],

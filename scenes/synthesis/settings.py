@@ -14,7 +14,7 @@ from scenes.synthesis.views import ViewSettings
 
 @dataclass(frozen=True)
 class SynthesisSettings:
-    """Metres, radians, newtons."""
+    """Metres, radians, newtons. Values by judgement where no source is named."""
 
     # A VGA structured-light camera.
     camera: Camera = field(default_factory=lambda: Camera(570.0, 570.0, 319.5, 239.5, 640, 480))
@@ -55,6 +55,8 @@ class SynthesisSettings:
     one_robot: bool = False
     # Depth images are stored in steps of this (m); frames in memory are rounded alike.
     depth_unit: float = 1e-4
-    # Write the true visible pixels as the object's mask, and a colour image.
+    # Write the true visible pixels as the object's mask, and a colour image: of cameras imitated from their optics the
+    # infra-red image that depth was read from, in grey.
     mask: bool = False
     rgb: bool = True
+    infrared: bool = True

@@ -15,8 +15,9 @@ from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
 from scenes.synthesis import library
-from touch import localization as localize
-from touch.localization import contact_index, contact_starts, refine_contacts, verdict_of
+from touch.answers import contact_index, verdict_of
+from touch.localization import localize
+from touch.multistart import contact_starts, refine_contacts
 from touch.polish import polish
 
 
@@ -137,7 +138,7 @@ def test_the_same_seed_gives_the_same_bits(name):
 def test_the_same_bits_in_two_processes_with_other_threads():
     program = (
         "import hashlib, numpy as np\n"
-        "from scenes import library\n"
+        "from scenes.synthesis import library\n"
         "from scenes.recordings.frames import Contacts\n"
         "from touch import localize\n"
         "model = library.make('drill')\n"

@@ -147,7 +147,7 @@ class _Bench:
     def trial(self, name: str, method: str, frame: Frame, judge: Judge) -> Trial:
         """One method on one frame, from its prior when it has one."""
         from fusion.estimation.estimate import estimate
-        from fusion.estimation.stages import EstimateSettings, look
+        from vision.look.look import object_points
         from vision.published import registration as baselines
 
         truth = frame.camera_from_object_truth
@@ -158,7 +158,7 @@ class _Bench:
             pose, covariance, verdict = answer.pose, answer.covariance, answer.verdict
             looking = sum(stage.ms for stage in answer.trace if stage.name == "look")
         else:
-            points = look(frame, judge.model, frame.prior, EstimateSettings())[0].pixels.points
+            points = object_points(frame, judge.model, frame.prior)
             looking = 1e3 * (time.perf_counter() - wall)
             pose = baselines.register(method, points, judge.model, frame.prior, self.seed)
             covariance, verdict = None, ""
@@ -263,11 +263,11 @@ def _claims(
 def _settings_table() -> Table:
     from dataclasses import asdict
 
-    from vision.published.icp import IcpSettings
+    from vision.published.icp import CloudIcpSettings
     from vision.published.registration import BaselineSettings
 
     table = Table("Settings of the peers", [Column("setting"), Column("value")])
-    for name, value in {**asdict(BaselineSettings()), "icp from a start": asdict(IcpSettings())}.items():
+    for name, value in {**asdict(BaselineSettings()), "icp from a start": asdict(CloudIcpSettings())}.items():
         parts = {f"{name}: {k}": v for k, v in value.items()} if isinstance(value, dict) else {name: value}
         for part, content in parts.items():
             table.add(part.replace("_", " "), str(content))

@@ -96,7 +96,7 @@ def _scene(
     """Every frame through every planner, in turn."""
     from fusion.estimation.estimate import estimate
     from fusion.estimation.search import PlanSettings
-    from fusion.estimation.stages import EstimateSettings
+    from fusion.estimation.settings import EstimateSettings
     from fusion.truth.errors import Judge
     from scenes.synthesis import library
 

@@ -177,7 +177,7 @@ def recorded(
             except InputError:
                 continue
             capture = read_capture(kept)
-            return model, list(capture), capture.settings.notes["motion"]
+            return model, list(capture), capture.manifest.notes["motion"]
     return None
 
 
@@ -252,7 +252,7 @@ def _stepper(method: str, model: ObjectModel, seed: int) -> Step:
 
 def _icp(model: ObjectModel, seed: int) -> Step:
     """Point-to-plane ICP from the last pose, on our segmentation; no velocity, no loss detection."""
-    from vision.look.segments import object_points
+    from vision.look.look import object_points
     from vision.published.icp import icp
 
     pose: Array | None = None

@@ -151,11 +151,11 @@ def _absent(table: Table, name: str, how: str) -> None:
 
 def _settings_table() -> Table:
     from touch.published.direct import BoxSettings
-    from vision.published.icp import IcpSettings
+    from vision.published.icp import CloudIcpSettings
     from vision.published.registration import BaselineSettings
 
     table = Table("Settings of the peers, but for the budget swept", [Column("setting"), Column("value")])
-    parts: dict[str, Any] = {"icp": IcpSettings(), "baselines": BaselineSettings(), "scipy": BoxSettings()}
+    parts: dict[str, Any] = {"icp": CloudIcpSettings(), "baselines": BaselineSettings(), "scipy": BoxSettings()}
     for part, values in parts.items():
         for name, value in asdict(values).items():
             table.add(f"{part}: {name.replace('_', ' ')}", str(value))

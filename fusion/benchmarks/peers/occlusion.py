@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from fusion.benchmarks.families.making import frames_of, objects_of
 from fusion.benchmarks.families.table import Family
-from fusion.benchmarks.peers.clouds import BUDGETS, SUCCESS_MM, surface_bound_mm
+from fusion.benchmarks.peers.clouds import BUDGETS, SUCCESS_MM, surface_bound_mm, with_effort
 from fusion.benchmarks.peers.pareto import Method, Point, measure, swept
 from scenes.evidence import table as evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
-from vision.published.icp import IcpSettings, icp
+from vision.published.icp import CloudIcpSettings, icp
 
 Array = NDArray[np.float64]
 
@@ -60,11 +60,10 @@ def peers(quick: bool = False) -> Sequence[Peer]:
 
 def _ours() -> Iterator[Peer]:
     from fusion.estimation.estimate import estimate
-    from fusion.estimation.stages import EstimateSettings
 
     for name, use in (("fused", ("vision", "touch")), ("vision", ("vision",)), ("touch", ("touch",))):
         for pixels, starts in BUDGETS:
-            settings = EstimateSettings(pixels=pixels, starts_near=starts)
+            settings = with_effort(pixels, starts)
             yield Method(
                 name,
                 f"{pixels} pixels, {starts} starts" if name != "touch" else f"{starts} starts",
@@ -76,7 +75,8 @@ def _ours() -> Iterator[Peer]:
 
 def _icp() -> Iterator[Peer]:
     from fusion.truth.compare import with_contacts
-    from vision.look.segments import crop_points, object_points
+    from vision.look.look import object_points
+    from vision.look.points import crop_points
 
     def cropped(case: Case, start: Array) -> Array:
         return crop_points(case.frame, case.model, start)
@@ -88,7 +88,7 @@ def _icp() -> Iterator[Peer]:
         return with_contacts(segmented(case, start), case.frame)
 
     def peer(name: str, points: Callable[[Case, Array], Array], most: int) -> Peer:
-        settings = IcpSettings(most_points=most)
+        settings = CloudIcpSettings(most_points=most)
 
         def solve(case: Case, seed: int) -> Array:
             assert case.frame.prior is not None
@@ -123,8 +123,8 @@ def bound_mm(done_on: Sequence[Case]) -> float:
     """Median distance (mm) between surfaces that no unbiased method on both senses can be below: Cramér-Rao, with
     independent noise of pixels and contacts. A bound for `clean`; `lab` has errors that all pixels share.
     """
-    from vision.look.pixels import DepthModel
-    from vision.look.segments import all_points
+    from scenes.recordings.beliefs import DepthModel
+    from vision.look.points import all_points
 
     found = []
     for case in done_on:

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.solve.joint import JointProblem, JointResult
+from fusion.estimation.solve.joint import JointResult, solve
+from fusion.estimation.solve.problem import JointProblem
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 
@@ -22,19 +23,19 @@ def solve_modes(problem: JointProblem, starts: list[Array]) -> list[JointResult]
     whose pixels count more, all are solved with these.
     """
     settings = problem.settings
-    tried = [problem.solve(starts[0], settings.rigs[0].level)]
+    tried = [solve(problem, starts[0], settings.rigs[0].level)]
     for rig in settings.rigs[1:]:
-        tried.append(problem.solve(tried[-1].pose, rig.level))
+        tried.append(solve(problem, tried[-1].pose, rig.level))
     score = np.array([t.log_evidence + np.log(rig.share) for t, rig in zip(tried, settings.rigs)])
     weights = np.exp(score - score.max())
     best = int(np.argmax(score))
     rig = settings.rigs[best]
     if rig.weight > settings.least_weight:
         return [
-            problem.solve(start, rig.level, rig.weight) for start in [tried[best].pose, *starts[1 : settings.modes]]
+            solve(problem, start, rig.level, rig.weight) for start in [tried[best].pose, *starts[1 : settings.modes]]
         ]
     first = _averaged(problem.model, tried, weights / weights.sum(), tried[best])
-    return [first, *(problem.solve(start, rig.level) for start in starts[1 : settings.modes])]
+    return [first, *(solve(problem, start, rig.level) for start in starts[1 : settings.modes])]
 
 
 def _averaged(model: ObjectModel, tried: list[JointResult], weights: Array, best: JointResult) -> JointResult:

@@ -10,7 +10,7 @@ from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
 from scenes.robot.hands import Hand
-from scenes.synthesis.grasping.grasps import Grasp, GraspSettings, has_force_closure
+from scenes.synthesis.grasping.grasps import Grasp, GraspSearchSettings, has_force_closure
 from scenes.synthesis.gripper import JOINT, NAME, GripperShape
 
 Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ def plan_grip(hand: Hand, model: ObjectModel, seed: int = 0) -> Grasp:
 
     Raises InputError when nothing drawn fits between the pads.
     """
-    shape, settings = GripperShape(), GraspSettings()
+    shape, settings = GripperShape(), GraspSearchSettings()
     length, _, width = shape.finger
     rng = np.random.default_rng(seed)
     points, normals = model.sample_surface(SAMPLES, seed=0)

@@ -194,7 +194,7 @@ def test_a_capture_holds_what_the_estimator_is_told(tmp_path, hand):
         tmp_path / "c", model, hand, 1, 0.3, seed=3, settings=small, scene="unknown-hand+print", mesh_error="scaled"
     )
     assert capture.model.diameter == pytest.approx(1.01 * model.diameter, rel=1e-4)
-    notes = read_capture(tmp_path / "c").settings.notes
+    notes = read_capture(tmp_path / "c").manifest.notes
     assert (notes["scene"], notes["mesh_error"]) == ("print+unknown-hand", "scaled")
     assert capture[0].hand is None
 

@@ -1,0 +1,62 @@
+"""Which of several joint solutions is the likeliest, by all that was sensed."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation.settings import EstimateSettings
+from fusion.estimation.solve.joint import JointResult
+from scenes.evidence import align as alignment
+from scenes.evidence.align import Alignment
+from scenes.evidence.modes import Mode, distinct_modes
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.frames import Frame
+from touch.arrays.ranking import pattern_costs
+from touch.arrays.readings import readings_of
+from touch.arrays.rows import taxel_rows
+from vision.sight import Sight
+
+Array = NDArray[np.float64]
+
+
+def ranked(
+    frame: Frame, model: ObjectModel, solved: list[JointResult], sight: Sight, settings: EstimateSettings
+) -> tuple[JointResult, tuple[Mode, ...]]:
+    """The best of the solutions and the modes they make: poses and covariances of the joint solution, weights by
+    Laplace's method. frame: with the touch that may be used.
+    """
+    costs = comparable(solved, settings) + sight.costs(np.array([s.pose for s in solved]))
+    costs += beyond_rows(frame, model, solved, settings)
+    return solved[int(np.argmin(costs))], rejudged(model, solved, costs, settings)
+
+
+def comparable(solved: list[JointResult], settings: EstimateSettings) -> Array:
+    """Costs (k,) of joint solutions as far as they tell minima apart: pixels' count less (see pixel_temperature)."""
+    shared = 1.0 - 1.0 / settings.pixel_temperature
+    return np.array([s.cost - shared * s.pixel_cost for s in solved])
+
+
+def rejudged(
+    model: ObjectModel, solved: list[JointResult], costs: Array, settings: EstimateSettings
+) -> tuple[Mode, ...]:
+    """The modes after the joint solution: its poses and covariances, and costs (k,); weights by Laplace's method."""
+    hessians = np.array([np.linalg.inv(s.covariance) for s in solved])
+    poses = np.array([s.pose for s in solved])
+    return distinct_modes(
+        model, Alignment(poses, costs, hessians, np.zeros(len(solved), dtype=np.int64)), settings.modes
+    )
+
+
+def beyond_rows(frame: Frame, model: ObjectModel, solved: list[JointResult], settings: EstimateSettings) -> Array:
+    """What to add to the costs (k,) of several solutions for what taxel arrays say beyond rows of evidence: the shape
+    and the pressures of their patterns, in place of their taxels' rows.
+    """
+    readings = readings_of(frame) if settings.patterns is not None and len(solved) > 1 else []
+    out = np.zeros(len(solved))
+    for k, one in enumerate(solved if readings else ()):
+        correction = one.correct()
+        moved = [reading.moved(correction) for reading in readings]
+        rows = alignment.costs(model, taxel_rows(moved), one.pose[None])
+        out[k] = (pattern_costs(model, moved, one.pose[None], settings.patterns) - rows)[0]
+    return out
