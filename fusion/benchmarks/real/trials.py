@@ -15,13 +15,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from vision.look.segments import object_points
 
 from fusion.benchmarks.printing.tables import own_seed
 from fusion.benchmarks.real.frames import Recorded
 from fusion.truth.compare import compare_frame
 from scenes.geometry import poses
 from scenes.recordings.frames import Frame
+from vision.look.segments import object_points
 from vision.published import registration
 
 Array = NDArray[np.float64]
