@@ -158,7 +158,7 @@ def _import(kind: str, args: argparse.Namespace) -> Converted:
     from scenes.errors import InputError
     from scenes.formats import image_folder, tacman
     from scenes.formats.bop import scene as bop_scene
-    from scenes.formats.conversion import Converted
+    from scenes.formats.conversion import Converted, Dropped
 
     source, out = args.source, args.out
     if kind == "bop":
@@ -191,10 +191,15 @@ def _import(kind: str, args: argparse.Namespace) -> Converted:
         grasps = [(source, out)] if handover.is_grasp(source) else []
         folders = sorted(path for path in source.iterdir() if path.is_dir()) if source.is_dir() and not grasps else []
         grasps += [(path, out / path.name) for path in folders if handover.is_grasp(path)]
-        parts = [Converted((handover.convert(*pair),), 1) for pair in grasps]
+        parts = [handover.convert(*pair) for pair in grasps]
     if not parts:
         raise InputError(f"{source}: expected {SOURCES[kind]}, found none")
-    return Converted(tuple(path for part in parts for path in part.written), sum(part.frames for part in parts))
+    dropped = Dropped()
+    for part in parts:
+        dropped.merge(part.dropped)
+    remarks = tuple(line for part in parts for line in part.remarks)
+    written = tuple(path for part in parts for path in part.written)
+    return Converted(written, sum(part.frames for part in parts), dropped, remarks)
 
 
 def _needed(args: argparse.Namespace, what: str) -> ObjectModel:

@@ -48,10 +48,11 @@ def load_object(name: str, unit: str = "m") -> ObjectModel:
     from scenes.geometry.objects import ObjectModel
     from scenes.synthesis import library
 
-    if name in library.names() and not Path(name).is_file():
+    known = [*library.names(), *library.held_out_names()]
+    if name in known and not Path(name).is_file():
         return library.make(name)
     if not Path(name).exists():
-        raise unknown("object", name, library.names(), "a mesh file or one of")
+        raise unknown("object", name, known, "a mesh file or one of")
     return ObjectModel.load(name, unit=unit)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from scenes.geometry.cameras import Camera
 from scenes.synthesis.loose_fingers import LooseFingerSettings
+from scenes.synthesis.staging.tables import TableSettings
 from scenes.synthesis.views import ViewSettings
 
 
@@ -31,6 +32,8 @@ class SynthesisSettings:
     background: bool = True
     background_distance: tuple[float, float] = (0.3, 1.0)
     background_tilt: float = float(np.deg2rad(35.0))
+    # Tables, of scenes that have one.
+    table: TableSettings = field(default_factory=TableSettings)
     # Things that stand about, beside and behind the object: how many, and the share of the object that they may hide
     # beyond what was asked.
     clutter: tuple[int, int] = (4, 8)

@@ -24,6 +24,7 @@ ONLY_PARSED = {
     "formats.md": "test_formats_docs.py runs it on recordings that it makes",
     "benchmarks.md": "benches take minutes to hours, and some need recorded contact sets",
     "scenes.md": "one block, which downloads",
+    "evaluation.md": "benches take minutes to hours",
 }
 
 

@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.benchmarks.frames.occlusion import OBJECTS, Scene, frames_of
+from fusion.benchmarks.families.making import frames_of, objects_of
+from fusion.benchmarks.families.table import Family
 from fusion.benchmarks.peers.clouds import BUDGETS, SUCCESS_MM, surface_bound_mm, with_effort
 from fusion.benchmarks.peers.pareto import Method, Point, measure, swept
 from scenes.evidence import table as evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
-from scenes.synthesis import library
 from vision.published.icp import CloudIcpSettings, icp
 
 Array = NDArray[np.float64]
@@ -42,14 +42,15 @@ class Case:
 Peer = Method[Case, Array]
 
 
-def cases(noise: str, count: int, seed: int, quick: bool = False) -> list[Case]:
+def hidden(family: Family) -> float:
+    """The family's hidden share nearest to HIDDEN; NaN of recordings."""
+    return min(family.levels, key=lambda level: abs(level - HIDDEN))
+
+
+def cases(family: Family, count: int, seed: int, quick: bool = False) -> list[Case]:
     """`count` frames of each object, where grasps can hide so much."""
-    scene = Scene(noise, "hand", "")
-    out = []
-    for name in OBJECTS[:2] if quick else OBJECTS:
-        model = library.make(name)
-        out += [Case(model, frame) for frame in frames_of(name, scene, HIDDEN, count, seed)]
-    return out
+    names = objects_of(family)[: 2 if quick else None]
+    return [Case(made.model, made.frame) for made in frames_of(family, hidden(family), count, seed, names)]
 
 
 def peers(quick: bool = False) -> Sequence[Peer]:

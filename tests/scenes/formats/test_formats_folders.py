@@ -145,6 +145,33 @@ def test_tacman_sets(tacman, tmp_path, capsys):
     assert [path.name for path in (tmp_path / "all").iterdir()] == ["box"]
 
 
+def test_a_cloud_that_becomes_contacts_is_warned_of(tacman, tmp_path, capsys):
+    ini, points = tacman / "configurationFiles" / "box.ini", make("box").sample_surface(1140, 0)[0]
+    write_off(tacman / "measurements" / "cloud.off", points)
+    lines = "modelFile ../../models/box.off\nmeasurementsFile ../../measurements/cloud.off\n"
+    for number, (more, says) in enumerate(
+        (
+            (
+                "",
+                "all 1140 points become contacts, more than fingers feel: is it a cloud?; a cloud needs a fingersFile",
+            ),
+            ("numMeas 1000\n", "all 1000 points become contacts"),
+            ("fingersFile ../../measurements/cloud.off\n", "fingersFile and measurementsFile are both"),
+            ("numMeas 40\n", None),
+            ("fingersFile ../../measurements/fingers.off\n", None),
+        )
+    ):
+        ini.write_text(lines + more)
+        for source, out in ((ini, tmp_path / f"{number}"), (ini.parent, tmp_path / f"all{number}")):
+            assert run("convert", source, out, "--json", tmp_path / "j.json") == 0
+            remarks = json.loads((tmp_path / "j.json").read_text())["remarks"]
+            assert len(remarks) == (says is not None)
+            assert says is None or (says in remarks[0] and "box.ini" in remarks[0] and says in capsys.readouterr().out)
+    listed = tacman / "measurements" / "cloud.off"
+    assert run("convert", listed, tmp_path / "l", "--object", "box", "--json", tmp_path / "j.json") == 0
+    assert "cloud.off: all 1140 points" in json.loads((tmp_path / "j.json").read_text())["remarks"][0]
+
+
 def test_malformed_tacman_sets(tacman, tmp_path, capsys):
     ini = tacman / "configurationFiles" / "box.ini"
     (tacman / "measurements" / "measBox.off").write_text("OFF\n3 0 0\n1 2 3\n")
