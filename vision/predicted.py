@@ -37,8 +37,8 @@ class PredictionSettings:
     side_rows: int = 64
     # Things of which less than this share of what is seen is off the edge are thin: then edges count, too.
     thin_share: float = 0.4
-    # Depths (m) beyond where a ray that is seen past meets the object, at which it must be empty; the distance kept from
-    # what is seen, sigma (m) and gate (sigmas) of these rows.
+    # Depths (m) beyond where a ray that is seen past meets the object, at which it must be empty; the distance kept
+    # from what is seen, sigma (m) and gate (sigmas) of these rows.
     empty_depths: tuple[float, ...] = (0.002, 0.006, 0.014)
     empty_clearance: float = 0.006
     empty_sigma: float = 0.003
@@ -80,8 +80,9 @@ class Prediction:
     """Shares (n,) of the predicted pixels inside the image, for n poses.
 
     seen: at the depth predicted, falling off smoothly with the difference; agree: within the tolerance; past: seen
-    through, or under a table; hidden: behind something that is not the robot's hand; behind_hand: the hand explains it; outline: of the
-    border, where the seen surface runs on smoothly beyond it. count: rays that met the object inside the image.
+    through, or under a table; hidden: behind something that is not the robot's hand; behind_hand: the hand explains
+    it; outline: of the border, where the seen surface runs on smoothly beyond it. count: rays that met the object
+    inside the image.
     """
 
     seen: Array
@@ -95,8 +96,9 @@ class Prediction:
 
 @dataclass(frozen=True)
 class _View:
-    """Pixels u, v of the rays (n, k); whether each meets the object and at which depth (m), is read, and what is seen; which are at
-    the predicted depth, seen past, hidden by something unknown or by the hand; fade: how well a near one agrees.
+    """Pixels u, v of the rays (n, k); whether each meets the object and at which depth (m), is read, and what is seen;
+    which are at the predicted depth, seen past, hidden by something unknown or by the hand; fade: how well a near one
+    agrees.
     """
 
     u: NDArray[np.int64]

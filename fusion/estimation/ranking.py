@@ -27,8 +27,8 @@ Array = NDArray[np.float64]
 def ranked(
     frame: Frame, pool: Pool, solved: list[JointResult], sight: Sight, settings: EstimateSettings
 ) -> tuple[int, tuple[Mode, ...]]:
-    """Index of the best of the solutions, and the modes they make: poses and covariances of the joint solution, weights by
-    Laplace's method. frame: with the touch that may be used.
+    """Index of the best of the solutions, and the modes they make: poses and covariances of the joint solution,
+    weights by Laplace's method. frame: with the touch that may be used.
     """
     poses = np.array([s.pose for s in solved])
     if pool.predictor.sees:
