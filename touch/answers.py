@@ -104,13 +104,7 @@ def verdict_of(
         return "ambiguous"
     if model is None:
         return "ok"
-    covariance, rotation = modes[0].covariance, modes[0].pose[:3, :3]
-    turning = covariance[:3, :3]
-    if model.symmetries.is_spherical:
-        turning = np.zeros((3, 3))
-    elif model.symmetries.axes:
-        axis = rotation @ model.symmetries.axes[0].direction
-        across = np.eye(3) - np.outer(axis, axis)
-        turning = across @ turning @ across
-    widest = np.sqrt([np.linalg.eigvalsh(turning)[-1], np.linalg.eigvalsh(covariance[3:, 3:])[-1]])
+    own = model.symmetries.quotient(modes[0].pose[:3, :3], model.centroid)
+    covariance = own @ modes[0].covariance @ own.T
+    widest = np.sqrt([max(np.linalg.eigvalsh(covariance[k : k + 3, k : k + 3])[-1], 0.0) for k in (0, 3)])
     return "ok" if widest[0] < settings.unknown_angle and widest[1] < settings.unknown_distance else "ambiguous"

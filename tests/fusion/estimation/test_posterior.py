@@ -2,15 +2,23 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import ContactResidual, Mode
 from fusion.estimation.trace import Trace
 from scenes.evidence import table as evidence
+from scenes.evidence.align import Prior
 from scenes.evidence.table import VISION
 from scenes.geometry import poses
+from scenes.geometry.objects import ObjectModel
+from scenes.geometry.symmetries import Axis, Symmetries
 from scenes.recordings.frames import Contacts
 from scenes.synthesis import library
+from touch.answers import verdict_of
+from touch.localization import localize
+from vision.visibility import Visibility
 
 SHARP = np.diag([1e-6] * 3 + [1e-8] * 3)
 
@@ -69,6 +77,69 @@ def test_open_directions_are_named_in_the_objects_axes():
     assert posterior.unobservable(model, np.eye(4), wide) == ("translation along x",)
     assert posterior.unobservable(model, np.eye(4), SHARP) == ()
     assert posterior.unobservable(library.make("bottle"), np.eye(4), SHARP) == ("rotation about z",)
+
+
+def in_other_axes(model, turn, shift):
+    """The same thing, its mesh turned (3, 3) and moved (3,) in its file."""
+    axes = tuple(Axis(turn @ a.point + shift, turn @ a.direction) for a in model.symmetries.axes)
+    moved = poses.make_pose(turn, shift)
+    discrete = moved @ model.symmetries.discrete @ poses.inverse(moved)
+    vertices = model.vertices @ turn.T + shift
+    return ObjectModel.from_mesh(vertices, model.faces, model.name, Symmetries(discrete, axes))
+
+
+SEEN = Visibility(0.9, 0.1, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("name", ["bottle", "cylinder"])
+@given(seed=st.integers(0, 2**32 - 1), off=st.floats(0.0, 0.05))
+@settings(max_examples=25, deadline=None)
+def test_a_symmetric_object_is_as_sure_in_any_axes(name, seed, off):
+    """A turn about its own axis is no doubt, whatever the axis is called and a few degrees off an eigenvector."""
+    rng = np.random.default_rng(seed)
+    declared = library.make(name)
+    turn = poses.random_rotations(1, rng)[0]
+    model = in_other_axes(declared, turn, rng.normal(size=3) * 0.2)
+    pose = poses.make_pose(poses.random_rotations(1, rng)[0], rng.normal(size=3))
+    across = np.cross(model.symmetries.axes[0].direction, rng.normal(size=3))
+    free = model.symmetries.axes[0].direction + off * across / np.linalg.norm(across)
+    free = pose[:3, :3] @ free
+    covariance = SHARP.copy()
+    covariance[:3, :3] += np.outer(free, free)
+    sure = Mode(pose, 1.0, 0.0, covariance)
+    assert posterior.verdict(model, (sure,), (), 0.9, SEEN)[0] == "ok"
+    assert verdict_of((sure,), model) == "ok"
+    assert len(posterior.unobservable(model, pose, covariance)) == 1
+    tipped = pose[:3, :3] @ across / np.linalg.norm(across)
+    doubtful = Mode(pose, 1.0, 0.0, covariance + 0.5**2 * np.pad(np.outer(tipped, tipped), (0, 3)))
+    assert posterior.verdict(model, (doubtful,), (), 0.9, SEEN)[0] == "ambiguous"
+    assert verdict_of((doubtful,), model) == "ambiguous"
+
+
+def test_a_turn_about_an_axis_beside_the_centroid_moves_nothing_either():
+    """A body of revolution whose centroid is off its axis: the turn carries the centroid around the axis."""
+    box = library.make("box")
+    axis = Axis(box.centroid + np.array([0.05, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+    model = ObjectModel.from_mesh(box.vertices, box.faces, "off", Symmetries(axes=(axis,)))
+    lever = np.concatenate([axis.direction, np.cross(axis.direction, model.centroid - axis.point)])
+    covariance = SHARP + np.outer(lever, lever)
+    assert posterior.verdict(model, (mode(covariance),), (), 0.9, SEEN)[0] == "ok"
+    assert posterior.verdict(box, (mode(covariance),), (), 0.9, SEEN)[0] == "ambiguous"
+
+
+def test_a_ball_may_be_anywhere_that_nothing_was_felt():
+    """One contact and a prior of 2 cm: where the ball is across the contact is unknown, however it may turn."""
+    ball = library.make("sphere")
+    touched = Contacts([[0.0, 0.0, ball.radius]], None, 1e-3)
+    found = localize(ball, touched, seed=0, prior=Prior.isotropic(np.eye(4), 0.3, 0.02))
+    widest = np.sqrt(np.linalg.eigvalsh(found.covariance[3:, 3:])[-1])
+    assert widest > posterior.VerdictSettings().unknown_distance
+    assert posterior.verdict(ball, found.modes, (), np.nan, SEEN)[0] == "ambiguous"
+    assert found.verdict == "ambiguous"
+    said = posterior.unobservable(ball, found.pose, found.covariance)
+    assert sum(word.startswith("translation") for word in said) == 2
+    assert {f"rotation about {axis}" for axis in "xyz"} <= set(said)
+    assert posterior.verdict(ball, (mode(),), (), 0.9, SEEN)[0] == "ok"
 
 
 def residual(outlier):
