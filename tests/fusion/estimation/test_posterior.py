@@ -7,6 +7,9 @@ from hypothesis import strategies as st
 
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import ContactResidual, Mode
+from fusion.estimation.estimate import estimate
+from fusion.estimation.settings import EstimateSettings
+from fusion.estimation.tolerance import is_within, with_shared_errors
 from fusion.estimation.trace import Trace
 from scenes.evidence import table as evidence
 from scenes.evidence.align import Prior
@@ -14,6 +17,7 @@ from scenes.evidence.table import VISION
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.symmetries import Axis, Symmetries
+from scenes.recordings.beliefs import DepthModel
 from scenes.recordings.frames import Contacts
 from scenes.synthesis import library
 from touch.answers import verdict_of
@@ -140,6 +144,52 @@ def test_a_ball_may_be_anywhere_that_nothing_was_felt():
     assert sum(word.startswith("translation") for word in said) == 2
     assert {f"rotation about {axis}" for axis in "xyz"} <= set(said)
     assert posterior.verdict(ball, (mode(),), (), 0.9, SEEN)[0] == "ok"
+
+
+def moved_origin(model, shift):
+    return in_other_axes(model, np.eye(3), np.asarray(shift))
+
+
+@pytest.mark.parametrize("shift", [[0.5, 0.0, 0.0], [0.0, -0.3, 0.4]])
+def test_shared_errors_lie_along_the_ray_to_the_object_not_to_its_files_origin(lab_frame, shift):
+    model = library.make("drill")
+    pose = lab_frame.camera_from_object_truth
+    elsewhere = moved_origin(model, shift)
+    shifted = pose @ poses.make_pose(np.eye(3), -np.asarray(shift))
+    depth = DepthModel()
+    (here,), (there,) = (
+        with_shared_errors(m, (Mode(p, 1.0, 0.0, SHARP),), lab_frame, depth)
+        for m, p in ((model, pose), (elsewhere, shifted))
+    )
+    assert np.allclose(here.covariance, there.covariance, atol=1e-12)
+    middle = poses.apply(pose, model.centroid[None])[0]
+    ray = middle / np.linalg.norm(middle)
+    added = here.covariance[3:, 3:] - SHARP[3:, 3:]
+    assert ray @ added @ ray == pytest.approx(depth.bias_sigma**2 + (depth.scale_sigma * np.linalg.norm(middle)) ** 2)
+
+
+def test_a_tolerance_asks_nothing_about_turns_that_change_nothing():
+    covariance = SHARP + np.diag([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    wide = (mode(covariance),)
+    assert is_within(library.make("bottle"), wide, (0.001, 0.02), EstimateSettings())
+    assert not is_within(library.make("drill"), wide, (0.001, 0.02), EstimateSettings())
+
+
+def test_an_estimate_does_not_know_where_a_files_origin_is(lab_frame):
+    """The same object, half a metre from its file's origin: the same answer, and as sure."""
+    declared = library.make("drill")
+    shift = np.array([0.3, -0.4, 0.0])
+    prior = poses.displaced(lab_frame.camera_from_object_truth, 0.1, 0.01, declared.centroid, np.random.default_rng(0))
+    here = estimate(lab_frame, declared, prior, tolerance=(0.02, 0.2))
+    there = estimate(
+        lab_frame, moved_origin(declared, shift), prior @ poses.make_pose(np.eye(3), -shift), tolerance=(0.02, 0.2)
+    )
+    back = there.pose @ poses.make_pose(np.eye(3), shift)
+    delta = poses.difference(back, here.pose, declared.centroid)
+    # another lattice, laid elsewhere over the same surface
+    sigma = np.sqrt(np.diag(here.covariance))
+    assert np.all(np.abs(delta) < 0.5 * sigma)
+    assert np.sqrt(np.diag(there.covariance)) == pytest.approx(sigma, rel=0.1)
 
 
 def residual(outlier):
