@@ -87,7 +87,7 @@ def estimate(
     with one_blas_thread():
         if tolerance is not None and senses == {"vision", "touch"} and frame.depth is not None:
             alone = _estimate(frame, model, replace(asked, senses=frozenset({"vision"})), trace)
-            if good_enough(alone, tolerance, settings):
+            if good_enough(model, alone, tolerance, settings):
                 return trace.skipping(alone, "feel", "vision alone is within the tolerance")
         return _estimate(frame, model, asked, trace)
 
@@ -145,8 +145,8 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> 
             candidates = np.concatenate([np.array([m.pose for m in modes]), *more])
             modes = pool.compete(candidates)
             stage.note(len(candidates), f"{len(modes)} of {len(candidates)} proposals are left")
-    rough = with_shared_errors(modes, viewed, beliefs.depth)
-    spent, settled = trace.over_budget, is_within(rough, asked.tolerance, settings)
+    rough = with_shared_errors(model, modes, viewed, beliefs.depth)
+    spent, settled = trace.over_budget, is_within(model, rough, asked.tolerance, settings)
     why_not = "the time budget is spent" if spent else "the rows alone are within the tolerance"
     finish = not (spent or settled)
     modes = modes if finish else rough

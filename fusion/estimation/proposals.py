@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.evidence.align import Prior
-from scenes.evidence.search import SearchStage, starts_around
+from scenes.evidence.search import SearchStage, starts_of_prior
 from scenes.evidence.table import Evidence
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
@@ -75,15 +75,7 @@ def starts_of(
     rank(poses, blur) adds, tell which of the pixels' are promising.
     """
     if prior is not None:
-        sigma = np.sqrt(1.0 / np.maximum(np.diag(prior.information), 1e-12))
-        return starts_around(
-            model,
-            prior.pose,
-            float(min(sigma[:3].max(), settings.widest_angle)),
-            float(min(sigma[3:].max(), model.diameter)),
-            settings.starts_near,
-            rng,
-        )
+        return starts_of_prior(model, prior, settings.starts_near, settings.widest_angle, model.diameter, rng)
     parts = []
     if len(contacts):
         parts.append(contact_starts(model, contacts, settings.starts_global // (2 if len(pixels) else 1), rng))

@@ -72,7 +72,9 @@ def rejudged(
     model: ObjectModel, solved: list[JointResult], costs: Array, settings: EstimateSettings
 ) -> tuple[Mode, ...]:
     """The modes after the joint solution: its poses and covariances, and costs (k,); weights by Laplace's method."""
-    hessians = np.array([np.linalg.inv(s.covariance) for s in solved])
+    # what the solution believed of its own accord (System.width) is believed again by distinct_modes: taken out here
+    weak = np.repeat([1.0, model.radius], 3) ** -2.0
+    hessians = np.array([np.linalg.inv(s.covariance) - np.diag(weak) for s in solved])
     poses = np.array([s.pose for s in solved])
     return distinct_modes(
         model, Alignment(poses, costs, hessians, np.zeros(len(solved), dtype=np.int64)), settings.modes

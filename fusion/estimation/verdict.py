@@ -100,28 +100,37 @@ def contributions(
     return tuple(out)
 
 
-def unobservable(
+def open_directions(
     model: ObjectModel, pose: Array, covariance: Array, settings: VerdictSettings | None = None
 ) -> tuple[str, ...]:
-    """Directions the data leave open, in the object's own axes."""
+    """Directions the data leave open, in the object's own axes; those of its symmetry are none.
+
+    The symmetry is taken out of the covariance, not out of the list: an eigenvector is never exactly the axis.
+    """
     settings = settings or VerdictSettings()
     rotation = pose[:3, :3]
+    own = model.symmetries.quotient(rotation, model.centroid)
+    doubtful = own @ covariance @ own.T
     found = []
     for block, limit, word in (
         (slice(0, 3), settings.unknown_angle, "rotation about"),
         (slice(3, 6), settings.unknown_distance, "translation along"),
     ):
-        values, vectors = np.linalg.eigh(rotation.T @ covariance[block, block] @ rotation)
+        values, vectors = np.linalg.eigh(rotation.T @ doubtful[block, block] @ rotation)
         for value, vector in zip(values, vectors.T):
             if np.sqrt(max(value, 0.0)) > limit:
                 found.append(f"{word} {_axis_name(vector)}")
+    return tuple(found)
+
+
+def unobservable(
+    model: ObjectModel, pose: Array, covariance: Array, settings: VerdictSettings | None = None
+) -> tuple[str, ...]:
+    """Directions the data leave open, then turns about the object's own axes, which nothing ever tells."""
     # a ball turns about every axis, whichever two were declared
     turns = np.eye(3) if model.symmetries.is_spherical else [a.direction for a in model.symmetries.axes[:1]]
-    for direction in turns:
-        name = f"rotation about {_axis_name(direction)}"
-        if name not in found:
-            found.append(name)
-    return tuple(found)
+    own = [f"rotation about {_axis_name(direction)}" for direction in turns]
+    return *open_directions(model, pose, covariance, settings), *own
 
 
 def _axis_name(direction: Array) -> str:
@@ -156,11 +165,8 @@ def verdict(
         return "ambiguous", f"only {seeing.visible:.0%} of the object is seen and nothing touches it"
     if modes[0].weight < settings.sure_share:
         return "ambiguous", f"first of {len(modes)} modes holds {modes[0].weight:.0%}"
-    covariance = modes[0].covariance
-    open_directions = unobservable(model, modes[0].pose, covariance, settings)
-    symmetric = {f"rotation about {_axis_name(a.direction)}" for a in model.symmetries.axes[:1]}
-    hidden = [d for d in open_directions if d not in symmetric]
-    if hidden and not model.symmetries.is_spherical:
+    hidden = open_directions(model, modes[0].pose, modes[0].covariance, settings)
+    if hidden:
         return "ambiguous", f"{', '.join(hidden)} unknown"
     return "ok", f"first mode holds {modes[0].weight:.0%}"
 

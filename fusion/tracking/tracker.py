@@ -195,7 +195,9 @@ class Tracker:
             measured = self._measurement(solved, predicted, looked)
             if looked.hand is not None and felt_rows:
                 felt = felt.corrected(solved.correct())
-            stage.note(len(rows), f"calibration off by {1e3 * _shift(felt.correction, solved.pose):.1f} mm")
+            stage.note(
+                len(rows), f"calibration off by {1e3 * _shift(felt.correction, self._middle(solved.pose)):.1f} mm"
+            )
         return self._judged(frame, viewed, trace, predicted, measured, found, switched, (looked, seen, felt))
 
     def _predict(self, frame: Frame, belief: Belief) -> tuple[Belief, tuple[Mode, ...], str]:
@@ -217,7 +219,7 @@ class Tracker:
         expected = self._hand_motion.in_hand(self._hand, frame, hold, max(1, abs(steps)))
         expected = expected.turned(now.camera_from_hand[:3, :3])
         moved = belief.moved(motion)
-        centre = moved.pose[:3, :3] @ self.model.centroid + moved.pose[:3, 3]
+        centre = self._middle(moved.pose)
         drift = calibration_drift(self._hand.camera_from_hand, now.camera_from_hand, centre, self._beliefs.calibration)
         delta, noise = expected.motion, expected.noise + drift
         self._watch.predict(motion, expected, drift)
@@ -278,6 +280,10 @@ class Tracker:
             self._rigs.append(solved.level)
         return solved
 
+    def _middle(self, pose: Array) -> Array:
+        """Where the object's centroid is (3,): its file's origin may be anywhere."""
+        return se3.apply(pose, self.model.centroid[None])[0]
+
     def _usual_rig(self) -> Rig:
         """The rig that most of the first frames were taken for, the lesser of two."""
         usual = sorted(self._rigs)[(len(self._rigs) - 1) // 2]
@@ -292,7 +298,8 @@ class Tracker:
             left = self._looker.correction is not None
             calibration = self._beliefs.calibration
             angle = s.left_angle if left else calibration.rotation_sigma
-            distance = np.hypot(calibration.translation_sigma, calibration.rotation_sigma * np.linalg.norm(pose[:3, 3]))
+            lever = float(np.linalg.norm(self._middle(pose)))
+            distance = np.hypot(calibration.translation_sigma, calibration.rotation_sigma * lever)
             distance = s.left_distance if left else float(distance)
             shared = shared + np.diag(np.repeat([angle, distance], 3) ** 2)
         return Measurement.of(pose, solved.independent, shared, s.noise, s.lasting)
@@ -312,7 +319,7 @@ class Tracker:
         s, model = self.settings, self.model
         looked, seen, felt = sensed
         with trace.stage("judge", True, "") as stage:
-            pixel = None if frame.camera is None else frame.camera.project(measured.pose[None, :3, 3])[0][0]
+            pixel = None if frame.camera is None else frame.camera.project(self._middle(measured.pose)[None])[0][0]
             pixel = pixel if pixel is not None and np.isfinite(pixel).all() else None  # behind the camera
             alone = Belief(measured.pose, measured.own, measured.shared)
             belief = alone if switched else update(model, predicted, measured)
@@ -400,6 +407,6 @@ class Tracker:
         return as_carried(self.model, frame, predicted, trace.stages, held, self._hand is not None, s)
 
 
-def _shift(correction: Array, pose: Array) -> float:
-    """How far a correction (4, 4) moves the object at pose, metres."""
-    return float(np.linalg.norm((correction @ pose)[:3, 3] - pose[:3, 3]))
+def _shift(correction: Array, point: Array) -> float:
+    """How far a correction (4, 4) moves a point (3,), metres."""
+    return float(np.linalg.norm(se3.apply(correction, point[None])[0] - point))
