@@ -67,7 +67,10 @@ class Contribution:
 
 @dataclass(frozen=True)
 class Estimate:
-    """The answer for one frame. All poses are camera_from_object unless named otherwise (4x4, metres)."""
+    """The answer for one frame. All poses are camera_from_object unless named otherwise (4x4, metres).
+
+    confidence: probability that the pose is right, see fusion.estimation.confidence.
+    """
 
     frame: int
     pose: Array
@@ -84,6 +87,7 @@ class Estimate:
     dropped: dict[str, int] = field(default_factory=dict)
     start: Array | None = None
     contributions: tuple[Contribution, ...] = ()
+    confidence: float = float("nan")
 
     @property
     def time_ms(self) -> float:
@@ -107,6 +111,7 @@ class Estimate:
             "covariance": rows(self.covariance),
             "modes": [{"pose": rows(m.pose), "weight": m.weight, "cost": number(m.cost)} for m in self.modes],
             "unobservable": list(self.unobservable),
+            "confidence": number(self.confidence),
             "visible_fraction": number(self.visible_fraction),
             "time_ms": self.time_ms,
             "trace": [{"stage": s.name, "ran": s.ran, "why": s.why, "ms": s.ms, "rows": s.rows} for s in self.trace],

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import as_prior, check_limits, check_senses
+from fusion.estimation.confidence import confidence
 from fusion.estimation.moments import moments
 from fusion.estimation.pool import Pool
 from fusion.estimation.proposals import search_stages, starts_of
@@ -26,7 +27,7 @@ from fusion.estimation.solve.rigs import solve_modes
 from fusion.estimation.tolerance import good_enough, is_within, with_shared_errors
 from fusion.estimation.trace import Trace
 from scenes.evidence import table as tables
-from scenes.evidence.align import Prior
+from scenes.evidence.align import Prior, costs
 from scenes.evidence.near_symmetries import near_symmetries
 from scenes.evidence.point_pairs import pair_table
 from scenes.geometry.objects import ObjectModel
@@ -173,7 +174,12 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> 
         residuals = posterior.contact_residuals(model, felt.contacts, pose, settings.verdict)
         share, rms = posterior.pixel_agreement(model, seen, pose)
         seeing = visibility(viewed, model, pose, beliefs.depth)
+        picture = predictor.predict(pose[None]) if predictor.sees else None
+        nats = float(costs(model, felt.rows, pose[None])[0]) if contacts else 0.0
+        sure = confidence(model, modes, picture, residuals, nats, settings=settings.confidence)
         word, why = posterior.verdict(model, modes, residuals, share, seeing, settings.verdict)
+        if word == "ok" and picture is not None and sure < settings.confidence.sure:
+            word, why = "ambiguous", f"only {sure:.0%} sure to be within {1e3 * settings.confidence.tolerance:.0f} mm"
         stage.note(len(rows), why)
 
     return Estimate(
@@ -192,4 +198,5 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> 
         dropped=looked.dropped,
         start=start,
         contributions=posterior.contributions(model, rows, pose, modes[0].covariance, believed),
+        confidence=sure,
     )

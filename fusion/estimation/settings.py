@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fusion.estimation.confidence import ConfidenceSettings
 from fusion.estimation.moments import MomentSettings
 from fusion.estimation.pool import PoolSettings
 from fusion.estimation.proposals import ProposalSettings
@@ -50,6 +51,7 @@ class EstimateSettings:
     joint: JointSettings = field(default_factory=JointSettings)
     moments: MomentSettings = field(default_factory=MomentSettings)
     verdict: VerdictSettings = field(default_factory=VerdictSettings)
+    confidence: ConfidenceSettings = field(default_factory=ConfidenceSettings)
     plausibility: PlausibilitySettings = field(default_factory=PlausibilitySettings)
     # How the patterns of taxel arrays tell several modes apart; None leaves it to their rows.
     patterns: RankingSettings | None = field(default_factory=RankingSettings)
