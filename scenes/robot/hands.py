@@ -197,7 +197,8 @@ class Hand:
         if len(self._sliding):
             shift = values[..., self._sliding_rows, None] * self._slide_axes
             rotation = self._origins[self._sliding, :3, :3]
-            local[..., self._sliding, :3, 3] += (rotation @ shift[..., None])[..., 0]
+            # a slice, not a number: an index array and a number apart would put the joints before the batch
+            local[..., self._sliding, :3, 3:] += rotation @ shift[..., None]
         out = np.zeros((*batch, count, 4, 4))
         out[..., 0, :, :] = np.eye(4)
         for level, parents in self._levels:
