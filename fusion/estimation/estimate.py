@@ -45,6 +45,7 @@ from scenes.evidence.near_symmetries import near_symmetries
 from scenes.evidence.point_pairs import pair_table
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
+from scenes.recordings.validation import check_scale
 from scenes.threads import one_blas_thread
 from touch.contacts import feel
 from vision.look.segments import region_around, segment
@@ -72,9 +73,11 @@ def estimate(
     touch is skipped, and when the rows are that good before shared errors are solved for, that is
     skipped. budget_ms: once it is spent, the joint solution (calibration, depth scale, bias) is skipped.
     Returns an Estimate; data that tell nothing give the verdict "lost" and a covariance that says so, not an error.
+    Raises CaptureError when the sizes in the frame and the model's tell of a wrong unit.
     """
     settings, senses = settings or EstimateSettings(), check_senses(use)
     check_limits(tolerance, budget_ms)
+    check_scale(frame, model)
     believed = as_prior(prior if prior is not None else frame.prior, settings)
     # built or read once per object, not part of a frame's time
     model.field  # noqa: B018

@@ -105,7 +105,8 @@ class Capture:
         truth = self._attempt("scene_gt.json", number, lambda: self._truth(number))
         mask_name = f"mask_visib/{number:06d}_{truth[1] if truth else 0:06d}.png"
         mask = self._image_file(mask_name, number, images.read_mask)
-        self._same_size(number, {"depth": depth, "rgb": rgb, mask_name: mask})
+        fits = self._same_size(number, {"depth": depth, "rgb": rgb, mask_name: mask})
+        rgb, mask = rgb if fits["rgb"] else None, mask if fits[mask_name] else None
         shape = next((image.shape for image in (depth, rgb, mask) if image is not None), None)
         if entry is not None:
             camera = self._attempt("scene_camera.json", number, lambda: images.camera(entry, shape))
@@ -116,7 +117,7 @@ class Capture:
             where=f"{self.path}, frame {number}",
             camera=camera,
             camera_from_world=camera_from_world,
-            depth=depth,
+            depth=depth if camera is not None else None,  # what is wrong with its camera is reported
             rgb=rgb,
             mask=mask,
             cloud=cloud,
@@ -216,13 +217,17 @@ class Capture:
         path = self.path / name
         return self._attempt(name, number, lambda: read(path)) if path.is_file() else None
 
-    def _same_size(self, number: int, seen: dict[str, NDArray[Any] | None]) -> None:
+    def _same_size(self, number: int, seen: dict[str, NDArray[Any] | None]) -> dict[str, bool]:
+        """Which images have the size of the first that is there; the others are reported."""
         shapes = {name: image.shape[:2] for name, image in seen.items() if image is not None}
+        fits = dict.fromkeys(seen, True)
         for name, shape in shapes.items():
             first, expected = next(iter(shapes.items()))
             if shape != expected:
+                fits[name] = False
                 sizes = f"{expected[1]}x{expected[0]} pixels like {first}, got {shape[1]}x{shape[0]}"
                 self.report(Problem(self._file(name), number, f"expected {sizes}"))
+        return fits
 
     def _cloud(self, number: int) -> tuple[Array | None, NDArray[np.uint8] | None]:
         from scenes.files.ply import read_cloud
