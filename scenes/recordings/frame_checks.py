@@ -1,4 +1,4 @@
-"""What may be a part of a frame: arrays as users have them become those that the rest expects, or one line says why not.
+"""What may be a part of a frame: arrays as users have them become those that the rest expects, or one line says why.
 
 Each check takes the value and where it is for messages, and returns it in the type that `Frame` documents. What is
 right already is returned as it is: frames are copied often, and their bits must not change.

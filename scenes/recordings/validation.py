@@ -32,7 +32,7 @@ FOCAL_LENGTHS = (0.1, 50.0)
 FULL_TURN = 2.0 * np.pi
 # No sensor reaches farther (m) from its own origin; one that does is elsewhere than the hand's pose says.
 FARTHEST_CONTACT = 0.2
-# A median depth (m) that no room has, and that an image of millimetres has from 10 cm on; beyond are no readings at all.
+# A median depth (m) that no room has, and an image of millimetres has from 10 cm on; beyond are no readings at all.
 MILLIMETRES = (1e2, 1e6)
 # Of a depth image every so manieth pixel a side tells its unit as well.
 UNIT_STEP = 8

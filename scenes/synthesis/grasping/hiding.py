@@ -11,8 +11,10 @@ from scenes.errors import InputError
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
+from scenes.robot.fingers import find_fingers
 from scenes.robot.hands import Hand
 from scenes.synthesis.grasping.grasps import Grasp, plan_grasp
+from scenes.synthesis.grasping.placement import is_gripper
 from scenes.synthesis.settings import SynthesisSettings
 from scenes.synthesis.views import find_view
 
@@ -53,7 +55,8 @@ def place(
 
     for attempt in range(settings.grasps):
         # Whole-hand grasps touch with most fingers; those of few fingers hide less
-        kind = "tripod" if occlusion < FEW_FINGERS_BELOW and attempt >= settings.grasps // 2 else "power"
+        few = occlusion < FEW_FINGERS_BELOW and attempt >= settings.grasps // 2 and not is_gripper(find_fingers(hand))
+        kind = "tripod" if few else "power"
         try:
             held.append(plan_grasp(hand, model, seed=int(rng.integers(2**31)), kind=kind))
         except InputError as error:

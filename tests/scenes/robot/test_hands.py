@@ -212,7 +212,7 @@ def _two_of_every_joint() -> Hand:
     for joint in joints:
         depth[joint.child] = depth[joint.parent] + 1
     joints.sort(key=lambda joint: depth[joint.child])
-    return Hand(Robot("tree", "a", {n: (ball,) for n in ("a", *(j.child for j in joints))}, tuple(joints)))
+    return Hand(Robot("tree", "a", dict.fromkeys(("a", *(j.child for j in joints)), (ball,)), tuple(joints)))
 
 
 @pytest.mark.parametrize("batch", [(), (1,), (2,), (3,), (6,), (2, 3), (0,)])
