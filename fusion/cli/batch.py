@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from fusion.cli.options import (
     add_object,
     add_prior,
+    add_trust,
     announce_compiling,
     names,
     number,
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
+    add_trust(parser)
     parser.add_argument("folder", metavar="DIR", type=Path, help="folder with captures in it, however deep")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", metavar="N", type=positive, help="processes (default: the cores that may be used)")
@@ -53,6 +55,7 @@ def run(args: argparse.Namespace) -> int:
     paths = find_captures(args.folder)
     out = out_folder(args, args.folder.resolve().name)
     told = {"use": use, "prior": args.prior, "object": args.object, "unit": args.unit, "report": not args.no_report}
+    told["trust_paths"] = args.trust_paths
     jobs = []
     for path in paths:
         name = path.relative_to(args.folder).as_posix()

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from fusion.cli.options import (
     add_object,
     add_prior,
+    add_trust,
     announce_compiling,
     check_target,
     load_object,
@@ -40,6 +41,7 @@ HEADS = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
+    add_trust(parser)
     parser.add_argument("captures", metavar="CAPTURE", type=Path, nargs="+", help="folders of captures")
     parser.add_argument(
         "--methods",
@@ -62,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     if args.plot is not None:
         check_suffix(args.plot)
         check_target(args.plot)
-    captures = [read_capture(path) for path in args.captures]
+    captures = [read_capture(path, args.trust_paths) for path in args.captures]
     model = load_object(args.object, args.unit) if args.object else None
     total = len(methods) * sum(map(len, captures))
     announce_compiling()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from fusion.cli.options import (
     add_object,
+    add_trust,
     check_folder,
     check_target,
     load_object,
@@ -43,6 +44,7 @@ STAMP_RATE = 30.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
+    add_trust(parser)
     sources = "; ".join(f"{name} ({what})" for name, what in SOURCES.items())
     targets = "; ".join(f"{name} ({what})" for name, what in TARGETS.items())
     parser.add_argument(
@@ -244,7 +246,7 @@ def _export(args: argparse.Namespace) -> Converted:
     from scenes.formats.conversion import Converted
     from scenes.recordings.captures import read_capture
 
-    capture = read_capture(args.source)
+    capture = read_capture(args.source, args.trust_paths)
     endings = {".glb": "glb", ".tum": "tum"}
     ending = args.out.suffix.lower()
     if args.to is None and ending[1:].isalpha() and ending not in endings:

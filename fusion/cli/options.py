@@ -48,6 +48,13 @@ def add_object(parser: argparse.ArgumentParser, required: bool = False, what: st
     parser.add_argument("--unit", default="m", help="unit of the mesh file: m (default), cm, mm, inch")
 
 
+def add_trust(parser: argparse.ArgumentParser) -> None:
+    """--trust-paths, of every command that reads captures."""
+    parser.add_argument(
+        "--trust-paths", action="store_true", help="also read files outside the capture's folder that it names"
+    )
+
+
 def add_prior(parser: argparse.ArgumentParser) -> None:
     """--prior."""
     parser.add_argument(
@@ -283,6 +290,7 @@ def progress(items: Iterable[T], total: int, what: str) -> Iterator[T]:
 def add_run(parser: argparse.ArgumentParser) -> None:
     """What every command has that answers frame by frame: capture, object, senses, start, and where to write."""
     parser.add_argument("capture", metavar="CAPTURE", type=Path, help="folder of the capture")
+    add_trust(parser)
     add_object(parser, what="instead of the capture's object")
     parser.add_argument(
         "--use", metavar="SENSES", type=names, default=("vision", "touch"), help="vision,touch (default)"

@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     from scenes.recordings.validation import check_scale
 
     senses = tuple(sorted(check_senses(args.use), reverse=True))
-    capture = read_capture(args.capture)
+    capture = read_capture(args.capture, args.trust_paths)
     out_folder(args, capture.name)  # before the work, not after it
     model = load_object(args.object, args.unit) if args.object else capture.model
     prepare = prior_setter(args.prior, args.seed)

@@ -64,11 +64,12 @@ class Job:
     unit: str = "m"
     report: bool = True
     seed: int = 0
+    trust_paths: bool = False
 
     @property
     def fingerprint(self) -> str:
         """Of everything that changes the results; the same for the same question."""
-        told = {key: value for key, value in asdict(self).items() if key not in ("path", "name", "out")}
+        told = {key: value for key, value in asdict(self).items() if key not in ("path", "name", "out", "trust_paths")}
         return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -120,7 +121,7 @@ def run_capture(job: Job) -> list[Row]:
     from fusion.truth.errors import Judge, json_number
     from scenes.recordings.captures import read_capture
 
-    capture = read_capture(job.path)
+    capture = read_capture(job.path, job.trust_paths)
     model = load_object(job.object, job.unit) if job.object else capture.model
     prepare, judge = prior_setter(job.prior, job.seed), Judge(model)
     frames, answers, errors = [], [], []

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError, PalpateError
 from scenes.files import bop, images, tables
+from scenes.files.inside import refuse_links_outside, stays_inside
 from scenes.files.problems import Problem, Report, refuse
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
@@ -45,9 +46,14 @@ class Capture:
     Attributes: path; settings; frame_ids, sorted; model and hand, read at the first use.
     """
 
-    def __init__(self, path: str | Path, report: Report = refuse) -> None:
-        """Read capture.json and find the frames; use `read_capture`. Raises CaptureError for no capture at all."""
+    def __init__(self, path: str | Path, report: Report = refuse, trust_paths: bool = False) -> None:
+        """Read capture.json and find the frames; use `read_capture`. Raises CaptureError for no capture at all, and for
+        one that leads out of its folder unless its paths are trusted.
+        """
         self.path = Path(path)
+        self._within = None if trust_paths else self.path
+        if self.path.is_dir() and not trust_paths:
+            refuse_links_outside(self.path)
         self.report = report
         self.settings = read_settings(self.path, report)
         self._tables = {name: self._table(name) for name in CSV_FILES}
@@ -80,6 +86,7 @@ class Capture:
     @cached_property
     def model(self) -> ObjectModel:
         """The object, metres, with the symmetries of models_info.json."""
+        stays_inside(self.path / self.settings.model, self._within, self._file("capture.json"))
         return read_model(self.path, self.settings)
 
     @cached_property
@@ -88,11 +95,14 @@ class Capture:
         if self.settings.hand is None:
             return None
         urdf, sensors = (None if part is None else self.path / part for part in self.settings.hand)
+        for part in (urdf, sensors):
+            if part is not None:
+                stays_inside(part, self._within, self._file("capture.json"))
         if urdf is None or not urdf.is_file():
             raise CaptureError(f"{self.path / 'capture.json'}: expected a hand URDF at {urdf}, found none")
         if sensors is not None and not sensors.is_file():
             raise CaptureError(f"{self.path / 'capture.json'}: expected the hand's sensors at {sensors}, found none")
-        return Hand.load(urdf, sensors)
+        return Hand.load(urdf, sensors, self._within)
 
     def frame(self, number: int) -> Frame:
         """The frame of that number. Raises CaptureError for one that is not there or is malformed."""
@@ -321,13 +331,16 @@ class Capture:
         return None if taxels is None else len(taxels)
 
 
-def read_capture(folder: str | Path) -> Capture:
+def read_capture(folder: str | Path, trust_paths: bool = False) -> Capture:
     """Open a capture; frames are read when they are asked for.
+
+    trust_paths: also read files outside the folder, which capture.json, the hand's files or links may name; by default
+    these are refused.
 
     Raises CaptureError, one line with file, frame and column, for whatever is missing or malformed: here for
     capture.json and the CSVs, when a frame is read for its images, clouds and joints.
     """
-    return Capture(folder)
+    return Capture(folder, trust_paths=trust_paths)
 
 
 def contacts_of(rows: tables.Table) -> Contacts:

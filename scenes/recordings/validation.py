@@ -42,11 +42,14 @@ MOST_POINTS = 20_000
 FEWEST_POINTS = 30
 
 
-def validate(folder: str | Path) -> list[Problem]:
-    """Every problem of a capture, in the order of its files and frames; an empty list means that it can be used."""
+def validate(folder: str | Path, trust_paths: bool = False) -> list[Problem]:
+    """Every problem of a capture, in the order of its files and frames; an empty list means that it can be used.
+
+    trust_paths: as for `read_capture`.
+    """
     problems: list[Problem] = []
     try:
-        capture = Capture(folder, problems.append)
+        capture = Capture(folder, problems.append, trust_paths)
     except CaptureError as error:
         return [*problems, Problem(str(folder), None, str(error))]
     model = _attempt(capture, problems)
