@@ -49,6 +49,7 @@ def run(args: argparse.Namespace) -> int:
     from fusion.estimation.stages import check_senses
     from fusion.results.batch import Job, Outcome, find_captures, finished
     from fusion.results.batch_files import summary_of, write_all
+    from scenes.files.whole import sweep
 
     use = tuple(sorted(check_senses(args.use), reverse=True))
     prior_setter(args.prior, args.seed)  # a mistake in it is one line now, not one a capture
@@ -63,6 +64,7 @@ def run(args: argparse.Namespace) -> int:
         jobs.append(Job(str(path.resolve()), name, str((out / name).resolve()), seed=args.seed, **told))
     found: dict[str, Outcome] = {}
     for job in jobs:
+        sweep(Path(job.out))  # what an earlier run was killed over
         rows = None if args.again else finished(job)
         if rows is not None:
             found[job.name] = Outcome(job, "kept", rows)

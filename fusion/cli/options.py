@@ -9,7 +9,6 @@ import argparse
 import errno
 import json
 import math
-import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -253,8 +252,13 @@ def check_target(path: Path | None) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, "expected a file to write, found a folder", str(path))
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise PermissionError(errno.EACCES, "cannot be written", str(path))
+    try:
+        if path.exists():
+            path.open("ab").close()
+        else:
+            _try_writing(path.parent)
+    except OSError as error:
+        raise PermissionError(errno.EACCES, "cannot be written", str(path)) from error
 
 
 def check_folder(path: Path) -> Path:
@@ -262,9 +266,19 @@ def check_folder(path: Path) -> Path:
     there = next(part for part in (path, *path.absolute().parents) if part.exists())
     if not there.is_dir():
         raise NotADirectoryError(errno.ENOTDIR, "expected a folder to write to, found a file", str(there))
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise PermissionError(errno.EACCES, "cannot be written to", str(there))
+    try:
+        _try_writing(there)
+    except OSError as error:
+        raise PermissionError(errno.EACCES, "cannot be written to", str(there)) from error
     return path
+
+
+def _try_writing(folder: Path) -> None:
+    """Raise OSError where no file can be made; permissions alone do not tell (of /proc, of read-only mounts)."""
+    from tempfile import TemporaryFile
+
+    with TemporaryFile(dir=folder):
+        pass
 
 
 def write_json(path: Path | None, content: Any) -> None:
@@ -272,8 +286,9 @@ def write_json(path: Path | None, content: Any) -> None:
     if path is None:
         return
     from fusion.truth.errors import json_number
+    from scenes.files.whole import replace_file
 
-    path.write_text(json.dumps(json_number(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    replace_file(path, (json.dumps(json_number(content), indent=1, allow_nan=False) + "\n").encode())
 
 
 def progress(items: Iterable[T], total: int, what: str) -> Iterator[T]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.cli.options import add_object, load_object, names, positive, say, share, write_json
+from fusion.cli.options import add_object, check_folder, load_object, names, positive, say, share, write_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,6 +33,7 @@ def run(args: argparse.Namespace) -> int:
     from scenes.synthesis.recording import synthesize
 
     refuse_foreign_folder(args.out)  # before the work, not after it
+    check_folder(args.out)
     model, hand = load_object(args.object, args.unit), load_hand(args.hand)
     capture = synthesize(
         args.out,

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from fusion.results.batch import COLUMNS, Outcome, Row
-from fusion.results.report.files import replace_file
+from scenes.files.tables import harmless
+from scenes.files.whole import replace_file
 
 NUMBERS = ("add_s_mm", "rotation_deg", "translation_mm", "time_ms")
 
@@ -46,7 +47,7 @@ def write_all(out: Path, title: str, outcomes: Sequence[Outcome]) -> list[Path]:
     text = io.StringIO()
     table = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     table.writeheader()
-    table.writerows(rows)
+    table.writerows({k: harmless(v) if isinstance(v, str) else v for k, v in row.items()} for row in rows)
     replace_file(written[0], text.getvalue().encode())
     if find_spec("pyarrow") is not None:
         written.append(out / "results.parquet")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from scenes.errors import CaptureError
 from scenes.files.bop import MM, SceneCamera
+from scenes.files.whole import named
 from scenes.geometry.cameras import Camera
 
 LARGEST_COUNT = 65535
@@ -70,7 +71,8 @@ def _write(path: Path, image: NDArray[Any]) -> None:
     good, data = cv2.imencode(".png", image)
     if not good:
         raise CaptureError(f"{path}: the image of shape {image.shape} cannot be written as PNG")
-    data.tofile(path)
+    with named(path):
+        path.write_bytes(data.tobytes())
 
 
 def read_depth(path: Path, depth_scale: float) -> NDArray[np.float32]:

@@ -10,7 +10,8 @@ from urllib.parse import quote
 
 from fusion.results.batch import Outcome
 from fusion.results.batch_files import median
-from fusion.results.report.files import asset, page, replace_file
+from fusion.results.report.files import asset, page
+from scenes.files.whole import replace_file
 
 # Name, kind for sorting, whether a small screen goes without.
 HEADS = (
