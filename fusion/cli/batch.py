@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fusion.cli.config import add_config, read_config
 from fusion.cli.options import (
     add_object,
     add_prior,
@@ -38,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--use", metavar="SENSES", type=names, default=("vision", "touch"), help="vision,touch (default)"
     )
     add_prior(parser)
+    add_config(parser)
     parser.add_argument("--out", metavar="DIR", type=Path, help="where to write (default out/NAME of the folder)")
     parser.add_argument("--no-report", action="store_true", help="skip the captures' report.html")
     parser.add_argument("--again", action="store_true", help="also what an earlier run did")
@@ -45,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when a capture failed or a frame is lost."""
-    from fusion.cli.options import prior_setter
+    from fusion.cli.priors import prior_setter
     from fusion.estimation.stages import check_senses
     from fusion.results.batch import Job, Outcome, find_captures, finished
     from fusion.results.batch_files import summary_of, write_all
@@ -55,8 +57,15 @@ def run(args: argparse.Namespace) -> int:
     prior_setter(args.prior, args.seed)  # a mistake in it is one line now, not one a capture
     paths = find_captures(args.folder)
     out = out_folder(args, args.folder.resolve().name)
-    told = {"use": use, "prior": args.prior, "object": args.object, "unit": args.unit, "report": not args.no_report}
+    told: dict[str, Any] = {
+        "use": use,
+        "prior": args.prior,
+        "object": args.object,
+        "unit": args.unit,
+        "report": not args.no_report,
+    }
     told["trust_paths"] = args.trust_paths
+    told["settings"] = None if args.config is None else read_config(args.config).estimate
     jobs = []
     for path in paths:
         name = path.relative_to(args.folder).as_posix()

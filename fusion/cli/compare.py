@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fusion.cli.config import add_config, read_config
 from fusion.cli.options import (
     add_object,
     add_prior,
@@ -15,12 +16,12 @@ from fusion.cli.options import (
     load_object,
     names,
     number,
-    prior_setter,
     progress,
     say,
     show_table,
     write_json,
 )
+from fusion.cli.priors import prior_setter
 
 if TYPE_CHECKING:
     from fusion.truth.compare import Summary
@@ -51,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_object(parser, what="instead of the captures' object")
     add_prior(parser)
+    add_config(parser)
     parser.add_argument("--plot", metavar="FILE", type=Path, help="also draw the errors: .html or .svg")
 
 
@@ -64,13 +66,13 @@ def run(args: argparse.Namespace) -> int:
     if args.plot is not None:
         check_suffix(args.plot)
         check_target(args.plot)
+    settings = read_config(args.config).estimate
     captures = [read_capture(path, args.trust_paths) for path in args.captures]
     model = load_object(args.object, args.unit) if args.object else None
     total = len(methods) * sum(map(len, captures))
     announce_compiling()
-    rows = list(
-        progress(compare(captures, methods, args.seed, model, prior_setter(args.prior, args.seed)), total, "comparing")
-    )
+    prepare = prior_setter(args.prior, args.seed)
+    rows = list(progress(compare(captures, methods, args.seed, model, prepare, settings), total, "comparing"))
     summaries = summarise(rows)
     show(summaries)
     if args.plot is not None:

@@ -18,13 +18,13 @@ from fusion.cli.options import (
     number,
     out_folder,
     positive,
-    prior_setter,
     progress,
     say,
     show_table,
     whole,
     write_json,
 )
+from fusion.cli.priors import prior_setter
 
 if TYPE_CHECKING:
     from fusion.advice.grasp import GraspAnswer

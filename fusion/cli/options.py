@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import errno
 import json
+import logging
 import math
 import re
 import sys
@@ -15,12 +16,13 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from scenes.errors import InputError, unknown
+from scenes.errors import unknown
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from fusion.estimation.answer import Estimate
+    from fusion.estimation.stages import EstimateSettings
     from scenes.geometry.objects import ObjectModel
     from scenes.recordings.frames import Frame
 
@@ -28,6 +30,9 @@ T = TypeVar("T")
 
 # Output that is not a terminal has no width; tables must not be cut there.
 PIPE_WIDTH = 200
+
+# Each has a logger of its name.
+PACKAGES = ("scenes", "vision", "touch", "fusion")
 
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 ANGLES = {"deg": math.pi / 180.0, "rad": 1.0}
@@ -37,6 +42,9 @@ def add_common(parser: argparse.ArgumentParser) -> None:
     """The options that every command has."""
     parser.add_argument("--json", metavar="FILE", type=Path, help="write the result as JSON")
     parser.add_argument("--seed", metavar="S", type=whole, default=0, help="seed of everything random (default 0)")
+    volume = parser.add_mutually_exclusive_group()
+    volume.add_argument("-v", "--verbose", action="count", default=0, help="say what is done on stderr; -vv: and how")
+    volume.add_argument("-q", "--quiet", action="store_true", help="print nothing but errors")
 
 
 def add_object(parser: argparse.ArgumentParser, required: bool = False, what: str = "the object") -> None:
@@ -150,55 +158,6 @@ def load_object(name: str, unit: str = "m") -> ObjectModel:
     return ObjectModel.load(name, unit=unit)
 
 
-def prior_setter(text: str | None, seed: int) -> Callable[[Frame, ObjectModel], Frame]:
-    """What `--prior` does to a frame; raises InputError for a text that is none of the three kinds."""
-    from dataclasses import replace
-
-    if text is None:
-        return lambda frame, model: frame
-    if text == "none":
-        return lambda frame, model: replace(frame, prior=None)
-    if text.startswith("gt"):
-        return _truth_plus(text, seed)
-    from scenes.files.bop import read_priors
-    from scenes.files.problems import refuse
-
-    if not Path(text).is_file():
-        raise InputError(f"prior: expected none, gt+NOISE like gt+33mm,16deg, or a file, got {text!r}")
-    priors = read_priors(text, refuse)
-
-    def from_file(frame: Frame, model: ObjectModel) -> Frame:
-        if frame.index not in priors:
-            raise InputError(f"{text}: expected a prior of frame {frame.index}, found none")
-        return replace(frame, prior=priors[frame.index])
-
-    return from_file
-
-
-def _truth_plus(text: str, seed: int) -> Callable[[Frame, ObjectModel], Frame]:
-    from dataclasses import replace
-
-    import numpy as np
-
-    from scenes.geometry import poses
-
-    noise = (0.0, 0.0)
-    if text != "gt":
-        try:
-            noise = length_and_angle(text.removeprefix("gt").removeprefix("+"))
-        except argparse.ArgumentTypeError as error:
-            raise InputError(f"prior: {error}") from error
-
-    def from_truth(frame: Frame, model: ObjectModel) -> Frame:
-        truth = frame.camera_from_object_truth
-        if truth is None:
-            raise InputError(f"{frame.where}: expected ground truth for --prior {text}, found none")
-        rng = np.random.default_rng([seed, frame.index])
-        return replace(frame, prior=poses.displaced(truth, noise[1], noise[0], model.centroid, rng))
-
-    return from_truth
-
-
 def console() -> Console:
     """Where tables go: as wide as the terminal, uncut and uncoloured in a pipe."""
     from rich.console import Console
@@ -209,6 +168,8 @@ def console() -> Console:
 
 def show_table(columns: Iterable[str], rows: Iterable[Iterable[str]], title: str | None = None) -> None:
     """Print a table; the first column is text, the others are numbers and stand right."""
+    if _QUIET:
+        return
     from rich import box
     from rich.markup import escape
     from rich.table import Table
@@ -223,18 +184,54 @@ def show_table(columns: Iterable[str], rows: Iterable[Iterable[str]], title: str
 
 def say(text: str) -> None:
     """One line on standard output."""
-    sys.stdout.write(f"{text}\n")
+    if not _QUIET:
+        sys.stdout.write(f"{text}\n")
+
+
+def pose_lines(pose: Any) -> list[str]:
+    """A pose (4, 4) for a person: position (mm), rotation vector (degrees), and the matrix to copy."""
+    import numpy as np
+
+    from scenes.geometry.poses import log_rotation
+
+    matrix = np.asarray(pose, dtype=np.float64)
+    place = " ".join(f"{1e3 * x:.2f}" for x in matrix[:3, 3])
+    turn = " ".join(f"{x:.2f}" for x in np.rad2deg(log_rotation(matrix[:3, :3])))
+    rows = "], [".join(", ".join(f"{x:.6f}" for x in row) for row in matrix)
+    return [f"position {place} mm, rotation vector {turn} °", f"[[{rows}]]"]
 
 
 def announce_compiling() -> None:
     """On a machine's first run, say what the next half minute is spent on (standard error, so results stay clean)."""
+    if not kernels_compiled()[0] and not _QUIET:
+        sys.stderr.write("compiling the kernels, once on this machine: some 20 s\n")
+        sys.stderr.flush()
+
+
+def kernels_compiled() -> tuple[bool, Path]:
+    """Whether an earlier run compiled the kernels, and the folder where they are kept."""
     from scenes.evidence.solver_kernels import align_poses
 
     # numba keeps an index beside the module, or in the user's cache folder when it may not write there
-    stats = align_poses._cache  # type: ignore[attr-defined]
-    if not any(Path(stats.cache_path).glob("solver_kernels.align_poses-*.nbi")):
-        sys.stderr.write("compiling the kernels, once on this machine: some 20 s\n")
-        sys.stderr.flush()
+    folder = Path(align_poses._cache.cache_path)  # type: ignore[attr-defined]
+    return any(folder.glob("solver_kernels.align_poses-*.nbi")), folder
+
+
+# Whether -q was given: files and exit codes only.
+_QUIET = False
+
+
+def set_volume(verbose: int, quiet: bool) -> None:
+    """What -v and -q ask for: -v says on standard error what is done, -vv how; -q says nothing but errors."""
+    global _QUIET
+    _QUIET = quiet
+    if verbose:
+        handler = logging.StreamHandler(sys.stderr)
+        handler.setFormatter(logging.Formatter("%(name)s: %(message)s"))
+        for package in PACKAGES:
+            logger = logging.getLogger(package)
+            logger.handlers = [handler]  # a second command of the same process does not say all twice
+            logger.setLevel(logging.INFO if verbose == 1 else logging.DEBUG)
 
 
 def number(value: float | None, digits: int = 2) -> str:
@@ -269,7 +266,7 @@ def check_folder(path: Path) -> Path:
     try:
         _try_writing(there)
     except OSError as error:
-        raise PermissionError(errno.EACCES, "cannot be written to", str(there)) from error
+        raise PermissionError(errno.EACCES, "cannot be written to", str(path)) from error
     return path
 
 
@@ -293,7 +290,7 @@ def write_json(path: Path | None, content: Any) -> None:
 
 def progress(items: Iterable[T], total: int, what: str) -> Iterator[T]:
     """The items, with a bar on a terminal and silence in a pipe."""
-    if not sys.stderr.isatty() or total < 2:
+    if _QUIET or not sys.stderr.isatty() or total < 2:
         yield from items
         return
     from rich.console import Console
@@ -323,6 +320,7 @@ def estimates(
     seed: int,
     tolerance: tuple[float, float] | None = None,
     budget_ms: float | None = None,
+    settings: EstimateSettings | None = None,
 ) -> Iterator[tuple[Frame, Estimate]]:
     """Each frame as `prepare` has it, and its answer. The first is estimated twice: that loads the compiled kernels,
     and a frame's time should tell of the frame. Raises CaptureError for a frame that no estimate should be made of.
@@ -330,14 +328,17 @@ def estimates(
     from fusion.estimation.estimate import estimate
     from scenes.recordings.validation import check_usable
 
+    log = logging.getLogger(__name__)
     warm = False
     for one in recorded:
         frame = prepare(one, model)
         check_usable(frame, model, vision="vision" in use)
         if not warm:
-            estimate(frame, model, use=use, budget_ms=budget_ms, seed=seed)
+            estimate(frame, model, use=use, budget_ms=budget_ms, seed=seed, settings=settings)
             warm = True
-        yield frame, estimate(frame, model, use=use, tolerance=tolerance, budget_ms=budget_ms, seed=seed)
+        answer = estimate(frame, model, use=use, tolerance=tolerance, budget_ms=budget_ms, seed=seed, settings=settings)
+        log.info("frame %d: %s in %.0f ms: %s", frame.index, answer.verdict, answer.time_ms, "; ".join(answer.notes))
+        yield frame, answer
 
 
 def out_folder(args: argparse.Namespace, name: str) -> Path:

@@ -5,18 +5,19 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
+from fusion.cli.config import add_config, read_config
 from fusion.cli.options import (
     add_run,
     announce_compiling,
     load_object,
     number,
     out_folder,
-    prior_setter,
     progress,
     say,
     show_table,
     write_run,
 )
+from fusion.cli.priors import prior_setter
 
 if TYPE_CHECKING:
     from fusion.tracking.answer import TrackedEstimate
@@ -30,6 +31,7 @@ LONG = 40
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
     add_run(parser)
+    add_config(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -42,11 +44,12 @@ def run(args: argparse.Namespace) -> int:
     from scenes.recordings.validation import check_scale
 
     senses = tuple(sorted(check_senses(args.use), reverse=True))
+    settings = read_config(args.config).track
     capture = read_capture(args.capture, args.trust_paths)
     out_folder(args, capture.name)  # before the work, not after it
     model = load_object(args.object, args.unit) if args.object else capture.model
     prepare = prior_setter(args.prior, args.seed)
-    judge, tracker = Judge(model), Tracker(model, use=senses, seed=args.seed)
+    judge, tracker = Judge(model), Tracker(model, use=senses, seed=args.seed, settings=settings)
     announce_compiling()
     frames: list[Frame] = []
     answers: list[TrackedEstimate] = []
@@ -57,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
         if not answers:
             # compiles, loads the kernels and the lattice: a frame's time should tell of the frame
             check_scale(frame, model)
-            Tracker(model, use=senses, seed=args.seed).step(frame)
+            Tracker(model, use=senses, seed=args.seed, settings=settings).step(frame)
         frames.append(frame)
         answers.append(tracker.step(frame))
         errors.append(frame_errors(judge, frame, answers[-1]))

@@ -17,10 +17,13 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from scenes.errors import InputError, PalpateError
 from scenes.files.whole import draft_folder, put, replace_file
+
+if TYPE_CHECKING:
+    from fusion.estimation.stages import EstimateSettings
 
 # A capture whose worker dies is tried so often.
 TRIES = 2
@@ -64,11 +67,14 @@ class Job:
     report: bool = True
     seed: int = 0
     trust_paths: bool = False
+    settings: EstimateSettings | None = None
 
     @property
     def fingerprint(self) -> str:
         """Of everything that changes the results; the same for the same question."""
         told = {key: value for key, value in asdict(self).items() if key not in ("path", "name", "out", "trust_paths")}
+        if self.settings is None:
+            del told["settings"]
         return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -115,7 +121,8 @@ def finished(job: Job) -> list[Row] | None:
 def run_capture(job: Job) -> list[Row]:
     """Estimate every frame of a capture and write its results: a folder that appears whole. In a worker process."""
     one_thread()
-    from fusion.cli.options import estimates, load_object, prior_setter
+    from fusion.cli.options import estimates, load_object
+    from fusion.cli.priors import prior_setter
     from fusion.results.files import frame_errors, result_json, write_results
     from fusion.truth.errors import Judge, json_number
     from scenes.recordings.captures import read_capture
@@ -124,7 +131,7 @@ def run_capture(job: Job) -> list[Row]:
     model = load_object(job.object, job.unit) if job.object else capture.model
     prepare, judge = prior_setter(job.prior, job.seed), Judge(model)
     frames, answers, errors = [], [], []
-    for frame, answer in estimates(capture, model, prepare, job.use, job.seed):
+    for frame, answer in estimates(capture, model, prepare, job.use, job.seed, settings=job.settings):
         frames.append(frame)
         answers.append(answer)
         errors.append(frame_errors(judge, frame, answer))

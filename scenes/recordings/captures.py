@@ -7,6 +7,7 @@ frame: reading refuses at the first problem, `scenes.recordings.validation` coll
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from pathlib import Path
@@ -30,6 +31,8 @@ __all__ = ["Capture", "read_capture", "write_capture"]
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
+
+_log = logging.getLogger(__name__)
 
 CSV_FILES = {
     "joints.csv": tables.JOINTS,
@@ -63,6 +66,7 @@ class Capture:
         self._tactile = self._tactile_files()
         self.frame_ids = self._find_frames()
         self._check_strays()
+        _log.info("%s: %s, %d of its frames", self.path, self.settings.name, len(self.frame_ids))
 
     @property
     def name(self) -> str:

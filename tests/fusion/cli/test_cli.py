@@ -86,7 +86,7 @@ def test_priors(capture, tmp_path, capsys):
     base = ["estimate", str(capture), "--no-report", "--out", str(tmp_path / "o"), "--use", "touch"]
     for text in ("none", "gt", "gt+5mm,3deg", str(capture / "prior.json")):
         assert main([*base, "--prior", text]) in (0, 1)
-    from fusion.cli.options import prior_setter
+    from fusion.cli.priors import prior_setter
 
     frame = prior_setter("gt+33mm,16deg", 4)(read_capture(capture)[1], model)
     delta = poses.difference(frame.prior, truth, model.centroid)
