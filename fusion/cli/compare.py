@@ -59,6 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Exit code 0: a method that is lost is what a comparison is for."""
     from fusion.results.plots import check_suffix, write_plot
+    from fusion.truth.best import find_best, sentences
     from fusion.truth.compare import METHODS, check_methods, compare, summarise
     from scenes.recordings.captures import read_capture
 
@@ -74,11 +75,23 @@ def run(args: argparse.Namespace) -> int:
     prepare = prior_setter(args.prior, args.seed)
     rows = list(progress(compare(captures, methods, args.seed, model, prepare, settings), total, "comparing"))
     summaries = summarise(rows)
+    groups = list(dict.fromkeys(row.group for row in rows))
+    found = {group: find_best([row for row in rows if row.group == group], args.seed) for group in groups}
+    for group, best in found.items():
+        for line in sentences(best) if best is not None else ():
+            say(f"{group}: {line}" if len(groups) > 1 and not line.startswith(" ") else line)
     show(summaries)
     if args.plot is not None:
         write_plot(args.plot, rows)
         say(f"wrote {args.plot}")
-    write_json(args.json, {"summary": [s.to_json() for s in summaries], "rows": [row.to_json() for row in rows]})
+    write_json(
+        args.json,
+        {
+            "best": {group: best.to_json() for group, best in found.items() if best is not None},
+            "summary": [s.to_json() for s in summaries],
+            "rows": [row.to_json() for row in rows],
+        },
+    )
     return 0
 
 
