@@ -1,4 +1,4 @@
-"""Check a capture: every problem, each with file and frame."""
+"""Check a capture: every problem, each with file and frame; or one JSON file by its schema."""
 
 from __future__ import annotations
 
@@ -11,7 +11,12 @@ from fusion.cli.options import add_trust, say, write_json
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
     add_trust(parser)
-    parser.add_argument("capture", metavar="CAPTURE", type=Path, help="folder of the capture")
+    parser.add_argument(
+        "capture",
+        metavar="CAPTURE",
+        type=Path,
+        help="folder of the capture, or a capture.json, sensors.json, topics.json or result.json",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -20,6 +25,8 @@ def run(args: argparse.Namespace) -> int:
     from scenes.recordings.captures import Capture
     from scenes.recordings.validation import validate
 
+    if args.capture.is_file() and args.capture.suffix.lower() == ".json":
+        return _one_file(args)
     if not args.capture.is_dir():
         found = "a file" if args.capture.exists() else "nothing"
         raise CaptureError(f"{args.capture}: expected the folder of a capture, found {found}")
@@ -34,3 +41,24 @@ def run(args: argparse.Namespace) -> int:
         return 1
     say(f"{args.capture}: {frames} frame{'s'[: frames > 1]}, no problem")
     return 0
+
+
+def _one_file(args: argparse.Namespace) -> int:
+    """A single file against the schema of its kind."""
+    from scenes.errors import CaptureError
+    from scenes.files.bop import read_json
+    from scenes.files.problems import refuse
+    from scenes.files.schema import NAMES, complaints, kind_of
+
+    content = read_json(args.capture, refuse)
+    kind = kind_of(content)
+    if kind is None:
+        kinds = ", ".join(f"{name}.json" for name in NAMES)
+        raise CaptureError(f"{args.capture}: expected the content of one of {kinds}, got another file's")
+    found = complaints(content, kind)
+    entries = [{"file": str(args.capture), "frame": None, "message": line} for line in found]
+    write_json(args.json, {"valid": not found, "schema": kind, "problems": entries})
+    for line in found:
+        say(f"{args.capture}: {line}")
+    say(f"{args.capture}: {len(found) or 'no'} problem{'s'[: len(found) > 1]}, as a {kind}.json")
+    return 1 if found else 0

@@ -17,6 +17,7 @@ NEEDED = (
     "libusb-package",
     "opencv-contrib-python-headless",
     "rich",
+    "jsonschema",
     "threadpoolctl",
 )
 # Extras and the package that each adds.

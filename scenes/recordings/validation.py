@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, PalpateError
+from scenes.files import bop
 from scenes.files.problems import Problem
+from scenes.files.schema import complaints
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.captures import Capture
@@ -52,6 +54,7 @@ def validate(folder: str | Path, trust_paths: bool = False) -> list[Problem]:
         capture = Capture(folder, problems.append, trust_paths)
     except CaptureError as error:
         return [*problems, Problem(str(folder), None, str(error))]
+    problems += _by_schema(capture, problems)
     model = _attempt(capture, problems)
     for number in capture.frame_ids:
         frame = capture.frame(number)
@@ -61,6 +64,21 @@ def validate(folder: str | Path, trust_paths: bool = False) -> list[Problem]:
         if message is not None:
             problems.append(Problem(str(capture.path), number, message))
     return list(dict.fromkeys(problems))
+
+
+def _by_schema(capture: Capture, known: list[Problem]) -> list[Problem]:
+    """What the schemas find in capture.json and the hand's sensors.json, when nothing is known of these files yet."""
+    files = {"capture": capture.path / "capture.json"}
+    hand = capture.settings.hand
+    if hand is not None:
+        files["sensors"] = capture.path / (hand[1] or Path(hand[0]).parent / "sensors.json")
+    found = []
+    for name, path in files.items():
+        if path.is_file() and not any(problem.file == str(path) for problem in known):
+            content = bop.read_json(path, lambda problem: None)
+            if content is not None:
+                found += [Problem(str(path), None, complaint) for complaint in complaints(content, name)]
+    return found
 
 
 def _attempt(capture: Capture, problems: list[Problem]) -> ObjectModel | None:
