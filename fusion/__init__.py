@@ -7,6 +7,7 @@ Names are loaded when they are first used, so that `palpate --help` does not wai
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -27,6 +28,9 @@ __all__ = [
     "estimate",
     "track",
 ]
+
+# Silent unless who uses the package listens.
+logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 _HOMES = {
     "Estimate": "fusion.estimation.answer",

@@ -7,6 +7,7 @@ Names are loaded when they are first used.
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
     from touch.recognition import Identification, identify
 
 __all__ = ["Contacts", "Identification", "Localization", "identify", "localize"]
+
+# Silent unless who uses the package listens.
+logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 _HOMES = {
     "Contacts": "scenes.recordings.frames",

@@ -7,6 +7,7 @@ Names are loaded when they are first used.
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -28,6 +29,9 @@ __all__ = [
     "track_by_vision",
     "view_hand",
 ]
+
+# Silent unless who uses the package listens.
+logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 _HOMES = {
     "DepthModel": "scenes.recordings.beliefs",

@@ -6,7 +6,16 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion.cli.options import add_object, check_folder, check_target, positive_number, say, whole, write_json
+from fusion.cli.options import (
+    add_object,
+    add_trust,
+    check_folder,
+    check_target,
+    positive_number,
+    say,
+    whole,
+    write_json,
+)
 from fusion.results.runs import load_object
 
 if TYPE_CHECKING:
@@ -35,6 +44,7 @@ STAMP_RATE = 30.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
+    add_trust(parser)
     sources = "; ".join(f"{name} ({what})" for name, what in SOURCES.items())
     targets = "; ".join(f"{name} ({what})" for name, what in TARGETS.items())
     parser.add_argument(
@@ -43,7 +53,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("out", metavar="OUT", type=Path, help="folder or file to write")
     parser.add_argument("--from", dest="kind", metavar="FORMAT", help=f"of a recording, else seen from it: {sources}")
     parser.add_argument(
-        "--to", metavar="FORMAT", help=f"what a capture (or a result, with its capture) becomes: {targets}"
+        "--to",
+        metavar="FORMAT",
+        help=f"what a capture (or a result, with its capture) becomes: {targets}; default: by the ending of OUT, else"
+        " bop of images and off of clouds",
     )
     add_object(parser, what="instead of the recording's object, or where it has none")
     parser.add_argument("--object-id", metavar="N", type=whole, help="bop, tacman: which object of several")
@@ -241,12 +254,13 @@ def _export(args: argparse.Namespace) -> Converted:
     from scenes.formats.conversion import Converted
     from scenes.recordings.captures import read_capture
 
-    capture = read_capture(args.source)
+    capture = read_capture(args.source, args.trust_paths)
     endings = {".glb": "glb", ".tum": "tum"}
     ending = args.out.suffix.lower()
     if args.to is None and ending[1:].isalpha() and ending not in endings:
         raise InputError(f"{args.out}: expected a folder, or a file that ends in {' or '.join(endings)}; else say --to")
-    to = args.to or endings.get(ending, "off")
+    images = (capture.path / "scene_camera.json").is_file()
+    to = args.to or endings.get(ending, "bop" if images else "off")
     (check_folder if to in ("bop", "off") else check_target)(args.out)
     if to == "bop":
         return bop_scene.export(capture, args.out)

@@ -6,7 +6,16 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion.cli.options import add_object, announce_compiling, number, positive, say, show_table, write_json
+from fusion.cli.options import (
+    add_object,
+    announce_compiling,
+    number,
+    pose_lines,
+    positive,
+    say,
+    show_table,
+    write_json,
+)
 from fusion.results.runs import load_object
 
 if TYPE_CHECKING:
@@ -76,6 +85,11 @@ def run(args: argparse.Namespace) -> int:
         trials.append(found)
         verdicts.append(found["verdict"])
     _show(trials, cloud is not None)
+    best = min(range(len(trials)), key=lambda i: trials[i]["index_mm"])
+    said, matrix = pose_lines(trials[best]["pose"])
+    which = f", trial {best}" if len(trials) > 1 else ""
+    say(f"object in the contacts' frame{which}: {said}")
+    say(f"contacts_frame_from_object (m): {matrix}")
     content = {"method": args.method, "object": model.name, "contacts": len(contacts), "trials": trials}
     write_json(args.json, content)
     return 1 if verdicts[-1] == "lost" else 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.cli.options import add_object, names, positive, say, share, write_json
+from fusion.cli.options import add_object, check_folder, names, positive, say, share, write_json
 from fusion.results.runs import load_object
 from scenes.synthesis.staging.pieces import PIECES
 
@@ -45,6 +45,7 @@ def run(args: argparse.Namespace) -> int:
     from scenes.synthesis.recording import synthesize
 
     refuse_foreign_folder(args.out)  # before the work, not after it
+    check_folder(args.out)
     model, hand = load_object(args.object, args.unit), load_hand(args.hand)
     capture = synthesize(
         args.out,

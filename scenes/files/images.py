@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError
+from scenes.files.whole import named
 
 LARGEST_COUNT = 65535
 # Depth counts are in multiples of a millimetre, metres everywhere else.
@@ -70,7 +71,8 @@ def _write(path: Path, image: NDArray[Any]) -> None:
     good, data = cv2.imencode(".png", image)
     if not good:
         raise CaptureError(f"{path}: the image of shape {image.shape} cannot be written as PNG")
-    data.tofile(path)
+    with named(path):
+        path.write_bytes(data.tobytes())
 
 
 def read_depth(path: Path, depth_scale: float) -> NDArray[np.float32]:

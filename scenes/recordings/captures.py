@@ -7,6 +7,7 @@ frame: reading refuses at the first problem, `scenes.recordings.validation` coll
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from pathlib import Path
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError, PalpateError
 from scenes.files import images, tables
+from scenes.files.inside import refuse_links_outside, stays_inside
 from scenes.files.problems import Problem, Report, refuse
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
@@ -30,6 +32,8 @@ __all__ = ["Capture", "read_capture", "write_capture"]
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
+
+_log = logging.getLogger(__name__)
 
 CSV_FILES = {
     "joints.csv": tables.JOINTS,
@@ -46,9 +50,14 @@ class Capture:
     Attributes: path; manifest (capture.json); frame_ids, sorted; model and hand, read at the first use.
     """
 
-    def __init__(self, path: str | Path, report: Report = refuse) -> None:
-        """Read capture.json and find the frames; use `read_capture`. Raises CaptureError for no capture at all."""
+    def __init__(self, path: str | Path, report: Report = refuse, trust_paths: bool = False) -> None:
+        """Read capture.json and find the frames; use `read_capture`. Raises CaptureError for no capture at all, and for
+        one that leads out of its folder unless its paths are trusted.
+        """
         self.path = Path(path)
+        self._within = None if trust_paths else self.path
+        if self.path.is_dir() and not trust_paths:
+            refuse_links_outside(self.path)
         self.report = report
         self.manifest = read_manifest(self.path, report)
         self._tables = {name: self._table(name) for name in CSV_FILES}
@@ -58,6 +67,7 @@ class Capture:
         self._tactile = self._tactile_files()
         self.frame_ids = self._find_frames()
         self._check_strays()
+        _log.info("%s: %s, %d of its frames", self.path, self.manifest.name, len(self.frame_ids))
 
     @property
     def name(self) -> str:
@@ -81,6 +91,7 @@ class Capture:
     @cached_property
     def model(self) -> ObjectModel:
         """The object, metres, with the symmetries of models_info.json."""
+        stays_inside(self.path / self.manifest.model, self._within, self._file("capture.json"))
         return read_model(self.path, self.manifest)
 
     @cached_property
@@ -89,11 +100,14 @@ class Capture:
         if self.manifest.hand is None:
             return None
         urdf, sensors = (None if part is None else self.path / part for part in self.manifest.hand)
+        for part in (urdf, sensors):
+            if part is not None:
+                stays_inside(part, self._within, self._file("capture.json"))
         if urdf is None or not urdf.is_file():
             raise CaptureError(f"{self.path / 'capture.json'}: expected a hand URDF at {urdf}, found none")
         if sensors is not None and not sensors.is_file():
             raise CaptureError(f"{self.path / 'capture.json'}: expected the hand's sensors at {sensors}, found none")
-        return Hand.load(urdf, sensors)
+        return Hand.load(urdf, sensors, self._within)
 
     def frame(self, number: int) -> Frame:
         """The frame of that number. Raises CaptureError for one that is not there or is malformed."""
@@ -106,7 +120,8 @@ class Capture:
         truth = self._attempt("scene_gt.json", number, lambda: self._truth(number))
         mask_name = f"mask_visib/{number:06d}_{truth[1] if truth else 0:06d}.png"
         mask = self._image_file(mask_name, number, images.read_mask)
-        self._same_size(number, {"depth": depth, "rgb": rgb, mask_name: mask})
+        fits = self._same_size(number, {"depth": depth, "rgb": rgb, mask_name: mask})
+        rgb, mask = rgb if fits["rgb"] else None, mask if fits[mask_name] else None
         shape = next((image.shape for image in (depth, rgb, mask) if image is not None), None)
         if entry is not None:
             camera = self._attempt("scene_camera.json", number, lambda: bop.camera(entry, shape))
@@ -117,7 +132,7 @@ class Capture:
             where=f"{self.path}, frame {number}",
             camera=camera,
             camera_from_world=camera_from_world,
-            depth=depth,
+            depth=depth if camera is not None else None,  # what is wrong with its camera is reported
             rgb=rgb,
             mask=mask,
             cloud=cloud,
@@ -217,13 +232,17 @@ class Capture:
         path = self.path / name
         return self._attempt(name, number, lambda: read(path)) if path.is_file() else None
 
-    def _same_size(self, number: int, seen: dict[str, NDArray[Any] | None]) -> None:
+    def _same_size(self, number: int, seen: dict[str, NDArray[Any] | None]) -> dict[str, bool]:
+        """Which images have the size of the first that is there; the others are reported."""
         shapes = {name: image.shape[:2] for name, image in seen.items() if image is not None}
+        fits = dict.fromkeys(seen, True)
         for name, shape in shapes.items():
             first, expected = next(iter(shapes.items()))
             if shape != expected:
+                fits[name] = False
                 sizes = f"{expected[1]}x{expected[0]} pixels like {first}, got {shape[1]}x{shape[0]}"
                 self.report(Problem(self._file(name), number, f"expected {sizes}"))
+        return fits
 
     def _cloud(self, number: int) -> tuple[Array | None, NDArray[np.uint8] | None]:
         from scenes.files.ply import read_cloud
@@ -317,13 +336,16 @@ class Capture:
         return None if taxels is None else len(taxels)
 
 
-def read_capture(folder: str | Path) -> Capture:
+def read_capture(folder: str | Path, trust_paths: bool = False) -> Capture:
     """Open a capture; frames are read when they are asked for.
+
+    trust_paths: also read files outside the folder, which capture.json, the hand's files or links may name; by default
+    these are refused.
 
     Raises CaptureError, one line with file, frame and column, for whatever is missing or malformed: here for
     capture.json and the CSVs, when a frame is read for its images, clouds and joints.
     """
-    return Capture(folder)
+    return Capture(folder, trust_paths=trust_paths)
 
 
 def contacts_of(rows: tables.CsvTable) -> Contacts:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import InputError
+from scenes.files.inside import stays_inside
 from scenes.files.ply import write_ply
 from scenes.files.problems import UNREADABLE
 from scenes.geometry import poses
@@ -60,8 +61,11 @@ class Sensor:
         return entry
 
 
-def read_sensors(path: str | Path) -> dict[str, Sensor]:
-    """All sensors of a sensors.json by name, in the file's order; InputError names file and sensor."""
+def read_sensors(path: str | Path, within: Path | None = None) -> dict[str, Sensor]:
+    """All sensors of a sensors.json by name, in the file's order; InputError names file and sensor.
+
+    within: a folder out of which the meshes of surfaces may not lie (CaptureError); by default anywhere.
+    """
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: expected a sensors file, found none")
@@ -71,7 +75,7 @@ def read_sensors(path: str | Path) -> dict[str, Sensor]:
         raise InputError(f"{path}: expected JSON, got malformed text: {error}") from error
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected an object of sensors by name, got {type(data).__name__}")
-    return {name: _parse(name, entry, f"{path}: sensor {name!r}", path.parent) for name, entry in data.items()}
+    return {name: _parse(name, entry, f"{path}: sensor {name!r}", path.parent, within) for name, entry in data.items()}
 
 
 def write_sensors(path: str | Path, sensors: dict[str, Sensor]) -> None:
@@ -118,7 +122,7 @@ def _hull_of(path: Path, changed: int, where: str) -> tuple[Array, NDArray[np.in
     return np.asarray(hull.vertices, dtype=np.float64), np.asarray(hull.faces, dtype=np.int64)
 
 
-def _parse(name: str, entry: Any, where: str, folder: Path) -> Sensor:
+def _parse(name: str, entry: Any, where: str, folder: Path, within: Path | None) -> Sensor:
     if not isinstance(entry, dict):
         raise InputError(f"{where}: expected an object with link, kind and link_from_sensor, got {entry!r}")
     link, kind = entry.get("link"), entry.get("kind")
@@ -140,10 +144,11 @@ def _parse(name: str, entry: Any, where: str, folder: Path) -> Sensor:
     if soft_layer is not None and not isinstance(soft_layer, dict):
         raise InputError(f"{where}: soft_layer: expected an object, got {soft_layer!r}")
     link_from_sensor = poses.check_pose(pose.reshape(4, 4), f"{where}: link_from_sensor")
-    return Sensor(name, link, kind, link_from_sensor, _surface(entry.get("surface"), where, folder), taxels, soft_layer)
+    surface = _surface(entry.get("surface"), where, folder, within)
+    return Sensor(name, link, kind, link_from_sensor, surface, taxels, soft_layer)
 
 
-def _surface(surface: Any, where: str, folder: Path) -> dict[str, dict[str, Any]] | None:
+def _surface(surface: Any, where: str, folder: Path, within: Path | None) -> dict[str, dict[str, Any]] | None:
     if surface is None:
         return None
     where = f"{where}: surface"
@@ -159,7 +164,7 @@ def _surface(surface: Any, where: str, folder: Path) -> dict[str, dict[str, Any]
         if kind == "mesh":
             if not isinstance(value, str):
                 raise InputError(f"{where}: mesh: expected a file name, got {value!r}")
-            return {kind: {"file": str((folder / value).resolve())}}
+            return {kind: {"file": str(stays_inside(folder / value, within, where).resolve())}}
         numbers = _floats(value, f"{where}: {kind} {key}").ravel()
         if len(numbers) != (3 if key == "radii" else 1) or (numbers <= 0).any():
             raise InputError(f"{where}: {kind} {key}: expected lengths above 0 in metres, got {value!r}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+import cv2
 import docs_commands
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from docs_commands import ROOT, matches
 from fusion.cli.parser import build_parser
 from scenes.files.ply import write_ply
 from scenes.synthesis import library
+from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.recording import synthesize
 
 DOCS = ROOT / "docs"
@@ -56,13 +58,17 @@ def test_every_command_has_an_example_that_works(tmp_path, monkeypatch):
 
 
 def test_the_front_page(tmp_path, monkeypatch):
-    """Its Python, with a drill, a capture of it and contacts."""
+    """Its Python, with a drill, a capture of it, that capture's arrays, and contacts."""
     monkeypatch.chdir(tmp_path)
     drill = library.make("drill")
     write_ply(tmp_path / "drill.ply", drill.vertices, drill.faces)
-    synthesize(tmp_path / "captures/drill", drill, occlusion=0.3, noise="clean", seed=1)
+    capture = synthesize(tmp_path / "captures/drill", drill, five_finger_hand(), occlusion=0.3, noise="clean", seed=1)
+    seen = capture[0]
+    cv2.imwrite(str(tmp_path / "depth.png"), np.rint(1e3 * seen.depth).astype(np.uint16))
+    np.savetxt(tmp_path / "contacts.txt", seen.contacts.points)
     points, normals = drill.sample_surface(6, seed=0)
-    names = docs_commands.run(README, tmp_path, {"points": points, "normals": normals})
+    live = [(seen.depth, seen.contacts.points)] * 3
+    names = docs_commands.run(README, tmp_path, {"points": points, "normals": normals, "sensors": live})
     assert names["answer"].verdict in ("ok", "ambiguous")
     assert len(names["where"].modes) >= 1
 
