@@ -23,11 +23,21 @@ except ImportError as error:  # another's "scenes" came first, and refuses in wo
 if TYPE_CHECKING:
     from fusion.estimation.answer import Estimate
     from fusion.estimation.estimate import estimate
-    from fusion.estimation.stages import EstimateSettings
+    from fusion.estimation.settings import EstimateSettings
+    from fusion.settings import Settings
     from fusion.tracking.answer import TrackedEstimate, TrackSettings
     from fusion.tracking.tracker import Tracker, track
 
-__all__ = ["Estimate", "EstimateSettings", "TrackSettings", "TrackedEstimate", "Tracker", "estimate", "track"]
+__all__ = [
+    "Estimate",
+    "EstimateSettings",
+    "Settings",
+    "TrackSettings",
+    "TrackedEstimate",
+    "Tracker",
+    "estimate",
+    "track",
+]
 
 check_packages()
 
@@ -36,7 +46,8 @@ logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 _HOMES = {
     "Estimate": "fusion.estimation.answer",
-    "EstimateSettings": "fusion.estimation.stages",
+    "EstimateSettings": "fusion.estimation.settings",
+    "Settings": "fusion.settings",
     "TrackSettings": "fusion.tracking.answer",
     "TrackedEstimate": "fusion.tracking.answer",
     "Tracker": "fusion.tracking.tracker",

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LocalizeSettings:
-    """The multi-start search over contacts."""
+    """The multi-start search over contacts. Values tuned on generated contacts where no reason is named."""
 
     # A prior narrower than this (rad, and share of the object's radius, per axis) is drawn from: how often, and the
     # blurs (shares of the radius, rad), steps and survivors of the passes.
@@ -25,8 +25,8 @@ class LocalizeSettings:
     narrow_share: float = 0.7
     draws: int = 60
     draw_passes: tuple[tuple[float, float, int, int], ...] = ((0.07, 0.25, 8, 12),)
-    # With normals on at least this many contacts: poses hypothesised from pairs of them, and of those the ones refined,
-    # with their one pass as above. Rows that ranking and refining may spend: with many contacts a few starts do.
+    # With normals on at least this many contacts: poses hypothesised from pairs of them, the blurs they are ranked with
+    # (share of the radius, rad), and of those the ones refined, with their one pass as above.
     least_normals: int = 3
     hypotheses: int = 8000
     rank_blur: tuple[float, float] = (0.07, 0.25)
@@ -35,6 +35,7 @@ class LocalizeSettings:
     # They are shaken by this much (rad, and share of the radius), a fraction of the table's grid: other seeds then look
     # at other places.
     jitter: float = 0.03
+    # Row evaluations that ranking and refining may spend: with many contacts a few starts do.
     budget_rank: int = 100_000
     budget_ranked: int = 20_000
     # Otherwise: starts everywhere; each costs about 10 microseconds with five contacts.
@@ -49,6 +50,8 @@ class LocalizeSettings:
     budget_rows: int = 400_000
     # Residuals this many times above the claimed sigma mean that the claim is wrong: the noise is then inferred.
     surprise: float = 1.5
+    # Nor does what that many standard deviations of their mean size may be by chance, which is more for fewer contacts.
+    surprise_sigmas: float = 3.0
     # Then some contacts may be false: as likely false as true at this many sigmas. At least this share of them, and
     # this many, must agree with one pose to within three sigmas: six contacts can always be met.
     false_gate: float = 4.0
@@ -91,6 +94,30 @@ def contact_index(model: ObjectModel, contacts: Contacts, pose: Array) -> float:
     return float(np.abs(distance).mean())
 
 
+def noise_at(model: ObjectModel, contacts: Contacts, pose: Array, covariance: Array) -> tuple[float, float]:
+    """Sigma (m) of the contacts' noise that their distances at a fitted `pose` speak of, and the degrees of freedom
+    that the fit left them.
+
+    covariance (6, 6) of the pose under the contacts' own sigmas, with all else that held it. A fit takes the leverage
+    h_i = j_i C j_i^T from the variance of residual i, so that E|r_i| = sigma sqrt(2 / pi) sqrt(1 - h_i): sums of these
+    suffer less from a few wild contacts than squares do.
+    """
+    distance, normal, _ = model.surface.closest(se3.apply(se3.inverse(pose), contacts.points))
+    outward = normal @ pose[:3, :3].T
+    lever = contacts.points - se3.apply(pose, model.centroid[None])
+    jacobian = np.concatenate([np.cross(outward, lever), -outward], axis=1) / contacts.sigma_point[:, None]
+    leverage = np.clip(np.einsum("ni,ij,nj->n", jacobian, covariance, jacobian), 0.0, 1.0)
+    # at most six parameters were fitted, whatever a covariance far from the contacts' optimum says
+    leverage *= min(1.0, 6.0 / max(float(leverage.sum()), 1e-9))
+    return float(noise_of(distance, leverage)), float(len(contacts) - leverage.sum())
+
+
+def noise_of(residuals: Array, leverage: Array) -> float:
+    """Sigma of Gaussian noise before a fit that took `leverage` (n,) of the variance of each of its residuals (n,)."""
+    expected = np.sqrt(2 / np.pi) * np.sqrt(np.maximum(1.0 - leverage, 0.0)).sum()
+    return float(np.abs(residuals).sum() / max(expected, 1e-9))
+
+
 def verdict_of(
     modes: tuple[Mode, ...], model: ObjectModel | None = None, settings: LocalizeSettings | None = None
 ) -> str:
@@ -103,13 +130,7 @@ def verdict_of(
         return "ambiguous"
     if model is None:
         return "ok"
-    covariance, rotation = modes[0].covariance, modes[0].pose[:3, :3]
-    turning = covariance[:3, :3]
-    if model.symmetries.is_spherical:
-        turning = np.zeros((3, 3))
-    elif model.symmetries.axes:
-        axis = rotation @ model.symmetries.axes[0].direction
-        across = np.eye(3) - np.outer(axis, axis)
-        turning = across @ turning @ across
-    widest = np.sqrt([np.linalg.eigvalsh(turning)[-1], np.linalg.eigvalsh(covariance[3:, 3:])[-1]])
+    own = model.symmetries.quotient(modes[0].pose[:3, :3], model.centroid)
+    covariance = own @ modes[0].covariance @ own.T
+    widest = np.sqrt([max(np.linalg.eigvalsh(covariance[k : k + 3, k : k + 3])[-1], 0.0) for k in (0, 3)])
     return "ok" if widest[0] < settings.unknown_angle and widest[1] < settings.unknown_distance else "ambiguous"

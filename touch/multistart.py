@@ -24,7 +24,7 @@ from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from touch.answers import Localization, LocalizeSettings, contact_index, verdict_of
+from touch.answers import Localization, LocalizeSettings, contact_index, noise_at, verdict_of
 from touch.polish import polish
 
 Array = NDArray[np.float64]
@@ -213,11 +213,13 @@ def _inferred_noise(
     """Sigma (m) that the residuals of the best pose speak of; None when the contacts' own claim holds."""
     if len(contacts) < 7:
         return None  # six contacts can always be met: their residuals tell nothing about noise
-    best = result.poses[int(np.argmin(result.costs))]
-    residual, _, _ = model.surface.closest(se3.apply(se3.inverse(best), contacts.points))
-    # 1.25 mean |r| is the sigma of a Gaussian and suffers less from a few wild contacts than the RMS
-    sigma = 1.25 * float(np.abs(residual).sum()) / (len(contacts) - 6) + 1e-6 * model.radius
+    best = int(np.argmin(result.costs))
+    sigma, left = noise_at(model, contacts, result.poses[best], covariance_of(model, result.hessians[best]))
+    sigma += 1e-6 * model.radius
     claimed = float(np.sqrt(np.mean(contacts.sigma_point**2)))
-    if sigma > settings.surprise * claimed or not contacts.sigma_known:
+    # a mean |r| of so few scatters by this share of itself, sqrt(pi / 2 - 1): chance is no surprise
+    chance = 0.756 / np.sqrt(max(left, 1.0))
+    limit = max(settings.surprise, 1.0 + settings.surprise_sigmas * chance)
+    if sigma > limit * claimed or not contacts.sigma_known:
         return sigma
     return None

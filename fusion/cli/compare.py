@@ -13,7 +13,6 @@ from fusion.cli.options import (
     add_trust,
     announce_compiling,
     check_target,
-    load_object,
     names,
     number,
     progress,
@@ -21,7 +20,7 @@ from fusion.cli.options import (
     show_table,
     write_json,
 )
-from fusion.cli.priors import prior_setter
+from fusion.results.runs import load_object, prior_setter
 
 if TYPE_CHECKING:
     from fusion.truth.compare import Summary

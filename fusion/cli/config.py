@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_type_hints
 from scenes.errors import InputError, unknown
 
 if TYPE_CHECKING:
-    from fusion.estimation.stages import EstimateSettings
+    from fusion.estimation.settings import EstimateSettings
     from fusion.tracking.answer import TrackSettings
 
 T = TypeVar("T")
@@ -33,7 +33,7 @@ class CommandSettings:
     @staticmethod
     def defaults() -> CommandSettings:
         """Those of the library."""
-        from fusion.estimation.stages import EstimateSettings
+        from fusion.estimation.settings import EstimateSettings
         from fusion.tracking.answer import TrackSettings
 
         return CommandSettings(EstimateSettings(), TrackSettings())

@@ -8,9 +8,7 @@ from fusion.cli.config import add_config, read_config
 from fusion.cli.options import (
     add_run,
     announce_compiling,
-    estimates,
     length_and_angle,
-    load_object,
     number,
     out_folder,
     pose_lines,
@@ -20,7 +18,7 @@ from fusion.cli.options import (
     show_table,
     write_run,
 )
-from fusion.cli.priors import prior_setter
+from fusion.results.runs import estimates, load_object, prior_setter
 
 # Frames whose reasons are printed; result.json has all of them.
 MOST_REMARKS = 5
@@ -40,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when a frame's answer is lost."""
-    from fusion.estimation.stages import check_senses
+    from fusion.estimation.asked import check_senses
     from fusion.results.files import frame_errors
     from fusion.truth.errors import Judge
     from scenes.recordings.captures import read_capture

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 from fusion.cli.options import (
     add_object,
     announce_compiling,
-    load_object,
     number,
     pose_lines,
     positive,
@@ -17,6 +16,7 @@ from fusion.cli.options import (
     show_table,
     write_json,
 )
+from fusion.results.runs import load_object
 
 if TYPE_CHECKING:
     from scenes.geometry.objects import ObjectModel

@@ -10,21 +10,17 @@ import errno
 import json
 import logging
 import math
-import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from scenes.errors import unknown
+from fusion.results import runs
+from scenes.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from fusion.estimation.answer import Estimate
-    from fusion.estimation.stages import EstimateSettings
-    from scenes.geometry.objects import ObjectModel
-    from scenes.recordings.frames import Frame
 
 T = TypeVar("T")
 
@@ -33,9 +29,6 @@ PIPE_WIDTH = 200
 
 # Each has a logger of its name.
 PACKAGES = ("scenes", "vision", "touch", "fusion")
-
-LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
-ANGLES = {"deg": math.pi / 180.0, "rad": 1.0}
 
 
 def add_common(parser: argparse.ArgumentParser) -> None:
@@ -127,35 +120,10 @@ def names(text: str) -> tuple[str, ...]:
 
 def length_and_angle(text: str) -> tuple[float, float]:
     """`33mm,16deg` or `33,16` (mm and degrees are understood) as metres and radians, for argparse."""
-    parts = text.split(",")
-    if len(parts) == 2:
-        length, angle = _quantity(parts[0], LENGTHS, "mm"), _quantity(parts[1], ANGLES, "deg")
-        if length is not None and angle is not None:
-            return length, angle
-    raise argparse.ArgumentTypeError(f"expected a length and an angle like 33mm,16deg, got {text!r}")
-
-
-def _quantity(text: str, units: dict[str, float], default: str) -> float | None:
-    match = re.fullmatch(r"\s*([0-9.]+(?:e-?[0-9]+)?)\s*([a-z]*)\s*", text)
-    if match is None or (match.group(2) or default) not in units:
-        return None
     try:
-        value = float(match.group(1)) * units[match.group(2) or default]
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
-
-
-def load_object(name: str, unit: str = "m") -> ObjectModel:
-    """A generated object by its name, else a mesh file. Raises PalpateError listing the names when it is neither."""
-    from scenes.geometry.objects import ObjectModel
-    from scenes.synthesis import library
-
-    if name in library.names() and not Path(name).is_file():
-        return library.make(name)
-    if not Path(name).exists():
-        raise unknown("object", name, library.names(), "a mesh file or one of")
-    return ObjectModel.load(name, unit=unit)
+        return runs.length_and_angle(text)
+    except InputError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
 
 
 def console() -> Console:
@@ -310,35 +278,6 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     add_prior(parser)
     parser.add_argument("--out", metavar="DIR", type=Path, help="where to write (default out/NAME of the capture)")
     parser.add_argument("--no-report", action="store_true", help="skip report.html")
-
-
-def estimates(
-    recorded: Iterable[Frame],
-    model: ObjectModel,
-    prepare: Callable[[Frame, ObjectModel], Frame],
-    use: tuple[str, ...],
-    seed: int,
-    tolerance: tuple[float, float] | None = None,
-    budget_ms: float | None = None,
-    settings: EstimateSettings | None = None,
-) -> Iterator[tuple[Frame, Estimate]]:
-    """Each frame as `prepare` has it, and its answer. The first is estimated twice: that loads the compiled kernels,
-    and a frame's time should tell of the frame. Raises CaptureError for a frame that no estimate should be made of.
-    """
-    from fusion.estimation.estimate import estimate
-    from scenes.recordings.validation import check_usable
-
-    log = logging.getLogger(__name__)
-    warm = False
-    for one in recorded:
-        frame = prepare(one, model)
-        check_usable(frame, model, vision="vision" in use)
-        if not warm:
-            estimate(frame, model, use=use, budget_ms=budget_ms, seed=seed, settings=settings)
-            warm = True
-        answer = estimate(frame, model, use=use, tolerance=tolerance, budget_ms=budget_ms, seed=seed, settings=settings)
-        log.info("frame %d: %s in %.0f ms: %s", frame.index, answer.verdict, answer.time_ms, "; ".join(answer.notes))
-        yield frame, answer
 
 
 def out_folder(args: argparse.Namespace, name: str) -> Path:

@@ -46,9 +46,9 @@ def run(args: argparse.Namespace) -> int:
 def _one_file(args: argparse.Namespace) -> int:
     """A single file against the schema of its kind."""
     from scenes.errors import CaptureError
-    from scenes.files.bop import read_json
     from scenes.files.problems import refuse
     from scenes.files.schema import NAMES, complaints, kind_of
+    from scenes.recordings.bop import read_json
 
     content = read_json(args.capture, refuse)
     kind = kind_of(content)

@@ -23,7 +23,7 @@ from scenes.errors import InputError, PalpateError
 from scenes.files.whole import draft_folder, put, replace_file
 
 if TYPE_CHECKING:
-    from fusion.estimation.stages import EstimateSettings
+    from fusion.estimation.settings import EstimateSettings
 
 # A capture whose worker dies is tried so often.
 TRIES = 2
@@ -121,9 +121,8 @@ def finished(job: Job) -> list[Row] | None:
 def run_capture(job: Job) -> list[Row]:
     """Estimate every frame of a capture and write its results: a folder that appears whole. In a worker process."""
     one_thread()
-    from fusion.cli.options import estimates, load_object
-    from fusion.cli.priors import prior_setter
     from fusion.results.files import frame_errors, result_json, write_results
+    from fusion.results.runs import estimates, load_object, prior_setter
     from fusion.truth.errors import Judge, json_number
     from scenes.recordings.captures import read_capture
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate
 from fusion.estimation.estimate import estimate
-from fusion.estimation.stages import EstimateSettings
+from fusion.estimation.settings import EstimateSettings
 from fusion.truth.errors import Agreement, Errors, Judge, json_number
 from scenes.errors import InputError
 from scenes.geometry import poses
@@ -28,7 +28,8 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings.captures import Capture
 from scenes.recordings.frames import Frame
 from scenes.recordings.validation import check_usable
-from vision.look.segments import all_points, crop_points, object_points
+from vision.look.look import object_points
+from vision.look.points import all_points, crop_points
 from vision.published.icp import icp
 
 Array = NDArray[np.float64]
@@ -156,7 +157,7 @@ def compare(
 
 def group_of(capture: Capture) -> str:
     """Captures made alike share a group: how they were made when they say it, else their name without its number."""
-    notes = capture.settings.notes
+    notes = capture.manifest.notes
     if "noise" in notes and "occlusion" in notes:
         return f"{notes['noise']}, {100 * float(notes['occlusion']):.0f} % hidden"
     return re.sub(r"[\W_]*\d+$", "", capture.name) or capture.name

@@ -6,7 +6,8 @@ A `Frame` carries only what was recorded; every sensor is optional and `None` (o
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,10 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from scenes.errors import InputError
 from scenes.geometry.cameras import Camera
-from scenes.geometry.poses import FARTHEST
+from scenes.geometry.poses import FARTHEST, inverse
 from scenes.recordings import frame_checks as checks
 
 if TYPE_CHECKING:
+    from scenes.recordings.beliefs import Beliefs
     from scenes.robot.hands import Hand
 
 Array = NDArray[np.float64]
@@ -126,6 +128,12 @@ class Contacts:
             self.sigma_known,
         )
 
+    def of_unknown_worth(self, sigma: float) -> Contacts:
+        """The same contacts with one sigma (m) that stands in for what their recording does not say."""
+        out = copy(self)
+        out.sigma_point, out.sigma_known = np.full(len(self), sigma), False
+        return out
+
     def moved(self, target_from_source: Array) -> Contacts:
         """The same contacts in another frame."""
         rotation, translation = target_from_source[:3, :3], target_from_source[:3, 3]
@@ -185,6 +193,7 @@ class Frame:
     cloud (n, 3) world frame. joints: name -> radians or metres. world_from_hand (4, 4).
     camera_from_object_truth and prior (4, 4): ground truth and coarse start, when the recording has them;
     hand_from_object_truth (4, 4): where a simulated hand really holds it.
+    beliefs: what the recording says its sensors are worth; None says nothing.
     where: file and frame, for messages.
 
     Checked when it is made, with one InputError that says what was expected, what came and where: images and camera are
@@ -212,6 +221,7 @@ class Frame:
     prior: Array | None = None
     camera_from_object_truth: Array | None = None
     hand_from_object_truth: Array | None = None
+    beliefs: Beliefs | None = None
 
     def __post_init__(self) -> None:
         """Check every part that is there and bring it to the type above."""
@@ -268,3 +278,19 @@ class Frame:
             object.__setattr__(self, "wrenches", tuple(self.wrenches))
         for wrench in self.wrenches:
             checks.instance(wrench, Wrench, where, "wrenches", "sensor, force, torque")
+
+    def without_vision(self) -> Frame:
+        """The frame without what a camera gave."""
+        return replace(self, depth=None, rgb=None, mask=None, cloud=None, cloud_colours=None)
+
+    def without_touch(self) -> Frame:
+        """The frame without what touch gave."""
+        return replace(self, contacts=Contacts(np.zeros((0, 3))), no_contact=None, wrenches=(), tactile={})
+
+    def hand_from_object(self, pose: Array, correction: Array) -> Array | None:
+        """(4, 4) of the object at pose (4, 4) camera_from_object, the camera-robot calibration corrected; None without
+        a hand pose.
+        """
+        if self.world_from_hand is None:
+            return None
+        return inverse(correction @ self.camera_from_world @ self.world_from_hand) @ pose

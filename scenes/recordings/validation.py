@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, PalpateError
-from scenes.files import bop
 from scenes.files.problems import Problem
 from scenes.files.schema import complaints
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings import bop
 from scenes.recordings.captures import Capture
 from scenes.recordings.frames import Frame
 
@@ -69,7 +69,7 @@ def validate(folder: str | Path, trust_paths: bool = False) -> list[Problem]:
 def _by_schema(capture: Capture, known: list[Problem]) -> list[Problem]:
     """What the schemas find in capture.json and the hand's sensors.json, when nothing is known of these files yet."""
     files = {"capture": capture.path / "capture.json"}
-    hand = capture.settings.hand
+    hand = capture.manifest.hand
     if hand is not None:
         files["sensors"] = capture.path / (hand[1] or Path(hand[0]).parent / "sensors.json")
     found = []
@@ -85,7 +85,7 @@ def _attempt(capture: Capture, problems: list[Problem]) -> ObjectModel | None:
     try:
         return capture.model
     except PalpateError as error:
-        problems.append(Problem(str(capture.path / capture.settings.model), None, str(error)))
+        problems.append(Problem(str(capture.path / capture.manifest.model), None, str(error)))
         return None
 
 

@@ -28,6 +28,7 @@ ONLY_PARSED = {
     "formats.md": "test_formats_docs.py runs it on recordings that it makes",
     "benchmarks.md": "benches take minutes to hours, and some need recorded contact sets",
     "scenes.md": "one block, which downloads",
+    "evaluation.md": "benches take minutes to hours",
 }
 
 
@@ -78,7 +79,7 @@ def test_pages_are_known():
     """A new page is run, or it is said why not."""
     told = RUN_HERE | set(ONLY_PARSED)
     unknown = [page.name for page in PAGES if docs_commands.all_blocks(page) and page.name not in told]
-    silent = {"api.md", "method.md"}
+    silent = {"api.md", "architecture.md", "method.md"}
     assert set(unknown) <= silent
     for name in silent:
         assert not [b for b in docs_commands.all_blocks(DOCS / name) if b.language in ("sh", "python")]
@@ -125,6 +126,14 @@ def test_the_site_is_built_and_fetches_nothing(tmp_path):
     subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
     for page in (tmp_path / "site").glob("*.html"):
         assert not re.search(r'<(?:script|link|img)[^>]+(?:src|href)="https?://', page.read_text(encoding="utf-8"))
+
+
+def test_the_house_is_as_the_page_has_it():
+    """Files and folders named on the page are there."""
+    text = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    named = re.findall(r"`((?:scenes|vision|touch|fusion|tests)/[\w/.]*)`", text)
+    assert len(named) > 20
+    assert [name for name in named if not (ROOT / name).exists()] == []
 
 
 def test_reasons_are_given_for_what_is_not_run():

@@ -103,7 +103,7 @@ def surface_cost(
 
 @dataclass(frozen=True)
 class RegionSettings:
-    """Neighbourhoods of T1 section 3.2.1."""
+    """Neighbourhoods of T1 section 3.2.1. Values by judgement: the thesis names none."""
 
     # Points of the object's cloud; the thesis speaks of thousands.
     cloud: int = 8000

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BoxSettings:
-    """The box that a global optimiser searches, and its work."""
+    """The box that a global optimiser searches, and its work. Values by judgement."""
 
     # Half widths without a prior: rotation vectors (rad) and the object's place about the contacts' mean, in radii.
     angle: float = float(np.pi)

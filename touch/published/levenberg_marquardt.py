@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LevenbergMarquardtSettings:
-    """T1 eq. 2.30."""
+    """T1 eq. 2.30. Values by judgement where no source is named."""
 
     # w_n of eq. 3.5, square centimetres; 0 is eq. 3.3.
     normal_weight: float = 20.0

@@ -33,7 +33,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class MonteCarloSettings:
-    """One use of the search; see `correction` and `everywhere`. The thesis names p_p, p_n, sigma_0 without values."""
+    """One use of the search; see `correction` and `everywhere`. The thesis names p_p, p_n, sigma_0 without values.
+    Values by judgement.
+    """
 
     # n_p: particles of a run, the initial ones included, and how many those are.
     particles: int = 15_000

@@ -29,7 +29,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ScalingSettings:
-    """Neighbourhoods are measured by the displacement of the object's surface, metres."""
+    """Neighbourhoods are measured by the displacement of the object's surface, metres. The method is Petrovskaya
+    and Khatib's (2011); values by judgement.
+    """
 
     # Half-width of the first neighbourhood as a share of the object's radius, and of the last in sigmas of a contact.
     first_share: float = 1.0

@@ -97,7 +97,7 @@ def _others() -> Iterator[Peer]:
         )
     for name, run in (("particle filter", particle_filters.plain), ("annealed filter", particle_filters.annealed)):
         for particles in (500, 5000):
-            layers = particle_filters.ParticleSettings(particles=particles)
+            layers = particle_filters.ParticleFilterSettings(particles=particles)
             yield _peer(
                 name,
                 f"{particles} particles",
@@ -106,7 +106,7 @@ def _others() -> Iterator[Peer]:
                 ),
             )
     for steps in (10, 100):
-        closest = contact_icp.IcpSettings(iterations=steps)
+        closest = contact_icp.ContactIcpSettings(iterations=steps)
         yield _peer(
             "ICP of the contacts",
             f"{steps} steps",

@@ -74,7 +74,7 @@ def _gradients() -> Iterator[Peer]:
         )[0]
 
     def closest(steps: int) -> Refine:
-        settings = contact_icp.IcpSettings(iterations=steps)
+        settings = contact_icp.ContactIcpSettings(iterations=steps)
         return lambda model, trial, seed: contact_icp.refine(model, trial.contacts.points, trial.start, settings)[0]
 
     for steps in (5, 20, 200):

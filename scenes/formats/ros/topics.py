@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from scenes.errors import CaptureError
-from scenes.files import bop
 from scenes.files.problems import refuse
 from scenes.geometry.objects import METRES_PER_UNIT
+from scenes.recordings import bop
 
 FORMAT = "palpate-topics"
 VERSION = 1

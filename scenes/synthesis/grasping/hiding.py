@@ -13,9 +13,11 @@ from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
 from scenes.robot.fingers import find_fingers
 from scenes.robot.hands import Hand
+from scenes.synthesis.grasping import placement
 from scenes.synthesis.grasping.grasps import Grasp, plan_grasp
-from scenes.synthesis.grasping.placement import is_gripper
+from scenes.synthesis.grasping.gripping import is_gripper, plan_grip
 from scenes.synthesis.settings import SynthesisSettings
+from scenes.synthesis.staging.mounts import hand_mesh
 from scenes.synthesis.views import find_view
 
 Array = NDArray[np.float64]
@@ -31,19 +33,19 @@ def place(
     rng: np.random.Generator,
     renderer: Renderer,
     settings: SynthesisSettings,
+    mounted: bool = False,
 ) -> tuple[Grasp, Array]:
     """A grasp and camera_from_hand (4, 4) at which the hand hides the asked share of the object's own pixels.
 
-    renderer: holds the mesh "object"; gets the hand's. Raises InputError when nothing tried hides as much, with the
-    range that was reached.
+    renderer: holds the mesh "object"; gets the hand's, with the parts that its model lacks when mounted. Raises
+    InputError when nothing tried hides as much, with the range that was reached.
     """
     reached: list[float] = []
     held: list[Grasp] = []
     refusal: InputError | None = None
 
     def look(grasp: Grasp, foreground: float, climbs: int) -> Array | None:
-        vertices, faces, _ = hand.mesh(grasp.joints)
-        renderer.add("hand", vertices, faces)
+        renderer.add("hand", *hand_mesh(hand, grasp.joints, mounted))
         scene = {"object": grasp.hand_from_object, "hand": np.eye(4)}
         target = poses.apply(grasp.hand_from_object, model.centroid[None])[0]
         views = replace(settings.views, foreground=foreground, climbs=climbs)
@@ -55,10 +57,14 @@ def place(
 
     for attempt in range(settings.grasps):
         # Whole-hand grasps touch with most fingers; those of few fingers hide less
-        few = occlusion < FEW_FINGERS_BELOW and attempt >= settings.grasps // 2 and not is_gripper(find_fingers(hand))
-        kind = "tripod" if few else "power"
         try:
-            held.append(plan_grasp(hand, model, seed=int(rng.integers(2**31)), kind=kind))
+            drawn = int(rng.integers(2**31))
+            if is_gripper(hand):
+                held.append(plan_grip(hand, model, drawn))
+            else:
+                few = occlusion < FEW_FINGERS_BELOW and attempt >= settings.grasps // 2
+                tripod = few and not placement.is_gripper(find_fingers(hand))
+                held.append(plan_grasp(hand, model, drawn, "tripod" if tripod else "power"))
         except InputError as error:
             refusal = error
             continue

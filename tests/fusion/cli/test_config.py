@@ -48,7 +48,7 @@ def written(tmp_path, text: str):
 def test_what_is_printed_reads_back(tmp_path):
     defaults = CommandSettings.defaults()
     assert read_config(written(tmp_path, to_toml(defaults))) == defaults
-    other = replace(defaults, estimate=replace(defaults.estimate, starts_near=7, patterns=None, blur_limits=(0.1, 0.2)))
+    other = replace(defaults, estimate=replace(defaults.estimate, prior_angle=0.5, patterns=None))
     again = read_config(written(tmp_path, to_toml(other)))
     assert again.estimate == other.estimate
 
@@ -60,22 +60,22 @@ def test_any_tree_of_settings_will_do():
 
 
 def test_the_first_frame_of_a_track_is_an_estimate(tmp_path):
-    path = written(tmp_path, "[estimate]\nstarts_near = 100\n[track.first]\npixels = 400\n")
+    path = written(tmp_path, "[estimate]\nprior_angle = 0.5\n[track.first]\nmost_worse = 4.0\n")
     settings = read_config(path)
-    assert settings.estimate.starts_near == settings.track.first.starts_near == 100
-    assert (settings.estimate.pixels, settings.track.first.pixels) == (500, 400)
+    assert settings.estimate.prior_angle == settings.track.first.prior_angle == 0.5
+    assert settings.track.first.most_worse == 4.0 != settings.estimate.most_worse
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[estimate]\nstart_near = 3", r"c.toml: estimate: .*got 'start_near': did you mean starts_near\?"),
+        ("[estimate]\nprior_angel = 3", r"c.toml: estimate: .*got 'prior_angel': did you mean prior_angle\?"),
         ("[estimates]", "did you mean estimate"),
-        ("[estimate]\nstarts_near = 3.5", "starts_near: expected a whole number, got 3.5"),
-        ("[estimate]\nstarts_near = true", "starts_near: expected a whole number, got True"),
-        ("[estimate]\nblur_share = 'wide'", "blur_share: expected a number, got 'wide'"),
-        ("[estimate]\nblur_share = nan", "expected a number, got nan"),
-        ("[estimate]\nblur_limits = [1.0]", "blur_limits: expected 2 values, got 1"),
+        ("[estimate.look]\nleast_masked = 3.5", "least_masked: expected a whole number, got 3.5"),
+        ("[estimate.look]\nleast_masked = true", "least_masked: expected a whole number, got True"),
+        ("[estimate]\nprior_angle = 'wide'", "prior_angle: expected a number, got 'wide'"),
+        ("[estimate]\nprior_angle = nan", "expected a number, got nan"),
+        ("[estimate.pool]\ndescent = [1.0]", "descent: expected 4 values, got 1"),
         ("[estimate]\njoint = 3", "joint: expected a table of settings, got 3"),
         ("[estimate]\njoint = false", "joint: expected a table of settings, got False"),
         ("[estimate.joint]\nrigs = [{ levels = 1 }]", r"rigs\[0\]: .*did you mean level"),

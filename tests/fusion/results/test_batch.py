@@ -27,7 +27,8 @@ from fusion.results.batch import (
     finished,
     run_jobs,
 )
-from fusion.results.batch_files import summary_of, write_all
+from fusion.results.batch_files import write_all
+from fusion.results.summary import summary_of
 from scenes.errors import InputError
 from scenes.recordings.captures import write_capture
 from scenes.synthesis.library import make

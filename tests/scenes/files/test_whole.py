@@ -15,10 +15,11 @@ from made_frames import some_frame
 
 from fusion.results.batch import Job, Outcome, error_row
 from fusion.results.batch_files import write_all
-from scenes.files import bop, tables
+from scenes.files import tables
 from scenes.files.problems import refuse
 from scenes.files.tables import harmless
 from scenes.files.whole import _host, draft_folder, put, replace_file, sweep
+from scenes.recordings import bop
 from scenes.recordings.captures import read_capture, write_capture
 from scenes.recordings.frames import Contacts
 from scenes.synthesis.library import make
@@ -111,7 +112,7 @@ def test_names_are_no_formulas_and_read_back(tmp_path):
     text = (folder / "contacts.csv").read_text()
     assert ",'=cmd,-" in text  # the name is made harmless, the number is not touched
     assert read_capture(folder)[0].contacts.sensors == names
-    column = (tables.Column("name", "text"),)
+    column = (tables.CsvColumn("name", "text"),)
     tables.write_table(tmp_path / "t.csv", column, [[name] for name in NAMES])
     assert tables.read_table(tmp_path / "t.csv", column, refuse).texts["name"] == NAMES
 
