@@ -10,6 +10,8 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING, Any
 
+from scenes.own import check_packages
+
 if TYPE_CHECKING:
     from scenes.errors import PalpateError
     from scenes.geometry.cameras import Camera
@@ -19,6 +21,8 @@ if TYPE_CHECKING:
     from scenes.robot.hands import Hand
 
 __all__ = ["Camera", "Contacts", "Frame", "Hand", "ObjectModel", "PalpateError", "read_capture", "write_capture"]
+
+check_packages()
 
 # Silent unless who uses the package listens.
 logging.getLogger(__name__).addHandler(logging.NullHandler())

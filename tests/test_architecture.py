@@ -22,7 +22,7 @@ BELOW = {
 # Rooms (folders and files) of a package by floor, from the ground up: a room imports lower floors only.
 FLOORS = {
     "scenes": (
-        {"errors"},
+        {"errors", "own"},
         {"threads", "cache", "_open3d"},
         {"files"},
         {"geometry"},

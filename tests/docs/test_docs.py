@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 
 import cv2
 import docs_commands
@@ -106,6 +108,24 @@ def test_links_lead_somewhere(page):
             heads = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
             names = {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
             assert heading in names, f"{page.name}: {target}"
+
+
+def test_the_site_names_every_page():
+    """`make docs` has the same pages; its own front page leads to all of them."""
+    config = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    named = set(re.findall(r"^  - .*: (\w+\.md)$", config, re.MULTILINE))
+    assert named == {page.name for page in DOCS.glob("*.md")}
+    front = (DOCS / "index.md").read_text(encoding="utf-8")
+    assert all(f"({name})" in front for name in named - {"index.md"})
+
+
+@pytest.mark.slow
+def test_the_site_is_built_and_fetches_nothing(tmp_path):
+    pytest.importorskip("mkdocs", reason="the extra docs is not installed")
+    build = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(tmp_path / "site")]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    for page in (tmp_path / "site").glob("*.html"):
+        assert not re.search(r'<(?:script|link|img)[^>]+(?:src|href)="https?://', page.read_text(encoding="utf-8"))
 
 
 def test_the_house_is_as_the_page_has_it():
