@@ -202,6 +202,7 @@ class Frame:
     no_contact: EmptyRegions | None = None
     wrenches: tuple[Wrench, ...] = ()
     tactile: dict[str, Array] = field(default_factory=dict)
+    gels: dict[str, NDArray[np.uint16] | NDArray[np.uint8]] = field(default_factory=dict)
     prior: Array | None = None
     camera_from_object_truth: Array | None = None
     hand_from_object_truth: Array | None = None

@@ -1,0 +1,228 @@
+"""Photometric calibration of a gel: which colours mean which slope, from presses of a ball of known radius.
+
+A matt skin under lights shows I_c = r_c (a_c + b_c . n): its colours are linear in its normal, and the relative
+difference q_c = I_c / I0_c - 1 from the untouched skin does not know the reflectance r_c, nor the brightness of a lamp.
+So the normal's change n - n0 is linear in q, with coefficients that vary slowly over the image, as lamps are near:
+n - n0 = sum_k A_k f_k(u, v) q, f of second order. A ball's outline on the skin tells where its centre is, its radius
+then every normal inside: a small ridge regression gives A.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.errors import InputError
+from scenes.robot.gels import Gel
+from touch.gels.colour import ColourSettings, Moved, check_image, moved_skin
+
+Array = NDArray[np.float64]
+
+FORMAT = "palpate-gel-calibration"
+VERSION = 1
+# Terms of the polynomial over the image (see _terms), and channels.
+TERMS = 6
+
+
+@dataclass(frozen=True)
+class CalibrationSettings:
+    """How presses of a ball are read."""
+
+    colour: ColourSettings = ColourSettings()
+    # Share of the outline's radius inside which the skin lies on the ball; beyond, it bridges to the untouched skin.
+    inner: float = 0.8
+    # Outlines may miss the ball's circle by this share of its radius: rougher ones are no ball, or of another radius.
+    roughness: float = 0.12
+    # Ridge on the coefficients of normalised features, as a share of the samples: what the presses do not show stays 0.
+    ridge: float = 2e-3
+    # Background darker than this (counts) has no relative difference: counts as that bright.
+    darkest: float = 12.0
+    # Slopes of the presses, in the mean square, that the fit may leave (no unit): beyond, radius or lights are wrong.
+    misfit: float = 0.35
+    # Pixels taken of each press, and of the untouched skin around it.
+    samples: int = 3000
+
+
+@dataclass(frozen=True)
+class Photometry:
+    """coefficients (3, TERMS * 3): the change of the normal's x, y and z by features; size (width, height) of the
+    images; darkest (counts) as in the settings; ball (m), presses and misfit (root mean square of the slopes left).
+    """
+
+    coefficients: Array
+    size: tuple[int, int]
+    darkest: float
+    ball: float = 0.0
+    presses: int = 0
+    misfit: float = 0.0
+
+    def normals(self, difference: Array, background: NDArray[np.uint8], gel: Gel) -> Array:
+        """(h, w, 3) normals of the skin, sensor frame, of unit length up to the calibration's error."""
+        q = relative(difference, background, self.darkest)
+        out = gel.untouched_normals.copy()
+        for term, values in enumerate(_terms(*self.size)):
+            part = q @ self.coefficients[:, 3 * term : 3 * term + 3].T
+            out += part if term == 0 else values[..., None] * part
+        return out
+
+    def to_json(self) -> dict[str, Any]:
+        """The calibration file's content."""
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "size": list(self.size),
+            "darkest": self.darkest,
+            "coefficients": self.coefficients.tolist(),
+            "ball_mm": 1e3 * self.ball,
+            "presses": self.presses,
+            "misfit": self.misfit,
+        }
+
+    @staticmethod
+    def from_json(entry: Mapping[str, Any], where: str) -> Photometry:
+        """Raises InputError for another format, shape or numbers that are not finite."""
+        if entry.get("format") != FORMAT or entry.get("version") != VERSION:
+            raise InputError(f"{where}: expected a gel's calibration ({FORMAT} {VERSION}), got {entry.get('format')!r}")
+        try:
+            coefficients = np.array(entry["coefficients"], dtype=np.float64)
+            width, height = (int(x) for x in entry["size"])
+            values = [float(entry.get(name, 0.0)) for name in ("darkest", "ball_mm", "presses", "misfit")]
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{where}: expected coefficients, size and darkest in the calibration") from error
+        if coefficients.shape != (3, 3 * TERMS) or not np.isfinite(coefficients).all() or not np.isfinite(values).all():
+            raise InputError(f"{where}: expected finite coefficients (3, {3 * TERMS}), got {coefficients.shape}")
+        if values[0] <= 0:
+            raise InputError(f"{where}: expected darkest above 0 counts, got {values[0]:g}")
+        return Photometry(coefficients, (width, height), values[0], 1e-3 * values[1], int(values[2]), values[3])
+
+
+def relative(difference: Array, background: NDArray[np.uint8], darkest: float) -> Array:
+    """(h, w, 3) differences of colours as shares of the background's."""
+    import cv2
+
+    level = cv2.GaussianBlur(background.astype(np.float32), (0, 0), 3.0)
+    return difference / np.maximum(level, darkest)
+
+
+def calibrate(
+    images: Sequence[NDArray[np.uint8]],
+    gel: Gel,
+    radius: float,
+    names: Sequence[str] | None = None,
+    settings: CalibrationSettings | None = None,
+) -> Photometry:
+    """From presses (h, w, 3) uint8 of a ball of `radius` (m) on a gel with its background.
+
+    Raises InputError, one line with the image's name: no background, another size, a saturated image, nothing pressed,
+    an outline that is no circle of such a ball; and when slopes do not follow from colours.
+    """
+    settings = settings or CalibrationSettings()
+    if not images:
+        raise InputError("calibration: expected images of presses, got none")
+    if not (np.isfinite(radius) and 1e-4 <= radius <= 0.1):
+        raise InputError(f"ball: expected a radius from 0.1 to 100 mm, got {1e3 * radius:g} mm")
+    features, targets = [], []
+    for number, image in enumerate(images):
+        where = names[number] if names is not None else f"press {number}"
+        check_image(image, gel, where, settings.colour)
+        assert gel.background is not None
+        moved = moved_skin(image, gel.background, settings.colour)
+        inside, change = ball_normals(moved, gel, radius, where, settings)
+        q = relative(moved.difference, gel.background, settings.darkest)
+        terms = _terms(gel.width, gel.height)
+        for chosen, known in ((inside, True), (~moved.inside, False)):
+            index = np.flatnonzero(chosen)
+            index = index[:: max(1, len(index) // settings.samples)]
+            one = q.reshape(-1, 3)[index]
+            features.append(np.concatenate([t.reshape(-1)[index, None] * one for t in terms], axis=1))
+            targets.append(change.reshape(-1, 3)[index] if known else np.zeros((len(index), 3)))
+    x, y = np.concatenate(features), np.concatenate(targets)
+    scale = np.maximum(np.sqrt((x**2).mean(axis=0)), 1e-9)
+    normalised = x / scale
+    gram = normalised.T @ normalised + settings.ridge * len(x) * np.eye(x.shape[1])
+    coefficients = (np.linalg.solve(gram, normalised.T @ y) / scale[:, None]).T
+    slope = np.linalg.norm(y[:, :2], axis=1) > 0.02
+    left = (x @ coefficients.T - y)[slope, :2]
+    misfit = float(np.sqrt((left**2).sum() / max((y[slope, :2] ** 2).sum(), 1e-300)))
+    if not misfit < settings.misfit:
+        said = f"left {100 * misfit:.0f} % of the ball's slopes unexplained"
+        raise InputError(f"calibration: expected colours that tell the slopes of a {1e3 * radius:g} mm ball, {said}")
+    return Photometry(coefficients, (gel.width, gel.height), settings.darkest, radius, len(images), misfit)
+
+
+def ball_normals(
+    moved: Moved, gel: Gel, radius: float, where: str, settings: CalibrationSettings
+) -> tuple[NDArray[np.bool_], Array]:
+    """Where (h, w) the skin lies on the ball, and by how much (h, w, 3) its normal differs there from the untouched.
+
+    The outline's points on the skin are as far from the ball's centre as its radius.
+    """
+    import cv2
+
+    outlines, _ = cv2.findContours(moved.inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    if not outlines:
+        raise InputError(f"{where}: expected a press of the ball, got an image like the background")
+    outline = max(outlines, key=cv2.contourArea)[:, 0]
+    margin = 2
+    free = ((outline > margin) & (outline < np.array([gel.width, gel.height]) - 1 - margin)).all(axis=1)
+    if free.sum() < 12 or free.mean() < 0.5:
+        raise InputError(f"{where}: expected the ball's whole outline in the image, got it cut off by the border")
+    skin = gel.points()
+    edge = skin[outline[free, 1], outline[free, 0]]
+    centre, across = _ball_centre(edge, radius, where)
+    rough = float(np.abs(np.linalg.norm(edge[:, :2] - centre[:2], axis=1) - across).mean()) / across
+    if rough > settings.roughness:
+        said = f"it is off by {100 * rough:.0f} % of its radius"
+        raise InputError(f"{where}: expected the round outline of a {1e3 * radius:g} mm ball, {said}")
+    # where the pixels' lines meet the ball
+    rays = gel.rays
+    if gel.distance is None:
+        foot, direction = np.concatenate([rays, np.zeros((*rays.shape[:2], 1))], axis=2), np.array([0.0, 0.0, 1.0])
+    else:
+        foot = np.array([0.0, 0.0, -gel.distance])
+        direction = np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=2)
+    square = (direction**2).sum(axis=-1)
+    along = ((centre - foot) * direction).sum(axis=-1) / square
+    aside = ((foot + along[..., None] * direction - centre) ** 2).sum(axis=-1)
+    met = aside < (settings.inner * across) ** 2
+    reach = np.sqrt(np.maximum(radius**2 - aside, 0.0) / square)
+    place = foot + (along - reach)[..., None] * direction
+    normal = (centre - place) / radius  # the skin's normal looks into the ball
+    met &= moved.inside
+    if met.sum() < 30:
+        raise InputError(f"{where}: expected a press of at least 30 pixels, got {int(met.sum())}")
+    return met, np.where(met[..., None], normal - gel.untouched_normals, 0.0)
+
+
+def _ball_centre(edge: Array, radius: float, where: str) -> tuple[Array, float]:
+    """Centre (3,) of a ball of this radius through points (n, 3), on the side out of the finger, and the radius of its
+    circle there (m).
+    """
+    middle = edge.mean(axis=0)
+    # circle in the plane across z: algebraic least squares (Kasa 1976)
+    local = edge[:, :2] - middle[:2]
+    design = np.concatenate([2.0 * local, np.ones((len(local), 1))], axis=1)
+    a, b, c = np.linalg.lstsq(design, (local**2).sum(axis=1), rcond=None)[0]
+    across = float(np.sqrt(max(c + a * a + b * b, 0.0)))
+    if not across < radius:
+        said = f"{2e3 * across:.3g} mm across"
+        raise InputError(f"{where}: expected the outline of a ball of {2e3 * radius:.3g} mm or less, got one {said}")
+    centre = np.array([middle[0] + a, middle[1] + b, middle[2] + np.sqrt(radius**2 - across**2)])
+    # a few Gauss-Newton steps on the distances, for skins that are not flat
+    for _ in range(5):
+        away = centre - edge
+        length = np.linalg.norm(away, axis=1)
+        step = np.linalg.lstsq(away / length[:, None], radius - length, rcond=1e-6)[0]
+        centre = centre + step
+    return centre, across
+
+
+def _terms(width: int, height: int) -> list[Array]:
+    """(h, w) each: 1, u, v, u^2, uv, v^2 with u and v from -1 to 1 over the image."""
+    u, v = np.meshgrid(np.linspace(-1.0, 1.0, width), np.linspace(-1.0, 1.0, height))
+    return [np.ones_like(u), u, v, u * u, u * v, v * v]
+

@@ -1,0 +1,113 @@
+"""What a pressed gel's image differs by from its background: where the skin moved, and how sure that is.
+
+Lights shine on the skin from its sides, so its slopes change its colours. A pixel counts as moved when its colours,
+smoothed over the grain, differ by more than the image's own noise; what such pixels enclose moved, too (where the
+object's slope happens to be the skin's own, nothing changes). Images (h, w, 3) uint8, red first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.errors import InputError
+from scenes.robot.gels import Gel, check_size
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class ColourSettings:
+    """How a difference of colours is judged."""
+
+    # Smoothing of the difference (pixels, standard deviation): a sensor's grain is gone, outlines stay.
+    blur: float = 2.0
+    # Sigmas of the smoothed noise, all channels together, from which a pixel has moved; three channels of pure noise
+    # are beyond 4.5 in one of 10,000 pixels.
+    sigmas: float = 4.5
+    # Least difference (counts) that counts: images kept as JPEG are wrong by about as much.
+    least: float = 2.5
+    # Gaps closed and specks dropped, pixels across (a tenth of a millimetre or two).
+    gap: int = 7
+    # Smaller moved areas, as a share of the image, are specks.
+    smallest: float = 0.001
+    # A channel at 0 or 255 in more than this share of the pixels shows no shape there.
+    saturated: float = 0.25
+
+
+@dataclass(frozen=True)
+class Moved:
+    """difference (h, w, 3) smoothed colour counts; noise: its standard deviation a channel (3,); inside (h, w): where
+    the skin moved; edge: uncertainty (pixels) of the outline.
+    """
+
+    difference: Array
+    noise: Array
+    inside: Mask
+    edge: float
+
+
+def check_image(image: NDArray[np.uint8], gel: Gel, where: str, settings: ColourSettings | None = None) -> None:
+    """Raise InputError, one line beginning with `where`: no background, another size, a saturated image."""
+    settings = settings or ColourSettings()
+    if gel.background is None:
+        raise InputError(f"{where}: expected the untouched background for a colour image, the sensor has none")
+    check_size(image, gel.width, gel.height, where)
+    for channel, name in enumerate(("red", "green", "blue")):
+        values = image[:, :, channel]
+        share = float(np.mean(values == 255)) if image.size else 0.0
+        if share > settings.saturated:
+            raise InputError(f"{where}: expected colours below 255, got {name} saturated in {100 * share:.0f} % of it")
+    if not image.any() or np.ptp(image) == 0:
+        raise InputError(f"{where}: expected an image of the gel, got one colour all over")
+
+
+def moved_skin(image: NDArray[np.uint8], background: NDArray[np.uint8], settings: ColourSettings | None = None) -> Moved:
+    """Where the skin moved between two images of one size."""
+    import cv2
+
+    settings = settings or ColourSettings()
+    raw = image.astype(np.float32) - background.astype(np.float32)
+    smooth = cv2.GaussianBlur(raw, (0, 0), settings.blur)
+    # grain: what smoothing took away; white grain smoothed with this width is left with 1 / (2 sqrt(pi) width) of it
+    grain = raw - cv2.GaussianBlur(raw, (0, 0), 1.0)
+    noise = 1.4826 * np.median(np.abs(grain[::2, ::2].reshape(-1, 3)), axis=0) / 0.9
+    noise = np.maximum(noise / (2.0 * np.sqrt(np.pi) * settings.blur), 0.3).astype(np.float64)
+    # exposure drifts as a whole: pixels about the most frequent difference are the untouched ones
+    smooth -= _most_frequent(smooth)
+    size = np.sqrt(((smooth / noise.astype(np.float32)) ** 2).sum(axis=2))
+    counts = np.sqrt((smooth**2).sum(axis=2))
+    moved = ((size > settings.sigmas) & (counts > settings.least)).astype(np.uint8)
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (settings.gap, settings.gap))
+    moved = cv2.morphologyEx(moved, cv2.MORPH_OPEN, kernel)
+    moved = cv2.morphologyEx(moved, cv2.MORPH_CLOSE, kernel)
+    inside = _filled(moved, settings.smallest * moved.size)
+    # an outline is as sharp as the smoothing, sharpened by how far beyond the noise the difference is
+    strength = float(np.median(size[inside])) if inside.any() else 1.0
+    edge = settings.blur * float(np.clip(np.sqrt(settings.sigmas / max(strength, 1e-9)), 0.5, 2.0))
+    return Moved(smooth.astype(np.float64), noise, inside, edge)
+
+
+def _most_frequent(smooth: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(3,) the mode of each channel to half a count; no more than three counts: beyond that it is the contact's own."""
+    out = np.zeros(3, dtype=np.float32)
+    for channel in range(3):
+        values = smooth[::2, ::2, channel].ravel()
+        counts, edges = np.histogram(values, bins=25, range=(-3.125, 3.125))
+        if counts.max(initial=0) > 0.05 * len(values):
+            out[channel] = 0.5 * (edges[np.argmax(counts)] + edges[np.argmax(counts) + 1])
+    return out
+
+
+def _filled(moved: NDArray[np.uint8], smallest: float) -> Mask:
+    """Pieces of at least `smallest` pixels with what they enclose."""
+    import cv2
+
+    outlines, _ = cv2.findContours(moved, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    out = np.zeros(moved.shape, dtype=np.uint8)
+    chosen = [outline for outline in outlines if cv2.contourArea(outline) >= smallest]
+    cv2.drawContours(out, chosen, -1, 1, thickness=cv2.FILLED)
+    return out.astype(bool)
