@@ -13,6 +13,8 @@ from scenes.evidence.table import SIGMA, TOUCH, Evidence
 from scenes.recordings.frames import Contacts, Frame
 from touch.arrays.readings import Reading, readings_of
 from touch.arrays.rows import ArrayRowSettings, array_contacts, taxel_rows
+from touch.gels.patches import PatchSettings, patches_of
+from touch.gels.rows import GelRowSettings, gel_contacts, patch_rows, unspoken
 from touch.localization import contact_starts
 from touch.wrenches.intrinsic import wrench_contacts
 
@@ -53,6 +55,9 @@ class TouchSettings:
     # Error of the finger joints between palm and fingertip, metres (0.3 degrees at three joints).
     fingertip_sigma: float = 0.0008
     arrays: ArrayRowSettings = field(default_factory=ArrayRowSettings)
+    # Gels: how images become patches, and what those are worth.
+    patches: PatchSettings = field(default_factory=PatchSettings)
+    gels: GelRowSettings = field(default_factory=GelRowSettings)
 
 
 @dataclass(frozen=True)
@@ -84,6 +89,8 @@ def feel(frame: Frame, gate: float, region: Ball | None = None, settings: TouchS
     contacts = contacts.moved(frame.camera_from_world)
     readings = readings_of(frame)
     contacts = Contacts.concatenate([contacts, array_contacts(_unspoken(frame, contacts, readings), settings.arrays)])
+    patches = patches_of(frame, settings.patches)
+    contacts = Contacts.concatenate([contacts, gel_contacts(unspoken(frame, contacts, patches), settings.gels)])
     with_hand = frame.hand is not None and frame.joints is not None and frame.world_from_hand is not None
     if len(contacts) and not contacts.sigma_known:
         contacts.sigma_point[:] = settings.unknown_sigma
@@ -91,7 +98,7 @@ def feel(frame: Frame, gate: float, region: Ball | None = None, settings: TouchS
     rows = tables.from_contacts(contacts, gate if contacts.sigma_known else tables.NO_GATE)
     if with_hand and len(contacts):
         rows.rows[:, SIGMA] = np.hypot(contacts.sigma_point, settings.fingertip_sigma)
-    parts = [rows, taxel_rows(readings, settings.arrays)]
+    parts = [rows, taxel_rows(readings, settings.arrays), patch_rows(patches, settings.gels)]
     if frame.no_contact is not None and len(frame.no_contact):
         centres = frame.no_contact.points @ frame.camera_from_world[:3, :3].T + frame.camera_from_world[:3, 3]
         parts.append(

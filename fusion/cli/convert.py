@@ -28,6 +28,7 @@ SOURCES = {
     "ros": "ROS 1 .bag, ROS 2 folder, .mcap or .db3, with --topics",
     "tacman": ".ini of a contact set with its .off files",
     "handover": "cloud.off, contacts.off, model.off, or a folder of such folders",
+    "digit": "grasps of DIGITs: Image_heatmap_K.png, poses_sensors.txt, background.png",
     "contacts": "contacts as .off, .ply or .csv, with --object",
     "images": "rgb/ and depth/ with camera.json or --intrinsics",
 }
@@ -118,6 +119,7 @@ def _kind(source: Path, out: Path) -> str:
     from scenes.errors import InputError
     from scenes.formats import handover, image_folder, tacman
     from scenes.formats.bop import scene as bop_scene
+    from scenes.formats.gels import digit_grasps
     from scenes.formats.ros import bag as ros_bag
 
     if source.is_file():
@@ -133,6 +135,7 @@ def _kind(source: Path, out: Path) -> str:
         ("ycbineoat", image_folder.is_sequence),
         ("handover", _is_handover),
         ("images", image_folder.is_image_folder),
+        ("digit", lambda folder: bool(digit_grasps.grasps_in(folder))),
     )
     for name, fits in checks:
         if fits(source):
@@ -188,7 +191,17 @@ def _import(kind: str, args: argparse.Namespace) -> Converted:
         if args.topics is None:
             raise InputError(f"{source}: expected --topics FILE, a topic map (docs/formats.md), got none")
         return ros.convert(source, out, ros_map.read_map(args.topics), _object(args))
-    if kind == "tacman":
+    if kind == "digit":
+        from scenes.formats.gels import digit_grasps
+
+        found = digit_grasps.grasps_in(source) if source.is_dir() else []
+        single = found == [source]
+        model = _object(args)
+        parts = [
+            digit_grasps.convert(path, out if single else out / "_".join(path.relative_to(source).parts), model)
+            for path in found
+        ]
+    elif kind == "tacman":
         if source.is_file():
             return tacman.convert(source, out, _object(args), args.object_id)
         sets = [path for path in sorted(source.glob("*.ini")) if tacman.is_set(path)]

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from scenes.robot.hands import Hand
 
 Array = NDArray[np.float64]
+# What a gel saw: (h, w) uint16 micrometres of indentation, or (h, w, 3) uint8 colours, red first.
+GelImage = NDArray[np.uint16] | NDArray[np.uint8]
 
 # What a contact is worth when the recording does not say (T1 section 4.3: 0.9 mm and 5 degrees).
 DEFAULT_SIGMA_POINT = 0.9e-3
@@ -180,7 +182,7 @@ class Frame:
 
     camera: intrinsics, None when there is no camera. camera_from_world (4, 4).
     depth (h, w) float32 metres along z, 0 = no reading. rgb (h, w, 3) uint8. mask (h, w) bool, the object's pixels.
-    cloud (n, 3) world frame. joints: name -> radians or metres. world_from_hand (4, 4).
+    tactile: pressures (k,) Pa of each array; gels: the image of each gel. cloud (n, 3) world frame. joints: name -> radians or metres. world_from_hand (4, 4).
     camera_from_object_truth and prior (4, 4): ground truth and coarse start, when the recording has them;
     hand_from_object_truth (4, 4): where a simulated hand really holds it.
     where: file and frame, for messages.
@@ -202,7 +204,7 @@ class Frame:
     no_contact: EmptyRegions | None = None
     wrenches: tuple[Wrench, ...] = ()
     tactile: dict[str, Array] = field(default_factory=dict)
-    gels: dict[str, NDArray[np.uint16] | NDArray[np.uint8]] = field(default_factory=dict)
+    gels: dict[str, GelImage] = field(default_factory=dict)
     prior: Array | None = None
     camera_from_object_truth: Array | None = None
     hand_from_object_truth: Array | None = None

@@ -28,12 +28,18 @@ MICROMETRE = 1e-6
 SIDES = (8, 4096)
 # Millimetres per pixel of any gel: from a microscope's to a hand's breadth over eight pixels.
 PITCHES = (1e-4, 10.0)
+# Pixels of the shorter side that are worked with: of a thumbnail-sized gel, every 0.15 mm.
+WORKING_SIDE = 110
+# A channel at 255 in more than this share of an image shows no shape there.
+SATURATED = 0.25
+# Smoothing (pixels) of a background's brightness.
+LEVEL_BLUR = 3.0
 # Thickest gel (m) and the one assumed when a file does not say (a DIGIT's).
 THICKEST = 0.05
 USUAL_THICKNESS = 0.004
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Gel:
     """What a gel sensor is made of.
 
@@ -79,6 +85,41 @@ class Gel:
         assert self.distance is not None
         middle = float(self.surface[self.height // 2, self.width // 2])
         return (self.distance + middle) / float(np.sqrt(self.matrix[0, 0] * self.matrix[1, 1]))
+
+    @cached_property
+    def level(self) -> NDArray[np.float32]:
+        """(h, w, 3) brightness of the background without its grain, counts; zeros without a background."""
+        import cv2
+
+        if self.background is None:
+            return np.zeros((self.height, self.width, 3), dtype=np.float32)
+        return np.asarray(cv2.GaussianBlur(self.background.astype(np.float32), (0, 0), LEVEL_BLUR))
+
+    @cached_property
+    def working(self) -> Gel:
+        """The gel with every k-th pixel only, so many that smoothed images lose nothing; itself when it is coarse."""
+        step = self.working_step
+        if step == 1:
+            return self
+        part = (slice(None, None, step), slice(None, None, step))
+        surface = self.surface[part]
+        background = None if self.background is None else np.ascontiguousarray(self.background[part])
+        height, width = surface.shape
+        pitch = None if self.pitch is None else step * self.pitch
+        matrix = None if self.matrix is None else np.diag([1.0 / step, 1.0 / step, 1.0]) @ self.matrix
+        thin = Gel(
+            width, height, surface, pitch, matrix, self.distance, self.thickness, background, self.calibration
+        )
+        # the same lines of the same pixels, not those of an image whose middle is elsewhere
+        thin.__dict__["rays"] = np.ascontiguousarray(self.rays[part])
+        thin.__dict__["level"] = np.ascontiguousarray(self.level[part])
+        thin.__dict__["working_step"] = 1
+        return thin
+
+    @cached_property
+    def working_step(self) -> int:
+        """Every so many-th pixel of a row or column is worked with."""
+        return max(1, min(self.width, self.height) // WORKING_SIDE)
 
     @cached_property
     def untouched_normals(self) -> Array:
@@ -157,18 +198,42 @@ def read_gel(entry: Any, where: str, folder: Path) -> Gel:
     background = None
     if entry.get("background") is not None:
         background = _file(entry["background"], f"{where}: background", folder, images.read_rgb)
-        check_size(background, width, height, f"{where}: background")
+        _check_size(background, (height, width), f"{where}: background")
     calibration = None
     if entry.get("calibration") is not None:
         calibration = _file(entry["calibration"], f"{where}: calibration", folder, _read_json)
     return Gel(width, height, surface, pitch, matrix, distance, thickness, background, calibration)
 
 
-def check_size(image: NDArray[Any], width: int, height: int, where: str) -> None:
-    """Raise InputError when an image (h, w, …) has not the gel's size."""
-    if image.shape[:2] != (height, width):
+def image_problem(image: NDArray[Any], gel: Gel) -> str | None:
+    """What makes an image none of this gel's: another size, colours without a background, saturated; None when good.
+
+    image: (h, w) micrometres of indentation, or (h, w, 3) uint8 colours.
+    """
+    if image.shape[:2] != (gel.height, gel.width):
         got = f"{image.shape[1]}x{image.shape[0]}"
-        raise InputError(f"{where}: expected an image of {width}x{height} pixels as the gel's, got {got}")
+        return f"expected an image of {gel.width}x{gel.height} pixels as the gel's, got {got}"
+    if image.ndim == 2:
+        deepest = MICROMETRE * float(image.max(initial=0))
+        if deepest > gel.thickness:
+            return f"expected indentations up to the gel's {1e3 * gel.thickness:g} mm, got {1e3 * deepest:.3g} mm"
+        return None
+    if gel.background is None:
+        return "expected the untouched background for a colour image, the sensor has none"
+    if np.ptp(image) == 0:
+        return "expected an image of the gel, got one colour all over"
+    for channel, name in enumerate(("red", "green", "blue")):
+        share = float(np.mean(image[:, :, channel] == 255))
+        if share > SATURATED:
+            return f"expected colours below 255, got {name} saturated in {100 * share:.0f} % of the image"
+    return None
+
+
+def check_image(image: NDArray[Any], gel: Gel, where: str) -> None:
+    """Raise InputError, one line beginning with `where`, for an `image_problem`."""
+    problem = image_problem(image, gel)
+    if problem is not None:
+        raise InputError(f"{where}: {problem}")
 
 
 def dome(width: int, height: int, rays: Array, distance: float, radius: float, drop: float, reach: float) -> Array:
@@ -190,8 +255,14 @@ def _surface(entry: Any, shape: tuple[int, int], where: str, folder: Path) -> Ar
         raise InputError(f'{where}: expected "flat" or an object with file and top, got {entry!r}')
     top = float(numbers(entry.get("top", 0.0), 1, f"{where}: top")[0])
     below = _file(entry["file"], where, folder, images.read_counts)
-    check_size(below, shape[1], shape[0], where)
+    _check_size(below, shape, where)
     return top - MICROMETRE * below.astype(np.float64)
+
+
+def _check_size(image: NDArray[Any], shape: tuple[int, int], where: str) -> None:
+    if image.shape[:2] != shape:
+        got = f"{image.shape[1]}x{image.shape[0]}"
+        raise InputError(f"{where}: expected an image of {shape[1]}x{shape[0]} pixels as the gel's, got {got}")
 
 
 def _file(name: Any, where: str, folder: Path, read: Any) -> Any:

@@ -12,13 +12,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import InputError
-from scenes.robot.gels import Gel
-from touch.gels.colour import ColourSettings, Moved, check_image, moved_skin
+from scenes.robot.gels import Gel, check_image
+from touch.gels.colour import ColourSettings, Moved, moved_skin
 
 Array = NDArray[np.float64]
 
@@ -50,7 +51,7 @@ class CalibrationSettings:
 @dataclass(frozen=True)
 class Photometry:
     """coefficients (3, TERMS * 3): the change of the normal's x, y and z by features; size (width, height) of the
-    images; darkest (counts) as in the settings; ball (m), presses and misfit (root mean square of the slopes left).
+    images; darkest (counts) as in the settings; ball (m), presses and misfit (share of the slopes that is left).
     """
 
     coefficients: Array
@@ -60,14 +61,23 @@ class Photometry:
     presses: int = 0
     misfit: float = 0.0
 
-    def normals(self, difference: Array, background: NDArray[np.uint8], gel: Gel) -> Array:
-        """(h, w, 3) normals of the skin, sensor frame, of unit length up to the calibration's error."""
-        q = relative(difference, background, self.darkest)
+    def normals(self, difference: NDArray[np.float32], gel: Gel) -> Array:
+        """(h, w, 3) normals of the skin, sensor frame, of unit length up to the calibration's error; working pixels."""
+        q = relative(difference, gel, self.darkest)
         out = gel.untouched_normals.copy()
-        for term, values in enumerate(_terms(*self.size)):
-            part = q @ self.coefficients[:, 3 * term : 3 * term + 3].T
-            out += part if term == 0 else values[..., None] * part
+        for channel, table in enumerate(self._tables(gel)):
+            out += table * q[..., channel, None]
         return out
+
+    def _tables(self, gel: Gel) -> list[Array]:
+        """For each channel (h, w, 3): the change of the normal by a relative difference of 1; kept for the last gel."""
+        kept = self.__dict__.get("_kept")
+        if kept is None or kept[0] is not gel:
+            terms = np.stack(_terms(gel.width, gel.height), axis=2)
+            by_term = self.coefficients.reshape(3, TERMS, 3)
+            kept = gel, [terms @ by_term[:, :, channel].T for channel in range(3)]
+            self.__dict__["_kept"] = kept
+        return kept[1]
 
     def to_json(self) -> dict[str, Any]:
         """The calibration file's content."""
@@ -100,12 +110,25 @@ class Photometry:
         return Photometry(coefficients, (width, height), values[0], 1e-3 * values[1], int(values[2]), values[3])
 
 
-def relative(difference: Array, background: NDArray[np.uint8], darkest: float) -> Array:
-    """(h, w, 3) differences of colours as shares of the background's."""
-    import cv2
+_KEPT: WeakKeyDictionary[Gel, Photometry] = WeakKeyDictionary()
 
-    level = cv2.GaussianBlur(background.astype(np.float32), (0, 0), 3.0)
-    return difference / np.maximum(level, darkest)
+
+def photometry_of(gel: Gel, where: str) -> Photometry:
+    """The gel's calibration, read once. Raises InputError for one that is malformed or of another size."""
+    assert gel.calibration is not None
+    found = _KEPT.get(gel)
+    if found is None:
+        found = Photometry.from_json(gel.calibration, where)
+        if found.size != (gel.width, gel.height):
+            got = f"{found.size[0]}x{found.size[1]}"
+            raise InputError(f"{where}: expected a calibration of {gel.width}x{gel.height} pixels, got one of {got}")
+        _KEPT[gel] = found
+    return found
+
+
+def relative(difference: NDArray[np.float32], gel: Gel, darkest: float) -> NDArray[np.float32]:
+    """(h, w, 3) differences of colours as shares of the background's; working pixels."""
+    return np.asarray(difference / np.maximum(gel.level, np.float32(darkest)))
 
 
 def calibrate(
@@ -125,15 +148,15 @@ def calibrate(
         raise InputError("calibration: expected images of presses, got none")
     if not (np.isfinite(radius) and 1e-4 <= radius <= 0.1):
         raise InputError(f"ball: expected a radius from 0.1 to 100 mm, got {1e3 * radius:g} mm")
+    work = gel.working
+    terms = _terms(work.width, work.height)
     features, targets = [], []
     for number, image in enumerate(images):
         where = names[number] if names is not None else f"press {number}"
-        check_image(image, gel, where, settings.colour)
-        assert gel.background is not None
-        moved = moved_skin(image, gel.background, settings.colour)
-        inside, change = ball_normals(moved, gel, radius, where, settings)
-        q = relative(moved.difference, gel.background, settings.darkest)
-        terms = _terms(gel.width, gel.height)
+        check_image(image, gel, where)
+        moved = moved_skin(image, gel, settings.colour)
+        inside, change = ball_normals(moved, work, radius, where, settings)
+        q = relative(moved.difference, work, settings.darkest)
         for chosen, known in ((inside, True), (~moved.inside, False)):
             index = np.flatnonzero(chosen)
             index = index[:: max(1, len(index) // settings.samples)]

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.errors import InputError
-from scenes.robot.gels import Gel, check_size
+from scenes.robot.gels import Gel
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -34,61 +33,49 @@ class ColourSettings:
     gap: int = 7
     # Smaller moved areas, as a share of the image, are specks.
     smallest: float = 0.001
-    # A channel at 0 or 255 in more than this share of the pixels shows no shape there.
-    saturated: float = 0.25
 
 
 @dataclass(frozen=True)
 class Moved:
-    """difference (h, w, 3) smoothed colour counts; noise: its standard deviation a channel (3,); inside (h, w): where
-    the skin moved; edge: uncertainty (pixels) of the outline.
+    """On the gel's working pixels: difference (h, w, 3) float32 smoothed colour counts; noise: its standard deviation a
+    channel (3,); inside (h, w): where the skin moved; edge: uncertainty (working pixels) of the outline.
     """
 
-    difference: Array
+    difference: NDArray[np.float32]
     noise: Array
     inside: Mask
     edge: float
 
 
-def check_image(image: NDArray[np.uint8], gel: Gel, where: str, settings: ColourSettings | None = None) -> None:
-    """Raise InputError, one line beginning with `where`: no background, another size, a saturated image."""
-    settings = settings or ColourSettings()
-    if gel.background is None:
-        raise InputError(f"{where}: expected the untouched background for a colour image, the sensor has none")
-    check_size(image, gel.width, gel.height, where)
-    for channel, name in enumerate(("red", "green", "blue")):
-        values = image[:, :, channel]
-        share = float(np.mean(values == 255)) if image.size else 0.0
-        if share > settings.saturated:
-            raise InputError(f"{where}: expected colours below 255, got {name} saturated in {100 * share:.0f} % of it")
-    if not image.any() or np.ptp(image) == 0:
-        raise InputError(f"{where}: expected an image of the gel, got one colour all over")
-
-
-def moved_skin(image: NDArray[np.uint8], background: NDArray[np.uint8], settings: ColourSettings | None = None) -> Moved:
-    """Where the skin moved between two images of one size."""
+def moved_skin(image: NDArray[np.uint8], gel: Gel, settings: ColourSettings | None = None) -> Moved:
+    """Where the skin moved in an image of the gel's own size; the gel has a background."""
     import cv2
 
     settings = settings or ColourSettings()
-    raw = image.astype(np.float32) - background.astype(np.float32)
-    smooth = cv2.GaussianBlur(raw, (0, 0), settings.blur)
-    # grain: what smoothing took away; white grain smoothed with this width is left with 1 / (2 sqrt(pi) width) of it
-    grain = raw - cv2.GaussianBlur(raw, (0, 0), 1.0)
-    noise = 1.4826 * np.median(np.abs(grain[::2, ::2].reshape(-1, 3)), axis=0) / 0.9
-    noise = np.maximum(noise / (2.0 * np.sqrt(np.pi) * settings.blur), 0.3).astype(np.float64)
+    assert gel.background is not None
+    step = gel.working_step
+    raw = image.astype(np.float32) - gel.background.astype(np.float32)
+    smooth = np.ascontiguousarray(cv2.GaussianBlur(raw, (0, 0), settings.blur)[::step, ::step])
+    # grain: differences of neighbours, which a slope hardly changes; white grain smoothed with this width is left with
+    # 1 / (2 sqrt(pi) width) of it
+    rows = raw[:: 2 * step]
+    grain = np.abs(rows[:, 1::step] - rows[:, :-1:step][:, : rows[:, 1::step].shape[1]]).reshape(-1, 3)
+    noise = 1.4826 / np.sqrt(2.0) * np.median(grain, axis=0)
+    noise = np.maximum(noise / (2.0 * np.sqrt(np.pi) * settings.blur), 0.3)
     # exposure drifts as a whole: pixels about the most frequent difference are the untouched ones
     smooth -= _most_frequent(smooth)
     size = np.sqrt(((smooth / noise.astype(np.float32)) ** 2).sum(axis=2))
     counts = np.sqrt((smooth**2).sum(axis=2))
     moved = ((size > settings.sigmas) & (counts > settings.least)).astype(np.uint8)
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (settings.gap, settings.gap))
+    gap = max(3, settings.gap // step | 1)
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (gap, gap))
     moved = cv2.morphologyEx(moved, cv2.MORPH_OPEN, kernel)
     moved = cv2.morphologyEx(moved, cv2.MORPH_CLOSE, kernel)
     inside = _filled(moved, settings.smallest * moved.size)
     # an outline is as sharp as the smoothing, sharpened by how far beyond the noise the difference is
     strength = float(np.median(size[inside])) if inside.any() else 1.0
-    edge = settings.blur * float(np.clip(np.sqrt(settings.sigmas / max(strength, 1e-9)), 0.5, 2.0))
-    return Moved(smooth.astype(np.float64), noise, inside, edge)
+    edge = settings.blur / step * float(np.clip(np.sqrt(settings.sigmas / max(strength, 1e-9)), 0.5, 2.0))
+    return Moved(smooth, noise, inside, edge)
 
 
 def _most_frequent(smooth: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -7,7 +7,9 @@ borders, which the discrete cosine transform diagonalises (Frankot and Chellappa
 
 Without a calibration the outline alone speaks: a skin pressed in by an even load and held at the outline is the
 solution of Poisson's equation with a constant right side there (Prandtl's membrane), which for an ellipse is exactly
-the cap that a smooth convex object presses. Its depth is not in the outline and has to be known or assumed.
+the cap that a smooth convex object presses. Its depth is not in the outline and has to be known or assumed. Colours
+inside follow the cap's slopes on the whole, so the cap calibrates its own image roughly; integrated by that, they show
+what the cap does not: ridges, flats, the side on which the object goes on beyond the image.
 """
 
 from __future__ import annotations
@@ -17,9 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.robot.gels import Gel
-from touch.gels.calibration import Photometry
-from touch.gels.colour import ColourSettings, Mask, Moved, check_image, moved_skin
+from scenes.robot.gels import Gel, check_image
+from touch.gels.calibration import TERMS, CalibrationSettings, Photometry, photometry_of, relative
+from touch.gels.colour import ColourSettings, Mask, Moved, moved_skin
 
 Array = NDArray[np.float64]
 
@@ -41,16 +43,20 @@ class HeightSettings:
     usual_share: float = 0.25
     usual_error: float = 0.6
     known_error: float = 0.2
+    # The cap's slopes that its own colours may leave unexplained, as a share: beyond, the outline alone counts.
+    unexplained: float = 0.8
     # Grid (cells along the longer side) of the membrane's equation: a cap has no finer shape.
     cells: int = 48
 
 
 @dataclass(frozen=True)
 class Indentation:
-    """depth (h, w) m of the skin's indentation along the pixels' lines; touched (h, w): where the object is on the
-    skin; moved (h, w): where the skin moved at all; sigma (h, w) m; measured: False when the shape is the outline's.
+    """On the working pixels of `gel`: depth (h, w) m of the skin's indentation along the pixels' lines; touched (h, w):
+    where the object is on the skin; moved (h, w): where the skin moved at all; sigma (h, w) m; measured: False when the
+    depth is not the colours' own.
     """
 
+    gel: Gel
     depth: Array
     touched: Mask
     moved: Mask
@@ -71,18 +77,19 @@ def indentation_of(
     for no background, another size or a saturated image, beginning with `where`.
     """
     settings = settings or HeightSettings()
+    work, step = gel.working, gel.working_step
+    check_image(image, gel, where)
     if image.ndim == 2:
-        return from_depth(1e-6 * image.astype(np.float64), settings)
-    check_image(image, gel, where, settings.colour)
-    assert gel.background is not None
-    moved = moved_skin(image, gel.background, settings.colour)
+        return from_depth(1e-6 * image[::step, ::step].astype(np.float64), work, settings)
+    moved = moved_skin(image, gel, settings.colour)
     if gel.calibration is None:
-        return from_outline(moved, gel, known, settings)
-    photometry = Photometry.from_json(gel.calibration, where)
-    return from_depth(heights(moved, gel, photometry), settings, moved.inside)
+        if known is not None:
+            known = min(known[0] // step, work.width - 1), min(known[1] // step, work.height - 1), known[2]
+        return from_outline(moved, work, known, settings)
+    return from_depth(heights(moved, work, photometry_of(gel, where)), work, settings, moved.inside)
 
 
-def from_depth(depth: Array, settings: HeightSettings, moved: Mask | None = None) -> Indentation:
+def from_depth(depth: Array, gel: Gel, settings: HeightSettings, moved: Mask | None = None) -> Indentation:
     """The measured indentation (h, w) m with what of it is touched."""
     deepest = float(depth.max(initial=0.0))
     threshold = max(settings.share * deepest, settings.least)
@@ -92,15 +99,14 @@ def from_depth(depth: Array, settings: HeightSettings, moved: Mask | None = None
     else:
         touched &= moved
     sigma = np.hypot(settings.gain * np.maximum(depth, 0.0), settings.floor)
-    return Indentation(np.maximum(depth, 0.0), touched, moved, sigma, True)
+    return Indentation(gel, np.maximum(depth, 0.0), touched, moved, sigma, True)
 
 
 def heights(moved: Moved, gel: Gel, photometry: Photometry) -> Array:
-    """(h, w) m by which the skin is pressed in, from calibrated colours; 0 outside of what moved."""
+    """(h, w) m by which the skin is pressed in, from calibrated colours, on working pixels; 0 outside of what moved."""
     if not moved.inside.any():
         return np.zeros((gel.height, gel.width))
-    assert gel.background is not None
-    normal = photometry.normals(moved.difference, gel.background, gel)
+    normal = photometry.normals(moved.difference, gel)
     along_u, along_v = (new - old for new, old in zip(slopes(normal, gel), slopes(gel.untouched_normals, gel)))
     outside = ~moved.inside
     along_u[outside] = 0.0
@@ -161,16 +167,45 @@ def from_outline(
 ) -> Indentation:
     """The membrane's cap in the outline, as deep as is known of one pixel or usual."""
     shape = membrane(moved.inside, settings.cells)
-    peak, error = settings.usual_share * gel.thickness, settings.usual_error
-    if known is not None and moved.inside[known[1], known[0]] and known[2] > settings.least:
-        at = float(shape[known[1], known[0]])
-        if at > 0.1:  # a pixel at the very outline says little of the depth
-            peak, error = min(known[2] / at, gel.thickness), settings.known_error
-    depth = peak * shape
+    peak, error = _peak(shape, gel, known, settings)
+    coloured = _own_colours(moved, gel, peak * shape, settings)
+    if coloured is not None:
+        shape = coloured / max(float(coloured.max()), 1e-300)
+        peak, error = _peak(shape, gel, known, settings)
+    depth = np.minimum(peak * shape, gel.thickness)
     # the outline itself is sure; in the middle the depth is what is not known
     slope = 2.0 * peak / max(np.sqrt(moved.inside.sum() / np.pi), 1.0)  # of a cap at its edge, metres a pixel
     sigma = np.hypot(error * depth, slope * moved.edge)
-    return Indentation(depth, moved.inside.copy(), moved.inside, np.maximum(sigma, settings.floor), False)
+    return Indentation(gel, depth, moved.inside.copy(), moved.inside, np.maximum(sigma, settings.floor), False)
+
+
+def _peak(
+    shape: Array, gel: Gel, known: tuple[int, int, float] | None, settings: HeightSettings
+) -> tuple[float, float]:
+    """The deepest indentation (m) of a shape (h, w; 1 at its deepest) and its relative error: known or usual."""
+    if known is not None and known[2] > settings.least:
+        at = float(shape[known[1], known[0]])
+        if at > 0.1:  # a pixel at the very outline says little of the depth
+            return min(known[2] / at, gel.thickness), settings.known_error
+    return settings.usual_share * gel.thickness, settings.usual_error
+
+
+def _own_colours(moved: Moved, gel: Gel, cap: Array, settings: HeightSettings) -> Array | None:
+    """Indentation (h, w) m by the colours, calibrated on the cap's own slopes; None where they do not follow it."""
+    inside = moved.inside
+    if inside.sum() < 100:
+        return None
+    darkest = CalibrationSettings().darkest
+    q = relative(moved.difference, gel, darkest)[inside].astype(np.float64)
+    change = (gel.normals(cap) - gel.untouched_normals)[inside]
+    gram = q.T @ q + 1e-3 * float((q**2).sum()) * np.eye(3)
+    coefficients = np.zeros((3, 3 * TERMS))
+    coefficients[:, :3] = np.linalg.solve(gram, q.T @ change).T
+    left = change[:, :2] - q @ coefficients[:2, :3].T
+    if not (left**2).sum() < settings.unexplained**2 * (change[:, :2] ** 2).sum():
+        return None
+    depth = heights(moved, gel, Photometry(coefficients, (gel.width, gel.height), darkest))
+    return depth if depth.max() > 0 else None
 
 
 def membrane(inside: Mask, cells: int = 48) -> Array:

@@ -33,13 +33,15 @@ class GelSearchSettings:
     rows: GelRowSettings = field(default_factory=GelRowSettings)
     proposals: ProposalSettings = field(default_factory=ProposalSettings)
     # Proposals of pairs of contacts, and starts that only put one contact onto the surface.
-    pairs: int = 6000
-    loose: int = 1500
+    pairs: int = 4000
+    loose: int = 800
     # Blur (share of the object's radius, rad) under which all proposals are ranked, and how many go on.
     rank_blur: tuple[float, float] = (0.05, 0.25)
-    ranked: int = 700
+    ranked: int = 400
+    # Of the rows, every so many tell good proposals from bad.
+    ranking_step: int = 6
     # Passes of the alignment: blur (share of the radius, rad), steps, survivors.
-    passes: tuple[tuple[float, float, int, int], ...] = ((0.04, 0.2, 10, 240), (0.01, 0.06, 12, 120))
+    passes: tuple[tuple[float, float, int, int], ...] = ((0.04, 0.2, 10, 160), (0.01, 0.06, 12, 80))
     # Shaken by this much (rad, share of the radius), so that other seeds look at other places.
     jitter: float = 0.03
     modes: ModeSettings = field(default_factory=ModeSettings)
@@ -93,8 +95,8 @@ def localize_gels(
         starts = np.concatenate([prior.pose[None], starts])
     blur, blur_normal = settings.rank_blur
     rough = AlignSettings(blur=blur * model.radius, blur_normal=blur_normal)
-    # every other row tells good from bad as well
-    merits = costs(model, rows.take(np.arange(0, len(rows), 3)), starts, prior, rough)
+    few = rows.take(np.arange(0, len(rows), settings.ranking_step)).reweighted(settings.ranking_step)
+    merits = costs(model, few, starts, prior, rough)
     keep = np.argsort(merits, kind="stable")[: settings.ranked]
     stages = tuple(SearchStage(b * model.radius, angle, 10**9, steps, n) for b, angle, steps, n in settings.passes)
     found = search(model, rows, starts[keep], stages, prior)

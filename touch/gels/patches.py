@@ -86,10 +86,10 @@ class Patch:
         )
 
 
-def patch_of(sensor: str, gel: Gel, pressed: Indentation, settings: PatchSettings | None = None) -> Patch:
+def patch_of(sensor: str, pressed: Indentation, settings: PatchSettings | None = None) -> Patch:
     """The patch of one indentation, sensor frame; without points when nothing is touched."""
     settings = settings or PatchSettings()
-    touched, silent = pressed.touched, ~pressed.moved
+    gel, touched, silent = pressed.gel, pressed.touched, ~pressed.moved
     if touched.mean() < settings.smallest:
         touched = np.zeros_like(touched)
         silent = ~pressed.moved
@@ -122,9 +122,9 @@ def patches_of(frame: Frame, settings: PatchSettings | None = None) -> list[Patc
     settings = settings or PatchSettings()
     if not frame.gels:
         return []
-    if frame.hand is None or frame.joints is None or frame.world_from_hand is None:
+    if frame.hand is None or frame.world_from_hand is None or (frame.joints is None and frame.hand.joint_names):
         raise CaptureError(f"{frame.where}: gels' images need a hand, its joints and its pose")
-    hand_from_sensor = frame.hand.hand_from_sensor(frame.joints)
+    hand_from_sensor = frame.hand.hand_from_sensor(frame.joints or {})
     camera_from_hand = frame.camera_from_world @ frame.world_from_hand
     out = []
     for name, image in frame.gels.items():
@@ -135,7 +135,7 @@ def patches_of(frame: Frame, settings: PatchSettings | None = None) -> list[Patc
         where = f"{frame.where}: gel {name}"
         known_depth = _known_depth(frame, name, frame.world_from_hand @ hand_from_sensor[name], sensor.gel)
         pressed = indentation_of(image, sensor.gel, where, known_depth, settings.heights)
-        patch = patch_of(name, sensor.gel, pressed, settings)
+        patch = patch_of(name, pressed, settings)
         out.append(patch.moved(camera_from_hand @ hand_from_sensor[name]))
     return out
 

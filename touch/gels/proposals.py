@@ -37,8 +37,8 @@ class ProposalSettings:
     # Bends that differ by less than this (1/m, over the smallest box) have no direction.
     round_below: float = 12.0
     # Turns tried about the normal of a round patch, and proposals of one patch.
-    turns: int = 16
-    most: int = 6000
+    turns: int = 12
+    most: int = 2000
 
 
 @dataclass(frozen=True)

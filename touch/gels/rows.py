@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from scenes.evidence import table as tables
 from scenes.evidence.table import TOUCH, Evidence
-from scenes.recordings.frames import Contacts
+from scenes.recordings.frames import Contacts, Frame
 from touch.gels.patches import Patch
 
 Array = NDArray[np.float64]
@@ -45,6 +45,15 @@ def gel_contacts(patches: Sequence[Patch], settings: GelRowSettings | None = Non
         [patch.sensor for patch in on],
         sigma_known=True,
     )
+
+
+def unspoken(frame: Frame, contacts: Contacts, patches: Sequence[Patch]) -> list[Patch]:
+    """Patches on links that no other sensor reports a contact of: one touch is one contact, however many sensors."""
+    if frame.hand is None:
+        return []
+    sensors = frame.hand.sensors
+    spoken = {sensors[name].link for name in contacts.sensors if name in sensors}
+    return [patch for patch in patches if sensors[patch.sensor].link not in spoken]
 
 
 def patch_rows(patches: Sequence[Patch], settings: GelRowSettings | None = None) -> Evidence:
