@@ -282,4 +282,4 @@ def blind(frame: Frame) -> Frame:
 
 def numb(frame: Frame) -> Frame:
     """The frame without what touch gave."""
-    return replace(frame, contacts=Contacts(np.zeros((0, 3))), no_contact=None, wrenches=(), tactile={})
+    return replace(frame, contacts=Contacts(np.zeros((0, 3))), no_contact=None, wrenches=(), tactile={}, gels={})
