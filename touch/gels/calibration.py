@@ -34,10 +34,12 @@ class CalibrationSettings:
     """How presses of a ball are read."""
 
     colour: ColourSettings = ColourSettings()
-    # Share of the outline's radius inside which the skin lies on the ball; beyond, it bridges to the untouched skin.
-    inner: float = 0.8
+    # Share of the contact's radius inside which the skin surely lies on the ball.
+    inner: float = 0.9
     # Outlines may miss the ball's circle by this share of its radius: rougher ones are no ball, or of another radius.
-    roughness: float = 0.12
+    roughness: float = 0.2
+    # Least depth (m) of a press by its outline: shallower ones hardly change a colour, so the radius must be wrong.
+    shallowest: float = 0.00005
     # Ridge on the coefficients of normalised features, as a share of the samples: what the presses do not show stays 0.
     ridge: float = 2e-3
     # Background darker than this (counts) has no relative difference: counts as that bright.
@@ -182,11 +184,11 @@ def ball_normals(
 ) -> tuple[NDArray[np.bool_], Array]:
     """Where (h, w) the skin lies on the ball, and by how much (h, w, 3) its normal differs there from the untouched.
 
-    The outline's points on the skin are as far from the ball's centre as its radius.
+    The outline's points on the skin lie on a circle, over whose middle the ball's centre is.
     """
     import cv2
 
-    outlines, _ = cv2.findContours(moved.inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    outlines, _ = cv2.findContours(moved.core.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not outlines:
         raise InputError(f"{where}: expected a press of the ball, got an image like the background")
     outline = max(outlines, key=cv2.contourArea)[:, 0]
@@ -196,8 +198,24 @@ def ball_normals(
         raise InputError(f"{where}: expected the ball's whole outline in the image, got it cut off by the border")
     skin = gel.points()
     edge = skin[outline[free, 1], outline[free, 0]]
-    centre, across = _ball_centre(edge, radius, where)
-    rough = float(np.abs(np.linalg.norm(edge[:, :2] - centre[:2], axis=1) - across).mean()) / across
+    foot_of, axis, outline_radius, rough = _circle_of(edge)
+    # colours change the most where the skin leaves the ball: beyond, it bridges back
+    away = skin - foot_of
+    from_axis = np.sqrt(np.maximum((away**2).sum(axis=2) - (away @ axis) ** 2, 0.0))
+    ring = np.minimum(from_axis / gel.spacing, 1e4).astype(np.int64)[moved.core]
+    change = np.linalg.norm(moved.difference, axis=2)[moved.core]
+    profile = np.bincount(ring, change) / np.maximum(np.bincount(ring), 1)
+    profile[int(outline_radius / gel.spacing) + 1 :] = 0.0
+    across = (int(np.argmax(profile)) + 0.5) * gel.spacing
+    if not across < radius:
+        said = f"{2e3 * across:.3g} mm across"
+        raise InputError(f"{where}: expected the outline of a ball of {2e3 * radius:.3g} mm or less, got one {said}")
+    centre = foot_of + np.sqrt(radius**2 - across**2) * axis
+    depth = radius - float(np.sqrt(radius**2 - across**2))
+    if not settings.shallowest <= depth <= gel.thickness:
+        limits = f"{1e3 * settings.shallowest:g} to {1e3 * gel.thickness:g} mm deep"
+        said = f"an outline {2e3 * across:.3g} mm across would be {1e3 * depth:.2g} mm: is the radius right?"
+        raise InputError(f"{where}: expected a {1e3 * radius:g} mm ball pressed {limits}, {said}")
     if rough > settings.roughness:
         said = f"it is off by {100 * rough:.0f} % of its radius"
         raise InputError(f"{where}: expected the round outline of a {1e3 * radius:g} mm ball, {said}")
@@ -211,37 +229,29 @@ def ball_normals(
     square = (direction**2).sum(axis=-1)
     along = ((centre - foot) * direction).sum(axis=-1) / square
     aside = ((foot + along[..., None] * direction - centre) ** 2).sum(axis=-1)
-    met = aside < (settings.inner * across) ** 2
     reach = np.sqrt(np.maximum(radius**2 - aside, 0.0) / square)
     place = foot + (along - reach)[..., None] * direction
     normal = (centre - place) / radius  # the skin's normal looks into the ball
-    met &= moved.inside
+    met = (aside < radius**2) & (from_axis < settings.inner * across) & moved.core
     if met.sum() < 30:
         raise InputError(f"{where}: expected a press of at least 30 pixels, got {int(met.sum())}")
     return met, np.where(met[..., None], normal - gel.untouched_normals, 0.0)
 
 
-def _ball_centre(edge: Array, radius: float, where: str) -> tuple[Array, float]:
-    """Centre (3,) of a ball of this radius through points (n, 3), on the side out of the finger, and the radius of its
-    circle there (m).
+def _circle_of(edge: Array) -> tuple[Array, Array, float, float]:
+    """Of points (n, 3) on a circle: its middle (3,), its unit axis (3,) out of the finger, its radius (m), and the mean
+    deviation from it as a share of that.
     """
     middle = edge.mean(axis=0)
-    # circle in the plane across z: algebraic least squares (Kasa 1976)
-    local = edge[:, :2] - middle[:2]
+    basis = np.linalg.svd(edge - middle, full_matrices=False)[2]
+    axis = basis[2] if basis[2, 2] >= 0 else -basis[2]
+    # in its plane: algebraic least squares (Kasa 1976)
+    local = (edge - middle) @ basis[:2].T
     design = np.concatenate([2.0 * local, np.ones((len(local), 1))], axis=1)
     a, b, c = np.linalg.lstsq(design, (local**2).sum(axis=1), rcond=None)[0]
-    across = float(np.sqrt(max(c + a * a + b * b, 0.0)))
-    if not across < radius:
-        said = f"{2e3 * across:.3g} mm across"
-        raise InputError(f"{where}: expected the outline of a ball of {2e3 * radius:.3g} mm or less, got one {said}")
-    centre = np.array([middle[0] + a, middle[1] + b, middle[2] + np.sqrt(radius**2 - across**2)])
-    # a few Gauss-Newton steps on the distances, for skins that are not flat
-    for _ in range(5):
-        away = centre - edge
-        length = np.linalg.norm(away, axis=1)
-        step = np.linalg.lstsq(away / length[:, None], radius - length, rcond=1e-6)[0]
-        centre = centre + step
-    return centre, across
+    across = float(np.sqrt(max(c + a * a + b * b, 1e-18)))
+    rough = float(np.abs(np.linalg.norm(local - np.array([a, b]), axis=1) - across).mean()) / across
+    return middle + a * basis[0] + b * basis[1], axis, across, rough
 
 
 def _terms(width: int, height: int) -> list[Array]:
