@@ -43,8 +43,9 @@ class GelNoise:
     grain: float = 3.0
     # The skin's bulge beyond its drawing, standard deviation (m).
     bulge: float = 0.00008
-    # Width (m) over which the skin bridges from what presses it to where it is untouched.
-    bridge: float = 0.0006
+    # Width over which the skin bridges from what presses it to where it is untouched, as a share of the gel's thickness:
+    # rubber that is pressed moves about as far beside as below.
+    bridge: float = 0.25
 
 
 @dataclass(frozen=True)
@@ -151,11 +152,13 @@ def pressed_by(model: ObjectModel, object_from_sensor: Array, gel: Gel) -> Array
     return np.clip(gel.surface + _bulge_of(gel) - z, 0.0, gel.thickness)
 
 
-def bridged(depth: Array, gel: Gel, width: float) -> Array:
-    """(h, w) m the skin's indentation where the object reaches in by depth (h, w): beside it the skin bridges over about
-    `width` (m) to where it is untouched; nowhere is it less than the object's own.
+def bridged(depth: Array, gel: Gel, noise: GelNoise | None = None) -> Array:
+    """(h, w) m the skin's indentation where the object reaches in by depth (h, w): beside it the skin bridges to where it
+    is untouched; nowhere is it less than the object's own.
     """
     import cv2
+
+    width = (noise or GelNoise()).bridge * gel.thickness
 
     skin = depth
     touched = depth > 0
@@ -221,23 +224,29 @@ def feel_gels(
 def see(gel: Gel, depth: Array, rng: np.random.Generator) -> NDArray[np.uint16] | NDArray[np.uint8]:
     """The gel's image where the object reaches in by depth (h, w) m: colours when it is lit, else micrometres."""
     if isinstance(gel, LitGel):
-        return photograph_gel(gel, bridged(depth, gel, gel.noise.bridge), rng)
-    noise = GelNoise()
-    skin = bridged(depth, gel, noise.bridge)
+        return photograph_gel(gel, bridged(depth, gel, gel.noise), rng)
+    skin = bridged(depth, gel)
     return np.rint(np.clip(skin, 0.0, gel.thickness) / MICROMETRE).astype(np.uint16)
 
 
 def ball_presses(
     gel: LitGel, radius: float, depth: float, count: int, rng: np.random.Generator
 ) -> list[NDArray[np.uint8]]:
-    """Images of a ball of `radius` (m) pressed `depth` (m) deep into the skin at `count` places of its inner part."""
+    """Images of a ball of `radius` (m) pressed `depth` (m) deep into the skin, `count` of them spread over it."""
     skin, out = gel.points(_bulge_of(gel) * -1.0), gel.normals()
     images = []
-    for _ in range(count):
-        u = int(gel.width * rng.uniform(0.28, 0.72))
-        v = int(gel.height * rng.uniform(0.28, 0.72))
+    # the whole outline, with what bridges to it, has to be in the image
+    margin = (np.sqrt(max(2.0 * radius * depth - depth**2, 0.0)) + 0.0012) / gel.spacing
+    low_u, low_v = (min(margin / side, 0.4) for side in (gel.width, gel.height))
+    rows = max(1, round(np.sqrt(count * gel.height / gel.width)))
+    columns = -(-count // rows)
+    for number in range(count):
+        # one in each field of a grid
+        a, b = (number % columns + rng.random()) / columns, (number // columns + rng.random()) / rows
+        u = int(gel.width * (low_u + (1.0 - 2.0 * low_u) * a))
+        v = int(gel.height * (low_v + (1.0 - 2.0 * low_v) * min(b, 0.999)))
         centre = skin[v, u] + (radius - depth) * out[v, u]
-        images.append(photograph_gel(gel, bridged(_ball_depth(gel, centre, radius), gel, gel.noise.bridge), rng))
+        images.append(photograph_gel(gel, bridged(_ball_depth(gel, centre, radius), gel, gel.noise), rng))
     return images
 
 

@@ -32,6 +32,9 @@ class ColourSettings:
     # Share of the moved pixels' usual difference above which a pixel belongs to the core: skin that only bridges to what
     # is touched changes less.
     core: float = 0.4
+    # Largest drift of the exposure (share): beyond, it is the contact's own. Darker pixels (counts) tell none.
+    drift: float = 0.05
+    darkest: float = 12.0
     # Gaps closed and specks dropped, pixels across (a tenth of a millimetre or two).
     gap: int = 7
     # Smaller moved areas, as a share of the image, are specks.
@@ -66,8 +69,9 @@ def moved_skin(image: NDArray[np.uint8], gel: Gel, settings: ColourSettings | No
     grain = np.abs(rows[:, 1::step] - rows[:, :-1:step][:, : rows[:, 1::step].shape[1]]).reshape(-1, 3)
     noise = 1.4826 / np.sqrt(2.0) * np.median(grain, axis=0)
     noise = np.maximum(noise / (2.0 * np.sqrt(np.pi) * settings.blur), 0.3)
-    # exposure drifts as a whole: pixels about the most frequent difference are the untouched ones
-    smooth -= _most_frequent(smooth)
+    # exposure drifts as a whole: pixels about the most frequent relative difference are the untouched ones
+    level = np.maximum(gel.working.level, np.float32(settings.darkest))
+    smooth -= _most_frequent(smooth / level, settings.drift) * level
     size = np.sqrt(((smooth / noise.astype(np.float32)) ** 2).sum(axis=2))
     counts = np.sqrt((smooth**2).sum(axis=2))
     moved = ((size > settings.sigmas) & (counts > settings.least)).astype(np.uint8)
@@ -84,14 +88,18 @@ def moved_skin(image: NDArray[np.uint8], gel: Gel, settings: ColourSettings | No
     return Moved(smooth, noise, inside, core, edge)
 
 
-def _most_frequent(smooth: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(3,) the mode of each channel to half a count; no more than three counts: beyond that it is the contact's own."""
+def _most_frequent(relative: NDArray[np.float32], most: float) -> NDArray[np.float32]:
+    """(3,) the mode of each channel of relative differences (h, w, 3), up to `most`; 0 where there is none."""
     out = np.zeros(3, dtype=np.float32)
     for channel in range(3):
-        values = smooth[::2, ::2, channel].ravel()
-        counts, edges = np.histogram(values, bins=25, range=(-3.125, 3.125))
-        if counts.max(initial=0) > 0.05 * len(values):
-            out[channel] = 0.5 * (edges[np.argmax(counts)] + edges[np.argmax(counts) + 1])
+        values = relative[::2, ::2, channel].ravel()
+        counts, edges = np.histogram(values, bins=25, range=(-most, most))
+        # the mean about the fullest bin is finer than the bin
+        best = int(np.argmax(counts))
+        if counts[best] > 0.05 * len(values):
+            width = edges[1] - edges[0]
+            near = values[np.abs(values - 0.5 * (edges[best] + edges[best + 1])) < width]
+            out[channel] = near.mean()
     return out
 
 

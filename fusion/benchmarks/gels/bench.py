@@ -211,7 +211,7 @@ def add_calibration(report: Report, settings: BenchSettings) -> None:
             patch_rows([patch])
             end = time.process_time()
             step = gel.working_step
-            true = bridged(depth, gel, 0.0006)[::step, ::step]
+            true = bridged(depth, gel)[::step, ::step]
             on = depth[::step, ::step] > 1e-4
             found.append(float(np.sqrt(np.mean((pressed.depth - true)[on] ** 2))))
             peaks.append(float(pressed.depth.max()))

@@ -26,7 +26,7 @@ from touch.gels.patches import Patch, patch_of
 Array = NDArray[np.float64]
 
 # The ball (m) and its presses that calibrate.
-BALL, BALL_DEPTHS, BALL_PRESSES = 0.004, (0.0005, 0.0009), 6
+BALL, BALL_DEPTHS, BALL_PRESSES = 0.004, (0.0005, 0.0009), 12
 
 
 @dataclass(frozen=True)
