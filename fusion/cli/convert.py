@@ -60,8 +60,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--instance", metavar="K", type=whole, help="bop: which of several in an image, from 0")
     parser.add_argument("--models", metavar="DIR", type=Path, help="bop: folder of the meshes, else looked for")
     parser.add_argument("--hand", metavar="URDF", type=Path, help="feelsight: the hand, sensors.json with gels beside it")
-    parser.add_argument("--topics", metavar="FILE", type=Path, help="ros: the topic map (docs/formats.md)")
-    parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="images: the camera, pixels")
+    parser.add_argument("--topics", metavar="FILE|NAME", type=Path, help="ros: the topic map (docs/formats.md), or a ready one: object-in-hand")
+    parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="images, ready topic maps: the camera, pixels")
     parser.add_argument(
         "--depth-scale", metavar="MM", type=positive_number, help="images: millimetres per count (default 1)"
     )
@@ -193,6 +193,13 @@ def _import(kind: str, args: argparse.Namespace) -> Converted:
 
         if args.topics is None:
             raise InputError(f"{source}: expected --topics FILE, a topic map (docs/formats.md), got none")
+        from scenes.formats.ros import maps
+
+        if str(args.topics) in maps.names():
+            given = _intrinsics(args)
+            k = None if given is None else given.matrix
+            known = None if k is None else (float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
+            return ros.convert(source, out, maps.ready_map(str(args.topics), source, known), _object(args))
         return ros.convert(source, out, ros_map.read_map(args.topics), _object(args))
     if kind == "feelsight":
         from scenes.formats.gels import feelsight
