@@ -19,13 +19,19 @@ BACKGROUND = "background"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
     parser.add_argument(
-        "images", metavar="IMAGES", type=Path, nargs="+", help="presses of the ball, or a folder of them and background.png"
+        "images",
+        metavar="IMAGES",
+        type=Path,
+        nargs="+",
+        help="presses of the ball, or a folder of them and background.png",
     )
     parser.add_argument("--ball", metavar="MM", type=positive_number, required=True, help="the ball's radius")
     parser.add_argument("--background", metavar="FILE", type=Path, help="the untouched skin's image")
     parser.add_argument("--sensors", metavar="FILE", type=Path, help="sensors.json with the gel; --sensor of several")
     parser.add_argument("--sensor", metavar="NAME", help="which gel of sensors.json")
-    parser.add_argument("--mm-per-pixel", metavar="MM", type=positive_number, help="of a flat gel, instead of --sensors")
+    parser.add_argument(
+        "--mm-per-pixel", metavar="MM", type=positive_number, help="of a flat gel, instead of --sensors"
+    )
     parser.add_argument("--digit", action="store_true", help="a DIGIT, instead of --sensors")
     parser.add_argument(
         "-o", "--out", metavar="FILE", type=Path, default=Path("gel_calibration.json"), help="file to write"
@@ -52,7 +58,9 @@ def run(args: argparse.Namespace) -> int:
         gel = replace(gel, background=located(background, images.read_rgb))
         if gel.background is not None and gel.background.shape[:2] != (gel.height, gel.width):
             got = f"{gel.background.shape[1]}x{gel.background.shape[0]}"
-            raise InputError(f"{background}: expected an image of {gel.width}x{gel.height} pixels as the gel's, got {got}")
+            raise InputError(
+                f"{background}: expected an image of {gel.width}x{gel.height} pixels as the gel's, got {got}"
+            )
     if gel.background is None:
         raise InputError("calibrate-gel: expected the untouched skin: --background FILE or background.png, found none")
     shown = [located(path, images.read_rgb) for path in presses]

@@ -59,8 +59,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--object-id", metavar="N", type=whole, help="bop, tacman: which object of several")
     parser.add_argument("--instance", metavar="K", type=whole, help="bop: which of several in an image, from 0")
     parser.add_argument("--models", metavar="DIR", type=Path, help="bop: folder of the meshes, else looked for")
-    parser.add_argument("--hand", metavar="URDF", type=Path, help="feelsight: the hand, sensors.json with gels beside it")
-    parser.add_argument("--topics", metavar="FILE|NAME", type=Path, help="ros: the topic map (docs/formats.md), or a ready one: object-in-hand")
+    parser.add_argument(
+        "--hand", metavar="URDF", type=Path, help="feelsight: the hand, sensors.json with gels beside it"
+    )
+    parser.add_argument(
+        "--topics",
+        metavar="FILE|NAME",
+        type=Path,
+        help="ros: the topic map (docs/formats.md), or a ready one: object-in-hand",
+    )
     parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="images, ready topic maps: the camera, pixels")
     parser.add_argument(
         "--depth-scale", metavar="MM", type=positive_number, help="images: millimetres per count (default 1)"
@@ -188,8 +195,8 @@ def _import(kind: str, args: argparse.Namespace) -> Converted:
         model = _needed(args, f"a capture (or OUT ending in {', '.join(TABLES)})")
         return tacman.convert_contacts(read_contacts(source), out, model, str(source))
     if kind == "ros":
-        from scenes.formats.ros import topics as ros_map
         from scenes.formats.ros import recording as ros
+        from scenes.formats.ros import topics as ros_map
 
         if args.topics is None:
             raise InputError(f"{source}: expected --topics FILE, a topic map (docs/formats.md), got none")
@@ -212,9 +219,8 @@ def _import(kind: str, args: argparse.Namespace) -> Converted:
 
         found = digit_grasps.grasps_in(source) if source.is_dir() else []
         single = found == [source]
-        model = _object(args)
         parts = [
-            digit_grasps.convert(path, out if single else out / "_".join(path.relative_to(source).parts), model)
+            digit_grasps.convert(path, out if single else out / "_".join(path.relative_to(source).parts), _object(args))
             for path in found
         ]
     elif kind == "tacman":

@@ -41,7 +41,8 @@ HEADS = ("trial", "index mm", "modes", "verdict", "time s")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
-    parser.add_argument("contacts",
+    parser.add_argument(
+        "contacts",
         metavar="CONTACTS",
         type=Path,
         help="contacts.csv, a point list as .off or .ply, or a capture with gels' images",
@@ -119,7 +120,9 @@ def _run_gels(args: argparse.Namespace) -> int:
     trials = []
     for trial in range(args.trials):
         found = localize_gels(model, patches, seed=args.seed + trial)
-        modes = [{"pose": (world_from_camera @ m.pose).tolist(), "weight": m.weight, "cost": m.cost} for m in found.modes]
+        modes = [
+            {"pose": (world_from_camera @ m.pose).tolist(), "weight": m.weight, "cost": m.cost} for m in found.modes
+        ]
         trials.append(
             {
                 "pose": modes[0]["pose"],

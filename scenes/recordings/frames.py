@@ -182,7 +182,8 @@ class Frame:
 
     camera: intrinsics, None when there is no camera. camera_from_world (4, 4).
     depth (h, w) float32 metres along z, 0 = no reading. rgb (h, w, 3) uint8. mask (h, w) bool, the object's pixels.
-    tactile: pressures (k,) Pa of each array; gels: the image of each gel. cloud (n, 3) world frame. joints: name -> radians or metres. world_from_hand (4, 4).
+    cloud (n, 3) world frame. joints: name -> radians or metres. world_from_hand (4, 4).
+    tactile: pressures (k,) Pa of each array. gels: the image of each gel.
     camera_from_object_truth and prior (4, 4): ground truth and coarse start, when the recording has them;
     hand_from_object_truth (4, 4): where a simulated hand really holds it.
     where: file and frame, for messages.

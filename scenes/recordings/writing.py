@@ -218,4 +218,4 @@ class _Recorder:
             if image.ndim == 2:
                 images.write_counts(path, image)
             else:
-                images.write_rgb(path, image)
+                images.write_rgb(path, image.astype(np.uint8))

@@ -61,7 +61,7 @@ class Gel:
 
     @cached_property
     def rays(self) -> Array:
-        """(h, w, 2): x and y by which a pixel's line moves for each metre of depth (pinhole), or where it stands (m)."""
+        """(h, w, 2): x and y that a pixel's line moves by for each metre of depth (pinhole), or where it stands (m)."""
         u, v = np.meshgrid(np.arange(self.width, dtype=np.float64), np.arange(self.height, dtype=np.float64))
         if self.matrix is None:
             assert self.pitch is not None
@@ -107,9 +107,7 @@ class Gel:
         height, width = surface.shape
         pitch = None if self.pitch is None else step * self.pitch
         matrix = None if self.matrix is None else np.diag([1.0 / step, 1.0 / step, 1.0]) @ self.matrix
-        thin = Gel(
-            width, height, surface, pitch, matrix, self.distance, self.thickness, background, self.calibration
-        )
+        thin = Gel(width, height, surface, pitch, matrix, self.distance, self.thickness, background, self.calibration)
         # the same lines of the same pixels, not those of an image whose middle is elsewhere
         thin.__dict__["rays"] = np.ascontiguousarray(self.rays[part])
         thin.__dict__["level"] = np.ascontiguousarray(self.level[part])

@@ -33,8 +33,8 @@ class Sensor:
     link_from_sensor (4, 4). surface: {"sphere": {"radius": r}}, {"ellipsoid": {"radii": [a, b, c]}},
     {"cylinder": {"radius": r, "length": l}} (along z) or {"mesh": {"file": path}}, in the sensor frame, metres; None
     when unknown. A mesh may hold "vertices" and "faces" instead of a file. taxels (k, 6): position and outward normal
-    in the sensor frame, or None. soft_layer: its material as the file gives it, or None. gel: what a gel sensor is made of, None for
-    every other.
+    in the sensor frame, or None. soft_layer: its material as the file gives it, or None. gel: what a gel sensor is
+    made of, None for every other.
     """
 
     name: str

@@ -43,8 +43,8 @@ class GelNoise:
     grain: float = 3.0
     # The skin's bulge beyond its drawing, standard deviation (m).
     bulge: float = 0.00008
-    # Width over which the skin bridges from what presses it to where it is untouched, as a share of the gel's thickness:
-    # rubber that is pressed moves about as far beside as below.
+    # Width over which the skin bridges from what presses it to where it is untouched, as a share of the gel's
+    # thickness: rubber that is pressed moves about as far beside as below.
     bridge: float = 0.25
 
 
@@ -88,7 +88,7 @@ def draw_lamps(gel: Gel, rng: np.random.Generator, noise: GelNoise | None = None
     rough = rng.normal(size=(gel.height, gel.width))
     width = max(1.0, noise.reflectance_width * min(gel.width, gel.height))
     slow = cv2.GaussianBlur(rough, (0, 0), width, borderType=cv2.BORDER_REFLECT)
-    slow /= max(float(slow.std()), 1e-12)
+    slow = np.asarray(slow / max(float(slow.std()), 1e-12), dtype=np.float64)
     return Lamps(places, colours, ambient, np.clip(1.0 + noise.reflectance * slow, 0.3, 1.6))
 
 
@@ -138,7 +138,7 @@ def photograph_gel(gel: LitGel, depth: Array, rng: np.random.Generator) -> NDArr
 
 
 def pressed_by(model: ObjectModel, object_from_sensor: Array, gel: Gel) -> Array:
-    """(h, w) m by which the object's mesh reaches into the skin along the pixels' lines; at most the gel's thickness."""
+    """(h, w) m that the object's mesh reaches into the skin along the pixels' lines; at most the gel's thickness."""
     rays = gel.rays.reshape(-1, 2)
     below = float(gel.surface.min()) - gel.thickness
     if gel.distance is None:
@@ -153,8 +153,8 @@ def pressed_by(model: ObjectModel, object_from_sensor: Array, gel: Gel) -> Array
 
 
 def bridged(depth: Array, gel: Gel, noise: GelNoise | None = None) -> Array:
-    """(h, w) m the skin's indentation where the object reaches in by depth (h, w): beside it the skin bridges to where it
-    is untouched; nowhere is it less than the object's own.
+    """(h, w) m the skin's indentation where the object reaches in by depth (h, w): beside it the skin bridges to where
+    it is untouched; nowhere is it less than the object's own.
     """
     import cv2
 

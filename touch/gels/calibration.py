@@ -10,7 +10,7 @@ then every normal inside: a small ridge regression gives A.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -33,7 +33,7 @@ TERMS = 6
 class CalibrationSettings:
     """How presses of a ball are read."""
 
-    colour: ColourSettings = ColourSettings()
+    colour: ColourSettings = field(default_factory=ColourSettings)
     # Share of the contact's radius inside which the skin surely lies on the ball.
     inner: float = 0.9
     # Outlines may miss the ball's circle by this share of its radius: rougher ones are no ball, or of another radius.
@@ -258,4 +258,3 @@ def _terms(width: int, height: int) -> list[Array]:
     """(h, w) each: 1, u, v, u^2, uv, v^2 with u and v from -1 to 1 over the image."""
     u, v = np.meshgrid(np.linspace(-1.0, 1.0, width), np.linspace(-1.0, 1.0, height))
     return [np.ones_like(u), u, v, u * u, u * v, v * v]
-

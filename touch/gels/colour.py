@@ -29,8 +29,8 @@ class ColourSettings:
     sigmas: float = 4.5
     # Least difference (counts) that counts: images kept as JPEG are wrong by about as much.
     least: float = 2.5
-    # Share of the moved pixels' usual difference above which a pixel belongs to the core: skin that only bridges to what
-    # is touched changes less.
+    # Share of the moved pixels' usual difference above which a pixel belongs to the core: skin that only bridges to
+    # what is touched changes less.
     core: float = 0.4
     # Largest drift of the exposure (share): beyond, it is the contact's own. Darker pixels (counts) tell none.
     drift: float = 0.05
@@ -44,7 +44,8 @@ class ColourSettings:
 @dataclass(frozen=True)
 class Moved:
     """On the gel's working pixels: difference (h, w, 3) float32 smoothed colour counts; noise: its standard deviation a
-    channel (3,); inside (h, w): where the skin moved; core (h, w): where it moved as much as half of that; edge: uncertainty (working pixels) of the outline.
+    channel (3,); inside (h, w): where the skin moved; core (h, w): where it changed about as much as it usually did;
+    edge: uncertainty (working pixels) of the outline.
     """
 
     difference: NDArray[np.float32]
@@ -62,7 +63,7 @@ def moved_skin(image: NDArray[np.uint8], gel: Gel, settings: ColourSettings | No
     assert gel.background is not None
     step = gel.working_step
     raw = image.astype(np.float32) - gel.background.astype(np.float32)
-    smooth = np.ascontiguousarray(cv2.GaussianBlur(raw, (0, 0), settings.blur)[::step, ::step])
+    blurred: NDArray[np.float32] = np.asarray(cv2.GaussianBlur(raw, (0, 0), settings.blur), dtype=np.float32)
     # grain: differences of neighbours, which a slope hardly changes; white grain smoothed with this width is left with
     # 1 / (2 sqrt(pi) width) of it
     rows = raw[:: 2 * step]
@@ -71,7 +72,9 @@ def moved_skin(image: NDArray[np.uint8], gel: Gel, settings: ColourSettings | No
     noise = np.maximum(noise / (2.0 * np.sqrt(np.pi) * settings.blur), 0.3)
     # exposure drifts as a whole: pixels about the most frequent relative difference are the untouched ones
     level = np.maximum(gel.working.level, np.float32(settings.darkest))
-    smooth -= _most_frequent(smooth / level, settings.drift) * level
+    sparse = np.asarray(blurred[::step, ::step], dtype=np.float64)
+    drift = _most_frequent(sparse / level, settings.drift)
+    smooth: NDArray[np.float32] = np.asarray(sparse - drift * level, dtype=np.float32)
     size = np.sqrt(((smooth / noise.astype(np.float32)) ** 2).sum(axis=2))
     counts = np.sqrt((smooth**2).sum(axis=2))
     moved = ((size > settings.sigmas) & (counts > settings.least)).astype(np.uint8)
@@ -79,18 +82,18 @@ def moved_skin(image: NDArray[np.uint8], gel: Gel, settings: ColourSettings | No
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (gap, gap))
     moved = cv2.morphologyEx(moved, cv2.MORPH_OPEN, kernel)
     moved = cv2.morphologyEx(moved, cv2.MORPH_CLOSE, kernel)
-    inside = _filled(moved, settings.smallest * moved.size)
+    inside = _filled(np.asarray(moved, dtype=np.uint8), settings.smallest * moved.size)
     # an outline is as sharp as the smoothing, sharpened by how far beyond the noise the difference is
     strength = float(np.median(size[inside])) if inside.any() else 1.0
     edge = settings.blur / step * float(np.clip(np.sqrt(settings.sigmas / max(strength, 1e-9)), 0.5, 2.0))
-    level = settings.core * float(np.median(counts[inside])) if inside.any() else 0.0
-    core = _filled(cv2.morphologyEx((inside & (counts > level)).astype(np.uint8), cv2.MORPH_CLOSE, kernel), 1.0)
-    return Moved(smooth, noise, inside, core, edge)
+    usual = settings.core * float(np.median(counts[inside])) if inside.any() else 0.0
+    core = cv2.morphologyEx((inside & (counts > usual)).astype(np.uint8), cv2.MORPH_CLOSE, kernel)
+    return Moved(smooth, noise, inside, _filled(np.asarray(core, dtype=np.uint8), 1.0), edge)
 
 
-def _most_frequent(relative: NDArray[np.float32], most: float) -> NDArray[np.float32]:
+def _most_frequent(relative: Array, most: float) -> Array:
     """(3,) the mode of each channel of relative differences (h, w, 3), up to `most`; 0 where there is none."""
-    out = np.zeros(3, dtype=np.float32)
+    out = np.zeros(3)
     for channel in range(3):
         values = relative[::2, ::2, channel].ravel()
         counts, edges = np.histogram(values, bins=25, range=(-most, most))

@@ -14,7 +14,7 @@ what the cap does not: ridges, flats, the side on which the object goes on beyon
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 class HeightSettings:
     """What indentations are worth."""
 
-    colour: ColourSettings = ColourSettings()
+    colour: ColourSettings = field(default_factory=ColourSettings)
     # Touched is what is deeper than this share of the deepest: flatter parts are skin that bridges to the rest.
     share: float = 0.25
     # and than this (m): below, heights are the integration's own drift.
@@ -73,15 +73,15 @@ def indentation_of(
 ) -> Indentation:
     """How deep the skin is pressed in: from micrometres (h, w) uint16, or from colours (h, w, 3) uint8.
 
-    known: a pixel (u, v) and its indentation (m) by another sensor, for colours without a calibration. Raises InputError
-    for no background, another size or a saturated image, beginning with `where`.
+    known: a pixel (u, v) and its indentation (m) by another sensor, for colours without a calibration. Raises
+    InputError for no background, another size or a saturated image, beginning with `where`.
     """
     settings = settings or HeightSettings()
     work, step = gel.working, gel.working_step
     check_image(image, gel, where)
     if image.ndim == 2:
         return from_depth(1e-6 * image[::step, ::step].astype(np.float64), work, settings)
-    moved = moved_skin(image, gel, settings.colour)
+    moved = moved_skin(image.astype(np.uint8), gel, settings.colour)
     if gel.calibration is None:
         if known is not None:
             known = min(known[0] // step, work.width - 1), min(known[1] // step, work.height - 1), known[2]
@@ -114,16 +114,15 @@ def heights(moved: Moved, gel: Gel, photometry: Photometry) -> Array:
     change = integrate(along_u, along_v)
     # what did not move is level with itself; a contact that fills the image leaves its lowest part
     change -= np.median(change[outside]) if outside.mean() > 0.01 else np.percentile(change, 98.0)
-    if gel.distance is None:
-        depth = -change
-    else:
-        depth = -(gel.distance + gel.surface) * np.expm1(np.clip(change, -1.0, 1.0))
+    # of a pinhole camera it is the logarithm of the depth that was integrated
+    pinhole = gel.distance is not None
+    depth = -(float(gel.distance or 0.0) + gel.surface) * np.expm1(np.clip(change, -1.0, 1.0)) if pinhole else -change
     depth[outside] = 0.0
     return np.clip(depth, 0.0, gel.thickness)
 
 
 def slopes(normal: Array, gel: Gel) -> tuple[Array, Array]:
-    """(h, w) each: what integrates along u and v to z (m; parallel lines) or to ln D (pinhole), by normals (h, w, 3)."""
+    """(h, w) each: what integrates along u and v to z (m; parallel lines) or ln D (pinhole), by normals (h, w, 3)."""
     if gel.matrix is None:
         assert gel.pitch is not None
         z = np.maximum(normal[..., 2], 0.1)  # a skin steeper than 84 degrees is a wrong colour
@@ -162,9 +161,7 @@ def integrate(along_u: Array, along_v: Array) -> Array:
     return np.asarray(idctn(spectrum, type=2, norm="ortho"))
 
 
-def from_outline(
-    moved: Moved, gel: Gel, known: tuple[int, int, float] | None, settings: HeightSettings
-) -> Indentation:
+def from_outline(moved: Moved, gel: Gel, known: tuple[int, int, float] | None, settings: HeightSettings) -> Indentation:
     """The membrane's cap in the outline, as deep as is known of one pixel or usual."""
     shape = membrane(moved.inside, settings.cells)
     peak, error = _peak(shape, gel, known, settings)

@@ -116,8 +116,8 @@ def patch_of(sensor: str, pressed: Indentation, settings: PatchSettings | None =
 def patches_of(frame: Frame, settings: PatchSettings | None = None) -> list[Patch]:
     """All gels of a frame, camera frame, in the frame's order.
 
-    Raises CaptureError when the frame has gels' images but no hand, joints or hand pose, for a sensor that the hand does
-    not have, InputError for images that do not fit it.
+    Raises CaptureError when the frame has gels' images but no hand, joints or hand pose, for a sensor that the hand
+    does not have, InputError for images that do not fit it.
     """
     settings = settings or PatchSettings()
     if not frame.gels:

@@ -3,8 +3,8 @@
 T1 chapter 5 compares the covariance of the felt points with that of the object's points in the sensing box. With
 hundreds of points and a normal the second moments say more when they are written as a height over the tangent plane:
 h(x, y) = a x^2 + b x y + c y^2 over a box of the patch's own size. Its eigenvalues are the bending along two principal
-directions (0, 0: a plane; one large: an edge; both large: a corner or a ball), which do not change in a turned frame, and
-the directions fix the turn about the normal up to half a turn. Each place of the object with like bending is one
+directions (0, 0: a plane; one large: an edge; both large: a corner or a ball), which no turn changes, and their axes
+fix the turn about the normal up to half a turn. Each place of the object with like bending is one
 proposal, or two; where the patch is round, turns are tried all around. Metres.
 """
 
@@ -43,8 +43,8 @@ class ProposalSettings:
 
 @dataclass(frozen=True)
 class Bending:
-    """points (n, 3); frames (n, 3, 3): columns the principal directions and the outward normal; bends (n, 2) 1/m, larger
-    first, positive where the object bulges out.
+    """points (n, 3); frames (n, 3, 3): columns the principal directions and the outward normal; bends (n, 2) 1/m,
+    larger first, positive where the object bulges out.
     """
 
     points: Array

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.benchmarks.gels.presses import BALL, Press, calibrated_digit, presses
+from fusion.benchmarks.gels.presses import BALL, Press, calibrated_digit, place, presses
 from fusion.benchmarks.gels.recorded import add_recorded
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Quantile, Rate, Report, Table, own_seed
 from fusion.truth.metrics import pose_error
@@ -45,7 +45,7 @@ HIDDEN = 0.9
 @dataclass(frozen=True)
 class Score:
     """Of one answer: rotation (rad) and translation (m) errors modulo symmetry, squared Mahalanobis distance of the
-    truth, whether a mode is near the truth, how many modes, seconds of processor.
+    truth from the nearest mode, whether a mode is near the truth, how many modes, seconds of processor.
     """
 
     rotation: float
@@ -70,14 +70,16 @@ def run(settings: BenchSettings) -> Report:
 def score(model: ObjectModel, found: Localization, truth: Array, seconds: float) -> Score:
     """How far the answer is from the truth."""
     error = pose_error(found.pose, truth, model.centroid, model.symmetries)
-    near = False
+    near, distance = False, np.inf
     for mode in found.modes:
         one = pose_error(mode.pose, truth, model.centroid, model.symmetries)
         near |= bool(np.linalg.norm(one[:3]) < NEAR[1] and np.linalg.norm(one[3:]) < NEAR[0])
+        # several modes are one posterior: its region is theirs together
+        distance = min(distance, float(one @ np.linalg.solve(mode.covariance, one)))
     return Score(
         float(np.linalg.norm(error[:3])),
         float(np.linalg.norm(error[3:])),
-        float(error @ np.linalg.solve(found.covariance, error)),
+        distance,
         near,
         len(found.modes),
         seconds,
@@ -101,7 +103,7 @@ def add_presses(report: Report, settings: BenchSettings, trials: int) -> None:
             Column("gels: rotation °", 1),
             Column("points: mm", 1),
             Column("gels: mm", 1),
-            Column("gels: 95 % region holds"),
+            Column("gels: 95 % regions hold"),
         ],
     )
     alone = Table(
@@ -118,7 +120,8 @@ def add_presses(report: Report, settings: BenchSettings, trials: int) -> None:
     )
     names = settings.some(OBJECTS, 3)
     cells = [(name, count) for name in names for count in (1, 2, 3)]
-    ratios, held = [], []
+    held: list[bool] = []
+    pooled: dict[str, list[float]] = {"points": [], "gels": []}
     for name, count in settings.progress(cells, len(cells), "presses"):
         model = library.make(name)
         started: dict[str, list[Score]] = {"points": [], "gels": []}
@@ -145,8 +148,9 @@ def add_presses(report: Report, settings: BenchSettings, trials: int) -> None:
             *(Quantile.of(moved[kind], 1e3) for kind in ("points", "gels")),
             Rate.of(inside),
         )
-        if name in EDGED:
-            ratios.append(float(np.median(rotation["gels"])) / max(float(np.median(rotation["points"])), 1e-9))
+        if name in EDGED and count > 1:  # one press leaves the turn about its normal to the start
+            for kind, values in rotation.items():
+                pooled[kind] += values.tolist()
         alone.add(
             name,
             count,
@@ -159,7 +163,9 @@ def add_presses(report: Report, settings: BenchSettings, trials: int) -> None:
     settings.show(table)
     settings.show(alone)
     share = float(np.mean(held)) if held else float("nan")
-    report.claims.append(Claim("rotation error of gels over points, objects with edges", float(np.mean(ratios)), 0.5, False))
+    ratio = float(np.median(pooled["gels"]) / np.median(pooled["points"])) if pooled["gels"] else float("nan")
+    what = "median rotation error, gels over points, two and three presses on objects with edges"
+    report.claims.append(Claim(what, ratio, 0.5, False))
     report.claims.append(Claim("95 % regions hold, at least", share, 0.90, True))
     report.claims.append(Claim("95 % regions hold, at most", share, 0.98, False))
 
@@ -197,8 +203,6 @@ def add_calibration(report: Report, settings: BenchSettings) -> None:
             rng = np.random.default_rng(own_seed(settings.seed, "height", name, trial))
             gel: Gel = calibrated_digit(rng)
             points, normals = model.sample_surface(1, seed=int(rng.integers(2**31)))
-            from fusion.benchmarks.gels.presses import place
-
             depth = pressed_by(model, place(points[0], normals[0], 0.001, 0.1, rng), gel)
             if not (depth > 1e-4).any():
                 continue

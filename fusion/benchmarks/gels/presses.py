@@ -1,8 +1,8 @@
 """Simulated presses of DIGITs onto objects: what the gel saw, and what a point sensor would have said there.
 
-Each trial is another grasp of up to three presses, far apart; each sensor has lamps, reflectance and a bulge of its own,
-is not quite where it says, and was calibrated on another sensor's ball presses. Metres, radians; object frame unless
-said otherwise.
+Each trial is another grasp of up to three presses, far apart; each sensor has lamps, reflectance and a bulge of its
+own, is not quite where it says, and was calibrated on another sensor's ball presses. Metres, radians; object frame
+unless said otherwise.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def presses(
         # one of the farther half: grasps are not always as wide as they could be
         far = np.argsort(-gaps)[: len(points) // 4]
         chosen.append(int(rng.choice(far)))
-    out = []
+    out: list[Press] = []
     for index in chosen:
         gel: Gel = calibrated_digit(rng)
         if not calibrated:
@@ -92,9 +92,7 @@ def presses(
         depth = pressed_by(model, object_from_sensor, gel)
         if not (depth > 0).any():
             continue
-        error = se3.make_pose(
-            se3.exp_rotation(noise.turn * rng.normal(size=3)), noise.place * rng.normal(size=3)
-        )
+        error = se3.make_pose(se3.exp_rotation(noise.turn * rng.normal(size=3)), noise.place * rng.normal(size=3))
         reported = world_from_object @ object_from_sensor @ error
         image = see(gel, depth, rng)
         pressed = indentation_of(image, gel)

@@ -19,7 +19,7 @@ from scenes.formats.conversion import Converted, located
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.captures import write_capture
-from scenes.recordings.frames import Contacts, Frame
+from scenes.recordings.frames import Contacts, Frame, GelImage
 from scenes.robot.digit import HOUSING, digit_gel, model_from_sensor
 from scenes.robot.gels import Gel
 from scenes.robot.hands import Hand
@@ -56,10 +56,12 @@ def convert(folder: Path, out: Path, model: ObjectModel | None = None) -> Conver
     background_file = _above(folder, (BACKGROUND,), "the untouched skin's image")
     background = located(background_file, images.read_rgb)
     if model is None:
-        model = ObjectModel.load(_above(folder, MODELS, "the object (or --object MESH)"), name=folder.resolve().parent.name)
+        model = ObjectModel.load(
+            _above(folder, MODELS, "the object (or --object MESH)"), name=folder.resolve().parent.name
+        )
     world_from_model = _poses(folder / POSES)
     gel = digit_gel((background.shape[1], background.shape[0]), background)
-    shown = {}
+    shown: dict[str, GelImage] = {}
     for number in range(len(world_from_model)):
         path = folder / IMAGE.format(number)
         if not path.is_file():

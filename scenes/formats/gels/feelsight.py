@@ -190,7 +190,9 @@ def _frames(log: _Log, folder: Path, hand: Hand | None, dropped: Dropped) -> tup
             mask = None
             if number in segments:
                 mask = located(segments[number], images.read_rgb)[:, :, 0] > OBJECT_ABOVE
-            shapes = {image.shape[:2] for image in (rgb, mask, None if depth is None else depth[number]) if image is not None}
+            shapes = {
+                image.shape[:2] for image in (rgb, mask, None if depth is None else depth[number]) if image is not None
+            }
             if len(shapes) > 1:
                 sizes = ", ".join(f"{w}x{h}" for h, w in sorted(shapes))
                 raise CaptureError(f"{folder}, image {number}: expected images of one size, got {sizes}")
@@ -217,7 +219,11 @@ def _frames(log: _Log, folder: Path, hand: Hand | None, dropped: Dropped) -> tup
                 hand=hand,
                 joints=dict(zip(hand.joint_names, map(float, joints))) if hand and joints is not None else None,
                 world_from_hand=held if known else None,
-                gels={name: _gel_image(finger, number, log.digit, hand) for name, finger in fingers.items() if number in finger}
+                gels={
+                    name: _gel_image(finger, number, log.digit, hand)
+                    for name, finger in fingers.items()
+                    if number in finger
+                }
                 if known and hand is not None
                 else {},
                 camera_from_object_truth=None if truth is None else camera_from_world @ truth,
@@ -231,7 +237,9 @@ def _intrinsics(entry: Any, where: str) -> tuple[Array, tuple[int, int] | None]:
     if isinstance(entry, dict) and {"fx", "fy", "cx", "cy"} <= set(entry):
         fx, fy, cx, cy = (float(_array(entry[key], where).ravel()[0]) for key in ("fx", "fy", "cx", "cy"))
         matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-        size = tuple(next((int(entry[key]) for key in keys if key in entry), 0) for keys in (("h", "height"), ("w", "width")))
+        size = tuple(
+            next((int(entry[key]) for key in keys if key in entry), 0) for keys in (("h", "height"), ("w", "width"))
+        )
         shape = (size[0], size[1]) if min(size) > 0 else None
     elif entry is not None and np.shape(entry) == (3, 3):
         matrix, shape = _array(entry, where), None
@@ -266,7 +274,9 @@ def _depth(path: Path) -> tuple[NDArray[np.float32] | None, str]:
         if TABLE_TOP[0] <= middle * factor <= TABLE_TOP[1]:
             return (values * np.float32(factor)).astype(np.float32), f"depth_scale {scale:g} taken as {how}"
     far = f"{middle * scale:.3g} or {middle / scale:.3g} m"
-    raise CaptureError(f"{path}: expected depths of {TABLE_TOP[0]} to {TABLE_TOP[1]} m, got {far} by depth_scale {scale:g}")
+    raise CaptureError(
+        f"{path}: expected depths of {TABLE_TOP[0]} to {TABLE_TOP[1]} m, got {far} by depth_scale {scale:g}"
+    )
 
 
 def _numbered(folder: Path) -> dict[int, Path]:

@@ -87,9 +87,9 @@ class TopicMap:
 
     tolerance_s: how far a message may be from the depth image it goes with; mesh (file, unit, name) and hand (URDF,
     sensors or None), None when the map names none; world: "camera" or "robot base"; frames: TF frames by what they are
-    to the capture; required: roles without which a frame is dropped; definitions: message definitions by type. intrinsics (fx, fy, cx, cy; pixels) where
-    no topic has them; static_frames: (parent, child, parent_from_child) that no topic has; marker: camera_from_tracker
-    and marker_from_object (4, 4) around the poses of a marker's topic.
+    to the capture; required: roles without which a frame is dropped; definitions: message definitions by type;
+    intrinsics (fx, fy, cx, cy; pixels) where no topic has them; static_frames: (parent, child, parent_from_child) that
+    no topic has; marker: camera_from_tracker and marker_from_object (4, 4) around the poses of a marker's topic.
     """
 
     path: Path

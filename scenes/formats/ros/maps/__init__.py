@@ -34,7 +34,9 @@ def ready_map(name: str, bag: Path, intrinsics: tuple[float, float, float, float
     path = FOLDER / f"{name}.json"
     content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     if intrinsics is None:
-        raise InputError(f"{bag}: expected --intrinsics FX,FY,CX,CY (a RealSense has them on its label): no camera_info")
+        raise InputError(
+            f"{bag}: expected --intrinsics FX,FY,CX,CY (a RealSense has them on its label): no camera_info"
+        )
     content["intrinsics"] = dict(zip(("fx", "fy", "cx", "cy"), intrinsics))
     config = bag.parent / "config"
     tracker = config / "camera_transmitter.yaml"
@@ -52,7 +54,7 @@ def ready_map(name: str, bag: Path, intrinsics: tuple[float, float, float, float
 
 
 def _pose(path: Path) -> dict[str, list[float]]:
-    """position and orientation of a YAML pose: x, y, z then x, y, z, w under two keys, or x … qw on one level."""
+    """Position and orientation of a YAML pose: x, y, z then x, y, z, w under two keys, or x … qw on one level."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
