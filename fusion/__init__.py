@@ -12,15 +12,26 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fusion.estimation.answer import Estimate
     from fusion.estimation.estimate import estimate
-    from fusion.estimation.stages import EstimateSettings
+    from fusion.estimation.settings import EstimateSettings
+    from fusion.settings import Settings
     from fusion.tracking.answer import TrackedEstimate, TrackSettings
     from fusion.tracking.tracker import Tracker, track
 
-__all__ = ["Estimate", "EstimateSettings", "TrackSettings", "TrackedEstimate", "Tracker", "estimate", "track"]
+__all__ = [
+    "Estimate",
+    "EstimateSettings",
+    "Settings",
+    "TrackSettings",
+    "TrackedEstimate",
+    "Tracker",
+    "estimate",
+    "track",
+]
 
 _HOMES = {
     "Estimate": "fusion.estimation.answer",
-    "EstimateSettings": "fusion.estimation.stages",
+    "EstimateSettings": "fusion.estimation.settings",
+    "Settings": "fusion.settings",
     "TrackSettings": "fusion.tracking.answer",
     "TrackedEstimate": "fusion.tracking.answer",
     "Tracker": "fusion.tracking.tracker",

@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import InputError
-from scenes.files.bop import read_poses
 from scenes.files.ply import write_ply
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.surface import Surface
 from scenes.reconstruction.superquadrics import fit_superquadric
-from scenes.reconstruction.volume import Reconstruction, ReconstructionSettings, View, reconstruct
+from scenes.reconstruction.volume import DepthView, Reconstruction, ReconstructionSettings, reconstruct
+from scenes.recordings.bop import read_poses
 from scenes.recordings.captures import Capture
 from scenes.recordings.frames import Frame
-from vision.modelling import ModellingSettings, hand_poses, still_poses, views_of
+from vision.modelling import ModelViewSettings, hand_poses, still_poses, views_of
 
 Array = NDArray[np.float64]
 
@@ -32,14 +32,15 @@ SEEN, FILLED = (60, 150, 142), (190, 186, 180)
 
 @dataclass(frozen=True)
 class ModelSettings:
-    """What is made, and how."""
+    """What is made, and how. Values by judgement."""
 
+    # One of SHAPES.
     shape: str = "mesh"
     # Share of a superquadric's fit that the contacts have, however few they are: they are on the sides no camera sees.
     contact_share: float = 0.25
     # A superquadric's vertex is observed within this many voxels of a place that was seen.
     observed_voxels: float = 3.0
-    views: ModellingSettings = field(default_factory=ModellingSettings)
+    views: ModelViewSettings = field(default_factory=ModelViewSettings)
     reconstruction: ReconstructionSettings = field(default_factory=ReconstructionSettings)
 
     def __post_init__(self) -> None:
@@ -75,7 +76,7 @@ def make_model(
     settings = settings or ModelSettings()
     if files and len(files) != len(captures):
         raise InputError(f"poses: expected one file for each of {len(captures)} captures, got {len(files)}")
-    views: list[View] = []
+    views: list[DepthView] = []
     touched, hands = [], []
     true_from_model: Array | None = None
     kind = "file" if files else source

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from scenes.recordings.frames import Contacts
-    from touch.localization import Localization, localize
+    from touch.answers import Localization
+    from touch.localization import localize
     from touch.recognition import Identification, identify
 
 __all__ = ["Contacts", "Identification", "Localization", "identify", "localize"]
@@ -19,7 +20,7 @@ __all__ = ["Contacts", "Identification", "Localization", "identify", "localize"]
 _HOMES = {
     "Contacts": "scenes.recordings.frames",
     "Identification": "touch.recognition",
-    "Localization": "touch.localization",
+    "Localization": "touch.answers",
     "identify": "touch.recognition",
     "localize": "touch.localization",
 }

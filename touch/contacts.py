@@ -9,27 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.evidence import table as tables
-from scenes.evidence.table import SIGMA, TOUCH, Evidence
+from scenes.evidence.table import TOUCH, Evidence
+from scenes.recordings.beliefs import Beliefs, CalibrationModel
 from scenes.recordings.frames import Contacts, Frame
 from touch.arrays.readings import Reading, readings_of
 from touch.arrays.rows import ArrayRowSettings, array_contacts, taxel_rows
 from touch.gels.patches import PatchSettings, patches_of
 from touch.gels.rows import GelRowSettings, gel_contacts, patch_rows, unspoken
-from touch.localization import contact_starts
 from touch.wrenches.intrinsic import wrench_contacts
 
 Array = NDArray[np.float64]
 
-__all__ = ["Felt", "contact_starts", "feel"]
 
-
-class Calibration(Protocol):
-    """How far the robot may be from where it says it is: metres and radians per axis, at the camera."""
-
-    @property
-    def translation_sigma(self) -> float: ...
-    @property
-    def rotation_sigma(self) -> float: ...
+__all__ = ["Felt", "feel"]
 
 
 class Ball(Protocol):
@@ -43,17 +35,14 @@ class Ball(Protocol):
 
 @dataclass(frozen=True)
 class TouchSettings:
-    """What is believed of touch beyond the contacts' own sigmas."""
+    """How touch becomes rows of evidence. Values by judgement."""
 
+    # A contact is as likely a false one at this many sigmas.
+    contact_gate: float = 4.0
     # Points on the hand used as "the object is not in here", their sigma (m) and gate (sigmas).
     hand_points: int = 150
     hand_sigma: float = 0.003
     hand_gate: float = 4.0
-    # What a contact is worth beside another sense when its recording does not say, metres: kinematics, calibration and
-    # fingertip shape together (iCub's fingertips are some millimetres off its stereo cloud).
-    unknown_sigma: float = 0.004
-    # Error of the finger joints between palm and fingertip, metres (0.3 degrees at three joints).
-    fingertip_sigma: float = 0.0008
     arrays: ArrayRowSettings = field(default_factory=ArrayRowSettings)
     # Gels: how images become patches, and what those are worth.
     patches: PatchSettings = field(default_factory=PatchSettings)
@@ -62,51 +51,83 @@ class TouchSettings:
 
 @dataclass(frozen=True)
 class Felt:
-    """contacts in the camera frame as the robot reports them; rows: all touch evidence in that frame."""
+    """All that a frame's fingers say, camera frame.
 
-    contacts: Contacts
-    rows: Evidence
+    reported_contacts and reported_rows: as the robot reports them. correction (4, 4) camera_from_camera: moves that to
+    where it is, as far as known by now; `contacts` and `rows` are moved. slack (m): what nothing has corrected yet, in
+    the sigmas of `rows`.
+    """
 
-    def slackened(self, calibration: Calibration, uncorrected: bool) -> Evidence:
-        """The rows with the calibration's error added to their sigmas when nothing has corrected it."""
-        if not uncorrected or not len(self.rows):
-            return self.rows
-        rows = self.rows.rows.copy()
-        depth = float(np.linalg.norm(rows[:, :3].mean(axis=0)))
-        slack = np.hypot(calibration.translation_sigma, calibration.rotation_sigma * depth)
-        rows[:, SIGMA] = np.hypot(rows[:, SIGMA], slack)
-        return Evidence(rows, self.rows.sense)
+    reported_contacts: Contacts
+    reported_rows: Evidence
+    correction: Array
+    slack: float = 0.0
+
+    @property
+    def contacts(self) -> Contacts:
+        """The contacts, corrected."""
+        return self.reported_contacts.moved(self.correction)
+
+    @property
+    def rows(self) -> Evidence:
+        """The rows of evidence, corrected."""
+        rows = self.reported_rows
+        if self.slack and len(rows):
+            rows = rows.widened(self.slack)
+        return rows.moved(self.correction)
+
+    def corrected(self, correction: Array) -> Felt:
+        """The same with another correction, as sure as its own sigmas say."""
+        return Felt(self.reported_contacts, self.reported_rows, correction)
 
 
-def feel(frame: Frame, gate: float, region: Ball | None = None, settings: TouchSettings | None = None) -> Felt:
+def feel(
+    frame: Frame,
+    correction: Array | None = None,
+    beliefs: Beliefs | None = None,
+    region: Ball | None = None,
+    settings: TouchSettings | None = None,
+) -> Felt:
     """All touch evidence of a frame, camera frame.
 
-    gate: sigmas at which a contact is as likely a false one. region: ball around which the hand's own surface is
+    correction (4, 4) camera_from_camera: moves what the robot reports to where it is; None when nothing has told: a
+    frame seen by a camera is then as uncertain as its calibration. region: ball around which the hand's own surface is
     listed as space the object cannot be in; None lists none.
     """
-    settings = settings or TouchSettings()
-    contacts = Contacts.concatenate([frame.contacts, wrench_contacts(frame)])
-    contacts = contacts.moved(frame.camera_from_world)
+    settings, beliefs = settings or TouchSettings(), beliefs or Beliefs()
+    reported = Contacts.concatenate([frame.contacts, wrench_contacts(frame)]).moved(frame.camera_from_world)
     readings = readings_of(frame)
-    contacts = Contacts.concatenate([contacts, array_contacts(_unspoken(frame, contacts, readings), settings.arrays)])
+    reported = Contacts.concatenate([reported, array_contacts(_unspoken(frame, reported, readings), settings.arrays)])
     patches = patches_of(frame, settings.patches)
-    contacts = Contacts.concatenate([contacts, gel_contacts(unspoken(frame, contacts, patches), settings.gels)])
+    reported = Contacts.concatenate([reported, gel_contacts(unspoken(frame, reported, patches), settings.gels)])
+    known = reported.sigma_known
+    if len(reported) and not known:
+        reported = reported.of_unknown_worth(beliefs.touch.unknown_sigma)
     with_hand = frame.hand is not None and frame.joints is not None and frame.world_from_hand is not None
-    if len(contacts) and not contacts.sigma_known:
-        contacts.sigma_point[:] = settings.unknown_sigma
     # a contact of unknown worth cannot be told from a false one: it is never gated out
-    rows = tables.from_contacts(contacts, gate if contacts.sigma_known else tables.NO_GATE)
-    if with_hand and len(contacts):
-        rows.rows[:, SIGMA] = np.hypot(contacts.sigma_point, settings.fingertip_sigma)
+    rows = tables.from_contacts(reported, settings.contact_gate if known else tables.NO_GATE)
+    if with_hand and len(reported):
+        rows = rows.widened(beliefs.touch.fingertip_sigma)
     parts = [rows, taxel_rows(readings, settings.arrays), patch_rows(patches, settings.gels)]
     if frame.no_contact is not None and len(frame.no_contact):
         centres = frame.no_contact.points @ frame.camera_from_world[:3, :3].T + frame.camera_from_world[:3, 3]
         parts.append(
             tables.outside(centres, settings.hand_sigma, TOUCH, radius=frame.no_contact.radius, gate=settings.hand_gate)
         )
-    if with_hand and len(contacts):
+    if with_hand and len(reported):
         parts.append(_hand_rows(frame, region, settings))
-    return Felt(contacts, tables.stack(*parts))
+    table = tables.stack(*parts)
+    if correction is not None or frame.camera is None:
+        return Felt(reported, table, np.eye(4) if correction is None else correction)
+    return Felt(reported, table, np.eye(4), _calibration_slack(table, beliefs.calibration))
+
+
+def _calibration_slack(rows: Evidence, calibration: CalibrationModel) -> float:
+    """How far (m) what the robot reports may be from where it is, at the rows' distance from the camera."""
+    if not len(rows):
+        return 0.0
+    depth = float(np.linalg.norm(rows.points.mean(axis=0)))
+    return float(np.hypot(calibration.translation_sigma, calibration.rotation_sigma * depth))
 
 
 def _unspoken(frame: Frame, contacts: Contacts, readings: list[Reading]) -> list[Reading]:

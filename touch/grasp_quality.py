@@ -28,9 +28,9 @@ NORMS = ("l1", "linf")
 
 @dataclass(frozen=True)
 class WrenchSettings:
-    """What a contact can do, and what is asked of all of them."""
+    """What a contact can do, and what is asked of all of them. Values by judgement where no source is named."""
 
-    # Coulomb friction: between rubber and plastic or metal it is 0.4 to 0.9; cautious.
+    # Coulomb friction (no unit): between rubber and plastic or metal it is 0.4 to 0.9; cautious.
     friction: float = 0.5
     # Sides of the pyramid inside each friction cone; 8 lose 8 % of the tangential force at worst.
     edges: int = 8
@@ -39,7 +39,7 @@ class WrenchSettings:
     soft_radius: float = 0.0
     # What is limited to 1 N: "l1" the sum of the normal forces (a hand with one motor), "linf" each of them.
     norm: str = "l1"
-    # Balls smaller than this are round-off.
+    # Balls (N, torques divided by the object's radius) smaller than this are round-off.
     smallest: float = 1e-7
 
     def __post_init__(self) -> None:
@@ -182,7 +182,7 @@ def margin(wrenches: Array, settings: WrenchSettings | None = None) -> float:
 
 
 @dataclass(frozen=True)
-class Ball:
+class WrenchBall:
     """radius: of the largest ball about the origin inside a hull, negative for an origin outside of it; weakest (d,):
     unit normal of the facet that it touches; volume: of the hull.
     """
@@ -192,17 +192,17 @@ class Ball:
     volume: float
 
 
-def largest_ball(points: Array) -> Ball:
+def largest_ball(points: Array) -> WrenchBall:
     """The largest ball about the origin in the convex hull of points (n, d); of a flat hull, nothing.
 
     For an origin outside, `radius` is minus how far the worst facet has it outside.
     """
     hull = _hull(points)
     if hull is None:
-        return Ball(0.0, np.zeros(points.shape[1]), 0.0)
+        return WrenchBall(0.0, np.zeros(points.shape[1]), 0.0)
     normals, offsets = hull.equations[:, :-1], -hull.equations[:, -1]
     nearest = int(np.argmin(offsets))
-    return Ball(float(offsets[nearest]), -normals[nearest], float(hull.volume))
+    return WrenchBall(float(offsets[nearest]), -normals[nearest], float(hull.volume))
 
 
 def _hull(points: Array) -> ConvexHull | None:

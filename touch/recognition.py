@@ -2,14 +2,15 @@
 
 Every candidate is searched for in batches; those that fit far worse than the best are given up early. Two likelihoods
 are told: the published one, 1/G normalised, and the marginal likelihood over the pose (Laplace, all modes) and over the
-unknown scale of the noise, in which contacts that err alike count once. Contacts' frame, metres.
+unknown scale of the noise, in which contacts that err alike count once. What the best candidate leaves over is judged,
+too: a smooth misfit speaks for none of them (touch.misfit). Contacts' frame, metres.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,14 +24,15 @@ from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from touch.localization import contact_starts
+from touch.misfit import MisfitSettings, log_odds_of_another
+from touch.multistart import contact_starts
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class RecognitionSettings:
-    """The search of every candidate, and what its fit is worth."""
+    """The search of every candidate, and what its fit is worth. Values by judgement."""
 
     # Starts of every candidate, and again of those still in play.
     starts: int = 1000
@@ -63,6 +65,11 @@ class RecognitionSettings:
     most_independent: float = 25.0
     # Share of the likelihood at which the answer is sure.
     sure: float = 0.99
+    # Share of touched things that are none of the candidates, before anything is felt; and fewer independent contacts
+    # than these cannot tell: twice what a pose can fit.
+    strangers: float = 0.005
+    least_independent: float = 12.0
+    misfit: MisfitSettings = field(default_factory=MisfitSettings)
 
 
 @dataclass(frozen=True)
@@ -82,13 +89,16 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Identification:
-    """candidates, the likeliest first; best, its name; verdict: ok, ambiguous, or lost when nothing fits; margin: log
-    of its likelihood over the next one's; sigma, inferred noise of a contact (m); independent: how many contacts count.
+    """candidates, the likeliest first; best, its name; none: likelihood that it is none of them, with theirs 1 in all.
+
+    verdict: ok, ambiguous, or lost when nothing fits or it surely is none of them; margin: log of the best's likelihood
+    over the next one's; sigma, inferred noise of a contact (m); independent: how many contacts count.
     """
 
     best: str
     verdict: str
     candidates: tuple[Candidate, ...]
+    none: float
     margin: float
     sigma: float
     independent: float
@@ -136,12 +146,15 @@ def identify(
     inverse = 1.0 / np.maximum(index, 1e-9)
     order = np.argsort(-likelihood, kind="stable")
     best = int(order[0])
+    none = _none(models[best], contacts, poses[best], settings)
+    likelihood = likelihood * (1.0 - none)
     # the width of a mode alone never decides: it knows only how many poses would do, not which object it is
     sure = min(fit_share[best], likelihood[best]) >= settings.sure
     # when nearly half of the contacts are elsewhere, they may as well be the true ones
+    sure = sure and independent >= settings.least_independent
     sure = sure and _elsewhere(models[best], contacts, poses[best], settings) <= settings.most_elsewhere
     verdict = "ok" if sure else "ambiguous"
-    if index.min() > settings.largest_noise:
+    if index.min() > settings.largest_noise or none >= settings.sure:
         verdict = "lost"
     logs = np.sort(fits + volumes)[::-1]
     candidates = tuple(
@@ -156,7 +169,9 @@ def identify(
         for k in order
     )
     margin = float(logs[0] - logs[1]) if len(logs) > 1 else np.inf
-    return Identification(names[best], verdict, candidates, margin, sigma, independent, time.perf_counter() - begin)
+    return Identification(
+        names[best], verdict, candidates, none, margin, sigma, independent, time.perf_counter() - begin
+    )
 
 
 def _evenly(contacts: Contacts, most: int) -> Contacts:
@@ -249,6 +264,23 @@ def _elsewhere(model: ObjectModel, contacts: Contacts, pose: Array, settings: Re
     size = np.abs(_residuals(model, contacts, pose))
     sigma = max(float(np.quantile(size, 0.25)) / 0.32, settings.least_noise)
     return float((size > 4 * sigma).mean())
+
+
+def _none(model: ObjectModel, contacts: Contacts, pose: Array, settings: RecognitionSettings) -> float:
+    """Probability that the contacts were made on none of the candidates, from what the best of them leaves over."""
+    some = _evenly(contacts, settings.most_contacts)
+    local = se3.apply(se3.inverse(pose), some.points)
+    distance, gradient = model.field.distance_and_gradient(local)
+    normals = model.field.normals(local - distance[:, None] * gradient)
+    least, most = settings.misfit.least_noise, settings.largest_noise
+    if contacts.sigma_known:
+        sigma = float(np.sqrt(np.mean(contacts.sigma_point**2)))
+        least, most = max(least, 0.8 * sigma), max(least, min(most, 1.5 * sigma))
+    told = log_odds_of_another(
+        local - model.centroid, normals, distance, model.diameter, (least, most), settings.misfit
+    )
+    odds = told + np.log(settings.strangers) - np.log1p(-settings.strangers)
+    return float(0.5 * (1.0 + np.tanh(0.5 * odds)))
 
 
 def _independent(model: ObjectModel, contacts: Contacts, pose: Array, settings: RecognitionSettings) -> float:

@@ -1,6 +1,6 @@
 """From RGB-D to object pixels, free space and a coarse pose.
 
-    from vision import segment
+    from vision import look
 
 Names are loaded when they are first used.
 """
@@ -10,31 +10,32 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from scenes.recordings.beliefs import DepthModel
     from vision.look.hand import HandView, view_hand
+    from vision.look.look import look
+    from vision.look.looked import Looked
     from vision.look.mask import object_mask
-    from vision.look.pixels import DepthModel
-    from vision.look.segments import Segments, segment
     from vision.tracking.by_vision import track_by_vision
     from vision.visibility import Visibility
 
 __all__ = [
     "DepthModel",
     "HandView",
-    "Segments",
+    "Looked",
     "Visibility",
+    "look",
     "object_mask",
-    "segment",
     "track_by_vision",
     "view_hand",
 ]
 
 _HOMES = {
-    "DepthModel": "vision.look.pixels",
+    "DepthModel": "scenes.recordings.beliefs",
     "HandView": "vision.look.hand",
-    "Segments": "vision.look.segments",
+    "Looked": "vision.look.looked",
     "Visibility": "vision.visibility",
     "object_mask": "vision.look.mask",
-    "segment": "vision.look.segments",
+    "look": "vision.look.look",
     "track_by_vision": "vision.tracking.by_vision",
     "view_hand": "vision.look.hand",
 }

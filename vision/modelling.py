@@ -15,18 +15,19 @@ from numpy.typing import NDArray
 from scenes.errors import InputError
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
-from scenes.reconstruction.volume import View
+from scenes.reconstruction.volume import DepthView
+from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
-from vision.look.hand import CalibrationModel, view_hand
+from vision.look.hand import view_hand
 from vision.look.mask import MaskSettings, object_mask
-from vision.look.pixels import DepthModel, read_pixels
+from vision.look.pixels import read_pixels
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class ModellingSettings:
-    """What may be the object."""
+class ModelViewSettings:
+    """What may be the object. Values by judgement."""
 
     # Largest extent of the object (m): no reading farther than this from where it is held is its own.
     size: float = 0.3
@@ -47,12 +48,12 @@ def stand_in(size: float) -> ObjectModel:
     return ObjectModel.from_mesh(np.asarray(ball.vertices), np.asarray(ball.faces, dtype=np.int64), "unknown object")
 
 
-def hand_poses(frames: list[Frame], settings: ModellingSettings | None = None) -> dict[int, Array]:
+def hand_poses(frames: list[Frame], settings: ModelViewSettings | None = None) -> dict[int, Array]:
     """camera_from_object (4, 4) by frame for an object held still in the hand: axes of the hand, origin where it holds.
 
     Frames without the hand's joints or pose have none.
     """
-    settings = settings or ModellingSettings()
+    settings = settings or ModelViewSettings()
     out: dict[int, Array] = {}
     hand_from_object: Array | None = None
     for frame in frames:
@@ -64,7 +65,7 @@ def hand_poses(frames: list[Frame], settings: ModellingSettings | None = None) -
         if frame.depth is not None and frame.camera is not None:
             box = (0, 0, frame.camera.width, frame.camera.height)
             pixels = read_pixels(frame.depth, frame.camera, box, settings.most_hand)
-            seen = view_hand(frame, pixels, DepthModel(), CalibrationModel())
+            seen = view_hand(frame, pixels, Beliefs())
             camera_from_hand = camera_from_hand if seen is None else seen.aligned
         out[frame.index] = camera_from_hand @ hand_from_object
     return out
@@ -87,10 +88,10 @@ def still_poses(frames: list[Frame]) -> dict[int, Array]:
 
 
 def views_of(
-    frames: list[Frame], camera_from_object: Mapping[int, Array], settings: ModellingSettings | None = None
-) -> list[View]:
+    frames: list[Frame], camera_from_object: Mapping[int, Array], settings: ModelViewSettings | None = None
+) -> list[DepthView]:
     """What each frame with depth and a pose tells of the object; raises InputError when there is none."""
-    settings = settings or ModellingSettings()
+    settings = settings or ModelViewSettings()
     ball = stand_in(settings.size)
     views = []
     for frame in frames:
@@ -102,7 +103,7 @@ def views_of(
     return views
 
 
-def _view(frame: Frame, pose: Array, ball: ObjectModel, settings: ModellingSettings) -> View:
+def _view(frame: Frame, pose: Array, ball: ObjectModel, settings: ModelViewSettings) -> DepthView:
     import cv2
 
     assert frame.depth is not None
@@ -121,4 +122,4 @@ def _view(frame: Frame, pose: Array, ball: ObjectModel, settings: ModellingSetti
     near = np.linalg.norm(points - middle, axis=2) < settings.size
     core = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     depth[(beside | near | mask) & ~core] = 0.0
-    return View(frame.camera, np.asarray(pose), depth, core)
+    return DepthView(frame.camera, np.asarray(pose), depth, core)

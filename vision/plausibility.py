@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from scenes.geometry.cameras import is_reading
+from scenes.recordings.beliefs import CalibrationModel
 from scenes.recordings.frames import Frame
-from vision.look.hand import CalibrationModel, HandView, camera_from_hand, prior_information
+from vision.look.hand import HandView, camera_from_hand, prior_information
 
 
 @dataclass(frozen=True)
 class PlausibilitySettings:
-    """When the hand is not where, or not as large as, it should be."""
+    """When the hand is not where, or not as large as, it should be. Values tuned on generated captures."""
 
     # Standard deviations by which a usual calibration may be off (a norm of six numbers of which each has one).
     most_sigmas: float = 4.5

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scenes.geometry import poses as se3
 from scenes.geometry.cameras import is_reading
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings.beliefs import DepthModel
 from scenes.recordings.frames import Frame
-from vision.look.pixels import DepthModel
 
 Array = NDArray[np.float64]
 

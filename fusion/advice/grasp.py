@@ -31,8 +31,8 @@ SHOWN = 3
 
 
 @dataclass(frozen=True)
-class GraspSettings:
-    """What is asked of a grasp."""
+class GraspAdviceSettings:
+    """What is asked of a grasp. Values by judgement."""
 
     wrenches: WrenchSettings = field(default_factory=WrenchSettings)
     # Whose normals count where a contact has one: "sensed" by the finger, or the "mesh"'s at the place that is touched.
@@ -47,8 +47,6 @@ class GraspSettings:
     overlap: float = 0.25
     # Best places are this far apart, as a share of the object's radius.
     apart: float = 0.2
-    # Beyond this many sigmas a contact is as likely a false one (as the estimator has it).
-    gate: float = 4.0
 
     def __post_init__(self) -> None:
         """Refuse what cannot be asked."""
@@ -59,7 +57,7 @@ class GraspSettings:
 
 
 @dataclass(frozen=True)
-class Spread:
+class PosteriorSpread:
     """Median and 5 % and 95 % quantiles over the posterior."""
 
     median: float
@@ -67,10 +65,10 @@ class Spread:
     high: float
 
     @staticmethod
-    def of(values: Sequence[float]) -> Spread:
+    def of(values: Sequence[float]) -> PosteriorSpread:
         """From samples; zeros for none."""
         low, median, high = np.quantile(values, (0.05, 0.5, 0.95)) if len(values) else (0.0, 0.0, 0.0)
-        return Spread(float(median), float(low), float(high))
+        return PosteriorSpread(float(median), float(low), float(high))
 
     def to_json(self) -> dict[str, float]:
         """Its entry of grasp.json."""
@@ -131,8 +129,8 @@ class GraspAnswer:
     normals: Array
     length: float
     closure_probability: float
-    epsilon: Spread
-    volume: Spread
+    epsilon: PosteriorSpread
+    volume: PosteriorSpread
     samples: int
     places: tuple[Place, ...] = ()
     map: GraspMap | None = None
@@ -166,10 +164,10 @@ class GraspAnswer:
 
 
 def assess(
-    model: ObjectModel, answer: Estimate, frame: Frame, seed: int = 0, settings: GraspSettings | None = None
+    model: ObjectModel, answer: Estimate, frame: Frame, seed: int = 0, settings: GraspAdviceSettings | None = None
 ) -> GraspAnswer:
     """The grasp of a frame at its answer; a frame that feels nothing has the verdict that nothing holds."""
-    settings = settings or GraspSettings()
+    settings = settings or GraspAdviceSettings()
     contacts, left_out = held_contacts(frame, answer, settings)
     points, normals = _touched(model, contacts, answer.pose, settings)
     length = model.radius
@@ -190,19 +188,19 @@ def assess(
         normals=normals,
         length=length,
         closure_probability=float(np.mean([q.closure for q in sampled])),
-        epsilon=Spread.of([q.epsilon for q in sampled]),
-        volume=Spread.of([q.volume for q in sampled]),
+        epsilon=PosteriorSpread.of([q.epsilon for q in sampled]),
+        volume=PosteriorSpread.of([q.volume for q in sampled]),
         samples=len(sampled),
         places=places,
         map=map_,
     )
 
 
-def held_contacts(frame: Frame, answer: Estimate, settings: GraspSettings) -> tuple[Contacts, tuple[str, ...]]:
+def held_contacts(frame: Frame, answer: Estimate, settings: GraspAdviceSettings) -> tuple[Contacts, tuple[str, ...]]:
     """The contacts (camera frame, the calibration corrected as the answer has it) that the answer explains, and the
     sensors of the others.
     """
-    contacts = feel(frame, settings.gate).contacts
+    contacts = feel(frame, np.eye(4)).reported_contacts
     if answer.hand_from_object is not None and frame.world_from_hand is not None:
         reported = frame.camera_from_world @ frame.world_from_hand
         contacts = contacts.moved(answer.pose @ se3.inverse(answer.hand_from_object) @ se3.inverse(reported))
@@ -212,7 +210,7 @@ def held_contacts(frame: Frame, answer: Estimate, settings: GraspSettings) -> tu
     return contacts.take(good), left_out
 
 
-def _touched(model: ObjectModel, contacts: Contacts, pose: Array, settings: GraspSettings) -> tuple[Array, Array]:
+def _touched(model: ObjectModel, contacts: Contacts, pose: Array, settings: GraspAdviceSettings) -> tuple[Array, Array]:
     """Places (n, 3) on the object at pose that contacts (camera frame) touch, and outward normals, object frame."""
     local = contacts.moved(se3.inverse(pose))
     foot, outward = on_surface(model, local.points, local.normals)
@@ -246,7 +244,7 @@ def _where_next(
     points: Array,
     normals: Array,
     length: float,
-    settings: GraspSettings,
+    settings: GraspAdviceSettings,
 ) -> tuple[GraspMap | None, tuple[Place, ...]]:
     """The gain of one more contact over the surface, and the three best places."""
     if not settings.places:
@@ -274,7 +272,9 @@ def _where_next(
     return GraspMap(places, outward, gain), tuple(found)
 
 
-def _room(model: ObjectModel, places: Array, outward: Array, hand: Array, settings: GraspSettings) -> NDArray[np.bool_]:
+def _room(
+    model: ObjectModel, places: Array, outward: Array, hand: Array, settings: GraspAdviceSettings
+) -> NDArray[np.bool_]:
     """(n,) whether a fingertip fits at places (n, 3), between the object's other parts and the hand's points (object
     frame).
     """

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class NextTouchSettings:
-    """What a contact would be, and where it is looked for."""
+    """What a contact would be, and where it is looked for. Values by judgement where no source is named."""
 
     # Noise of the contact (m, rad): T1's.
     sigma_point: float = DEFAULT_SIGMA_POINT

@@ -8,6 +8,7 @@ from typing import Any
 
 # Name on the command line -> module.
 BENCHMARKS = {
+    "real": "fusion.benchmarks.real.bench",
     "local": "fusion.benchmarks.contacts.local",
     "global": "fusion.benchmarks.contacts.global_search",
     "robustness": "fusion.benchmarks.contacts.robustness",

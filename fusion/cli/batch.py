@@ -43,10 +43,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when a capture failed or a frame is lost."""
-    from fusion.cli.options import prior_setter
-    from fusion.estimation.stages import check_senses
+    from fusion.estimation.asked import check_senses
     from fusion.results.batch import Job, Outcome, find_captures, finished
-    from fusion.results.batch_files import summary_of, write_all
+    from fusion.results.batch_files import write_all
+    from fusion.results.runs import prior_setter
+    from fusion.results.summary import summary_of
 
     use = tuple(sorted(check_senses(args.use), reverse=True))
     prior_setter(args.prior, args.seed)  # a mistake in it is one line now, not one a capture
@@ -94,7 +95,7 @@ def _outcomes(args: argparse.Namespace, jobs: list[Job]) -> Iterator[Outcome]:
 
 
 def _show(outcomes: list[Outcome], summary: dict[str, Any]) -> None:
-    from fusion.results.batch_files import median
+    from fusion.results.summary import median
 
     heads = ("capture", "frames", "ok", "ambiguous", "lost", "ADD-S mm", "rot °", "time ms")
     rows = []

@@ -21,8 +21,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--trials", metavar="N", type=positive, help="trials of every cell (default: the benchmark's)")
     parser.add_argument(
-        "--objects", metavar="A,B", type=names_list, help="objects of `vision` (default: all there are)"
+        "--objects", metavar="A,B", type=names_list, help="objects (default: all of the benchmark or family)"
     )
+    parser.add_argument(
+        "--family",
+        metavar="NAME",
+        help="frames of one family, or all, tuning or report (docs/evaluation.md), where accuracy is measured:"
+        " occlusion, calibration, vision, faults, tracking, peers",
+    )
+    parser.add_argument(
+        "--data",
+        metavar="DIR",
+        type=Path,
+        help="recorded captures for `real`, in DIR or its part real (default: PALPATE_DATA, ../shared/data)",
+    )
+    parser.add_argument("--bop", metavar="DIR", type=Path, help="a BOP data set, split or scene for `real`")
     parser.add_argument(
         "--quick", action="store_true", help="less of everything, but all of it (all: five minutes on two cores)"
     )
@@ -41,6 +54,8 @@ def names_list(text: str) -> tuple[str, ...]:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 also when a demand is missed: the report says so."""
+    from dataclasses import replace
+
     from fusion import benchmarks
     from fusion.benchmarks.printing.tables import BenchSettings, Table, show_report, show_table, write_report
     from scenes.errors import unknown
@@ -55,7 +70,12 @@ def run(args: argparse.Namespace) -> int:
         show_table(table, console())
         shown.append(table)
 
-    settings = BenchSettings(args.trials, args.seed, args.quick, progress, args.objects, args.out, show)
+    settings = BenchSettings(args.trials, args.seed, args.quick, progress, args.objects, args.out, show, args.family)
+    settings = replace(settings, data=args.data, bop=args.bop)
+    if args.family is not None:
+        from fusion.benchmarks.families.table import chosen
+
+        chosen(args.family)  # an unknown one is refused before minutes of work
     if args.name == "all":
         return _run_all(args, names, settings)
     report = benchmarks.load(args.name).run(settings)

@@ -11,15 +11,14 @@ from fusion.cli.options import (
     add_prior,
     announce_compiling,
     check_target,
-    load_object,
     names,
     number,
-    prior_setter,
     progress,
     say,
     show_table,
     write_json,
 )
+from fusion.results.runs import load_object, prior_setter
 
 if TYPE_CHECKING:
     from fusion.truth.compare import Summary

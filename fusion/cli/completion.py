@@ -16,9 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the script to standard output."""
-    from fusion.cli.parser import build_parser
-
-    commands = described(build_parser())
+    commands = described(args.parser)
     write_json(args.json, {"shell": args.shell, "commands": sorted(commands)})
     say({"bash": bash, "zsh": zsh, "fish": fish}[args.shell](commands).rstrip("\n"))
     return 0

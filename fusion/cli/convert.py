@@ -6,16 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion.cli.options import (
-    add_object,
-    check_folder,
-    check_target,
-    load_object,
-    positive_number,
-    say,
-    whole,
-    write_json,
-)
+from fusion.cli.options import add_object, check_folder, check_target, positive_number, say, whole, write_json
+from fusion.results.runs import load_object
 
 if TYPE_CHECKING:
     from scenes.formats.conversion import Converted
@@ -179,7 +171,7 @@ def _import(kind: str, args: argparse.Namespace) -> Converted:
     from scenes.errors import InputError
     from scenes.formats import image_folder, tacman
     from scenes.formats.bop import scene as bop_scene
-    from scenes.formats.conversion import Converted
+    from scenes.formats.conversion import Converted, Dropped
 
     source, out = args.source, args.out
     if kind == "bop":
@@ -234,10 +226,15 @@ def _import(kind: str, args: argparse.Namespace) -> Converted:
         grasps = [(source, out)] if handover.is_grasp(source) else []
         folders = sorted(path for path in source.iterdir() if path.is_dir()) if source.is_dir() and not grasps else []
         grasps += [(path, out / path.name) for path in folders if handover.is_grasp(path)]
-        parts = [Converted((handover.convert(*pair),), 1) for pair in grasps]
+        parts = [handover.convert(*pair) for pair in grasps]
     if not parts:
         raise InputError(f"{source}: expected {SOURCES[kind]}, found none")
-    return Converted(tuple(path for part in parts for path in part.written), sum(part.frames for part in parts))
+    dropped = Dropped()
+    for part in parts:
+        dropped.merge(part.dropped)
+    remarks = tuple(line for part in parts for line in part.remarks)
+    written = tuple(path for part in parts for path in part.written)
+    return Converted(written, sum(part.frames for part in parts), dropped, remarks)
 
 
 def _needed(args: argparse.Namespace, what: str) -> ObjectModel:
@@ -254,8 +251,8 @@ def _intrinsics(args: argparse.Namespace) -> Any:
     import numpy as np
 
     from scenes.errors import InputError
-    from scenes.files import bop
     from scenes.formats import image_folder
+    from scenes.recordings import bop
 
     if args.intrinsics is None:
         if args.depth_scale is not None:
@@ -323,7 +320,7 @@ def _poses(capture: Capture, result: Path | None) -> dict[int, Any]:
 def _result_poses(path: Path) -> dict[int, Any]:
     from fusion.results.files import find_result, read_result
     from scenes.errors import CaptureError
-    from scenes.files.bop import read_poses
+    from scenes.recordings.bop import read_poses
 
     result = find_result(path)
     if result is not None:
@@ -338,7 +335,7 @@ def _result_poses(path: Path) -> dict[int, Any]:
 
 def _stamps(capture: Capture, fps: float) -> dict[int, int]:
     """Nanoseconds by frame: what the recording said, else frames at `fps` from 0."""
-    noted = capture.settings.notes.get("stamps_ns")
+    noted = capture.manifest.notes.get("stamps_ns")
     noted = noted if isinstance(noted, dict) else {}
     said = {int(key): value for key, value in noted.items() if key.isdecimal() and isinstance(value, int)}
     if set(capture.frame_ids) <= set(said):

@@ -7,18 +7,16 @@ import argparse
 from fusion.cli.options import (
     add_run,
     announce_compiling,
-    estimates,
     length_and_angle,
-    load_object,
     number,
     out_folder,
     positive_number,
-    prior_setter,
     progress,
     say,
     show_table,
     write_run,
 )
+from fusion.results.runs import estimates, load_object, prior_setter
 
 # Frames whose reasons are printed; result.json has all of them.
 MOST_REMARKS = 5
@@ -35,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when a frame's answer is lost."""
-    from fusion.estimation.stages import check_senses
+    from fusion.estimation.asked import check_senses
     from fusion.results.files import frame_errors
     from fusion.truth.errors import Judge
     from scenes.recordings.captures import read_capture

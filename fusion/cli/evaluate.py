@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.cli.options import add_object, load_object, number, show_table, write_json
+from fusion.cli.options import add_object, number, show_table, write_json
+from fusion.results.runs import load_object
 
 FRAME_HEADS = (
     ("frame", "frame", 0),
@@ -34,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print errors by frame (up to 20) and over all."""
     from fusion.truth.evaluate import evaluate, read_covariances
-    from scenes.files.bop import read_poses
+    from scenes.recordings.bop import read_poses
     from scenes.recordings.captures import read_capture
 
     rows = read_poses(args.poses)

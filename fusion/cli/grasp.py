@@ -10,20 +10,18 @@ from fusion.cli.options import (
     add_object,
     add_prior,
     announce_compiling,
-    estimates,
-    load_object,
     names,
     non_negative,
     number,
     out_folder,
     positive,
-    prior_setter,
     progress,
     say,
     show_table,
     whole,
     write_json,
 )
+from fusion.results.runs import estimates, load_object, prior_setter
 
 if TYPE_CHECKING:
     from fusion.advice.grasp import GraspAnswer
@@ -66,12 +64,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when a frame's pose is lost: its grasp cannot be told."""
-    from fusion.advice.grasp import GraspSettings, assess
+    from fusion.advice.grasp import GraspAdviceSettings, assess
     from touch.grasp_quality import WrenchSettings
 
     wrenches = WrenchSettings(args.friction, args.edges, 1e-3 * args.soft_finger, args.norm)
-    places = 0 if args.no_map else GraspSettings().places
-    settings = GraspSettings(wrenches, args.normals, args.samples, places)
+    places = 0 if args.no_map else GraspAdviceSettings().places
+    settings = GraspAdviceSettings(wrenches, args.normals, args.samples, places)
     capture, model, frames, answers = _answers(args)
     out = out_folder(args, capture.name)
     grasps = [
@@ -112,7 +110,7 @@ def _answers(args: argparse.Namespace) -> tuple[Capture, ObjectModel, list[Frame
         return capture, model, [capture.frame(answer.frame) for answer in answers], answers
     if not args.source.is_dir():
         raise InputError(f"{args.source}: expected a capture's folder, or a result.json or its folder, found neither")
-    from fusion.estimation.stages import check_senses
+    from fusion.estimation.asked import check_senses
 
     senses = tuple(sorted(check_senses(args.use), reverse=True))
     capture = read_capture(args.source)

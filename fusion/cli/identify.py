@@ -47,6 +47,7 @@ def run(args: argparse.Namespace) -> int:
         ]
         for one in found.candidates
     ]
+    cells.append(["none of these", "", number(found.none, 3), "", ""])
     show_table(HEADS, cells)
     say(
         f"{found.best}: {found.verdict}, noise of a contact {1e3 * found.sigma:.1f} mm,"
@@ -66,6 +67,7 @@ def run(args: argparse.Namespace) -> int:
             }
             for one in found.candidates
         ],
+        "none": found.none,
         "margin": found.margin,
         "sigma_mm": 1e3 * found.sigma,
         "independent_contacts": found.independent,

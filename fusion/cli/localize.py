@@ -6,16 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion.cli.options import (
-    add_object,
-    announce_compiling,
-    load_object,
-    number,
-    positive,
-    say,
-    show_table,
-    write_json,
-)
+from fusion.cli.options import add_object, announce_compiling, number, positive, say, show_table, write_json
+from fusion.results.runs import load_object
 
 if TYPE_CHECKING:
     from scenes.geometry.objects import ObjectModel
@@ -200,7 +192,8 @@ def _some(contacts: Contacts, most: int | None, seed: int) -> Contacts:
 
 
 def _by_touch(model: ObjectModel, used: Contacts, every: Contacts, method: str, seed: int) -> dict[str, Any]:
-    from touch.localization import contact_index, localize
+    from touch.answers import contact_index
+    from touch.localization import localize
 
     found = localize(model, used, seed=seed, method=method)
     return {

@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     from fusion.modelling import SOURCES, ModelSettings, ShapeError, compare_shapes, make_model, model_json, write_model
     from scenes.errors import InputError
     from scenes.recordings.captures import read_capture
-    from vision.modelling import ModellingSettings
+    from vision.modelling import ModelViewSettings
 
     if args.output.suffix.lower() != ".ply":
         raise InputError(f"output: expected a name that ends in .ply, got {args.output}")
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     for file in [] if named else given:
         if not Path(file).is_file():
             raise InputError(f"poses: expected {', '.join(SOURCES)} or a poses.csv, got {file!r}")
-    settings = ModelSettings(shape=args.shape, views=ModellingSettings(size=1e-3 * args.size))
+    settings = ModelSettings(shape=args.shape, views=ModelViewSettings(size=1e-3 * args.size))
     captures = [read_capture(path) for path in args.captures]
     made = make_model(captures, given[0] if named else "file", [] if named else given, settings)
     errors: dict[str, ShapeError] = {}

@@ -10,28 +10,22 @@ import errno
 import json
 import math
 import os
-import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from scenes.errors import InputError, unknown
+from fusion.results import runs
+from scenes.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from fusion.estimation.answer import Estimate
-    from scenes.geometry.objects import ObjectModel
-    from scenes.recordings.frames import Frame
 
 T = TypeVar("T")
 
 # Output that is not a terminal has no width; tables must not be cut there.
 PIPE_WIDTH = 200
-
-LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
-ANGLES = {"deg": math.pi / 180.0, "rad": 1.0}
 
 
 def add_common(parser: argparse.ArgumentParser) -> None:
@@ -113,84 +107,10 @@ def names(text: str) -> tuple[str, ...]:
 
 def length_and_angle(text: str) -> tuple[float, float]:
     """`33mm,16deg` or `33,16` (mm and degrees are understood) as metres and radians, for argparse."""
-    parts = text.split(",")
-    if len(parts) == 2:
-        length, angle = _quantity(parts[0], LENGTHS, "mm"), _quantity(parts[1], ANGLES, "deg")
-        if length is not None and angle is not None:
-            return length, angle
-    raise argparse.ArgumentTypeError(f"expected a length and an angle like 33mm,16deg, got {text!r}")
-
-
-def _quantity(text: str, units: dict[str, float], default: str) -> float | None:
-    match = re.fullmatch(r"\s*([0-9.]+(?:e-?[0-9]+)?)\s*([a-z]*)\s*", text)
-    if match is None or (match.group(2) or default) not in units:
-        return None
     try:
-        value = float(match.group(1)) * units[match.group(2) or default]
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
-
-
-def load_object(name: str, unit: str = "m") -> ObjectModel:
-    """A generated object by its name, else a mesh file. Raises PalpateError listing the names when it is neither."""
-    from scenes.geometry.objects import ObjectModel
-    from scenes.synthesis import library
-
-    if name in library.names() and not Path(name).is_file():
-        return library.make(name)
-    if not Path(name).exists():
-        raise unknown("object", name, library.names(), "a mesh file or one of")
-    return ObjectModel.load(name, unit=unit)
-
-
-def prior_setter(text: str | None, seed: int) -> Callable[[Frame, ObjectModel], Frame]:
-    """What `--prior` does to a frame; raises InputError for a text that is none of the three kinds."""
-    from dataclasses import replace
-
-    if text is None:
-        return lambda frame, model: frame
-    if text == "none":
-        return lambda frame, model: replace(frame, prior=None)
-    if text.startswith("gt"):
-        return _truth_plus(text, seed)
-    from scenes.files.bop import read_priors
-    from scenes.files.problems import refuse
-
-    if not Path(text).is_file():
-        raise InputError(f"prior: expected none, gt+NOISE like gt+33mm,16deg, or a file, got {text!r}")
-    priors = read_priors(text, refuse)
-
-    def from_file(frame: Frame, model: ObjectModel) -> Frame:
-        if frame.index not in priors:
-            raise InputError(f"{text}: expected a prior of frame {frame.index}, found none")
-        return replace(frame, prior=priors[frame.index])
-
-    return from_file
-
-
-def _truth_plus(text: str, seed: int) -> Callable[[Frame, ObjectModel], Frame]:
-    from dataclasses import replace
-
-    import numpy as np
-
-    from scenes.geometry import poses
-
-    noise = (0.0, 0.0)
-    if text != "gt":
-        try:
-            noise = length_and_angle(text.removeprefix("gt").removeprefix("+"))
-        except argparse.ArgumentTypeError as error:
-            raise InputError(f"prior: {error}") from error
-
-    def from_truth(frame: Frame, model: ObjectModel) -> Frame:
-        truth = frame.camera_from_object_truth
-        if truth is None:
-            raise InputError(f"{frame.where}: expected ground truth for --prior {text}, found none")
-        rng = np.random.default_rng([seed, frame.index])
-        return replace(frame, prior=poses.displaced(truth, noise[1], noise[0], model.centroid, rng))
-
-    return from_truth
+        return runs.length_and_angle(text)
+    except InputError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
 
 
 def console() -> Console:
@@ -290,31 +210,6 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     add_prior(parser)
     parser.add_argument("--out", metavar="DIR", type=Path, help="where to write (default out/NAME of the capture)")
     parser.add_argument("--no-report", action="store_true", help="skip report.html")
-
-
-def estimates(
-    recorded: Iterable[Frame],
-    model: ObjectModel,
-    prepare: Callable[[Frame, ObjectModel], Frame],
-    use: tuple[str, ...],
-    seed: int,
-    tolerance: tuple[float, float] | None = None,
-    budget_ms: float | None = None,
-) -> Iterator[tuple[Frame, Estimate]]:
-    """Each frame as `prepare` has it, and its answer. The first is estimated twice: that loads the compiled kernels,
-    and a frame's time should tell of the frame. Raises CaptureError for a frame that no estimate should be made of.
-    """
-    from fusion.estimation.estimate import estimate
-    from scenes.recordings.validation import check_usable
-
-    warm = False
-    for one in recorded:
-        frame = prepare(one, model)
-        check_usable(frame, model, vision="vision" in use)
-        if not warm:
-            estimate(frame, model, use=use, budget_ms=budget_ms, seed=seed)
-            warm = True
-        yield frame, estimate(frame, model, use=use, tolerance=tolerance, budget_ms=budget_ms, seed=seed)
 
 
 def out_folder(args: argparse.Namespace, name: str) -> Path:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.cli.options import add_object, load_object, names, positive, say, share, write_json
+from fusion.cli.options import add_object, names, positive, say, share, write_json
+from fusion.results.runs import load_object
+from scenes.synthesis.staging.pieces import PIECES
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -15,16 +17,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", metavar="N", type=positive, default=1, help="how many (default 1)")
     parser.add_argument("--occlusion", metavar="F", type=share, default=0.6, help="hidden share (default 0.6)")
     parser.add_argument(
-        "--hand", metavar="NAME", default="five-finger", help="five-finger (default), a URDF, or none: loose fingers"
+        "--hand",
+        metavar="NAME",
+        default="five-finger",
+        help="five-finger (default), gripper (two flat fingers), a URDF, or none: loose fingers",
     )
     parser.add_argument(
         "--touch", metavar="KINDS", type=names, default=("point",), help="point, wrench, array, gel, empty"
     )
     parser.add_argument("--taxels", metavar="LAYOUT", default="fingertip", help="fingertip (12, default), pad (3 x 8)")
-    noises = "none, clean, lab (default), harsh, lab-time-of-flight, lab-stereo"
+    noises = (
+        "none, clean, lab (default), harsh, lab-time-of-flight, lab-stereo;"
+        " or a camera imitated from its optics: d435, d455, xtion, azure-kinect, l515"
+    )
     parser.add_argument("--noise", metavar="NAME", default="lab", help=noises)
-    hiders = "hand, fingers, object, border or none; +clutter after it lets other things stand about"
+    hiders = "hand, fingers, object, neighbours (on a table), border or none; +clutter lets other things stand about"
     parser.add_argument("--occluders", metavar="KIND", help=hiders)
+    pieces = "; ".join(f"{name}: {what}" for name, what in PIECES.items())
+    parser.add_argument("--scene", metavar="A+B", help=f"what else is there, joined by +. {pieces}")
+    errors = "fat (1 mm), scaled (1 %%) or scan (another one, bumps of some mm): the capture's mesh is not the object's"
+    parser.add_argument("--mesh-error", metavar="NAME", help=errors)
     moves = "carry, turn, slip or leave: one grasp filmed; default: every frame another grasp and view"
     parser.add_argument("--motion", metavar="KIND", help=moves)
 
@@ -48,6 +60,8 @@ def run(args: argparse.Namespace) -> int:
         args.occluders,
         motion=args.motion,
         taxels=args.taxels,
+        scene=args.scene,
+        mesh_error=args.mesh_error,
     )
     contacts = [max(len(frame.contacts), len(frame.wrenches), len(frame.tactile), len(frame.gels)) for frame in capture]
     asked = {"object": model.name, "occlusion": args.occlusion, "noise": args.noise, "seed": args.seed}
@@ -62,12 +76,15 @@ def load_hand(name: str):  # type: ignore[no-untyped-def]  # naming Hand here wo
     """A Hand by name or URDF, None for "none"; raises InputError for anything else."""
     from scenes.errors import InputError
     from scenes.robot.hands import Hand
+    from scenes.synthesis.gripper import parallel_gripper
     from scenes.synthesis.hands import five_finger_hand
 
+    if name == "gripper":
+        return parallel_gripper()
     if name.replace("_", "-") == "five-finger":
         return five_finger_hand()
     if name == "none":
         return None
     if not Path(name).is_file():
-        raise InputError(f"hand: expected five-finger, none or a URDF file, got {name!r}")
+        raise InputError(f"hand: expected five-finger, gripper, none or a URDF file, got {name!r}")
     return Hand.load(name)

@@ -5,18 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from fusion.cli.options import (
-    add_run,
-    announce_compiling,
-    load_object,
-    number,
-    out_folder,
-    prior_setter,
-    progress,
-    say,
-    show_table,
-    write_run,
-)
+from fusion.cli.options import add_run, announce_compiling, number, out_folder, progress, say, show_table, write_run
+from fusion.results.runs import load_object, prior_setter
 
 if TYPE_CHECKING:
     from fusion.tracking.answer import TrackedEstimate
@@ -34,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when the object is lost in the last frame."""
-    from fusion.estimation.stages import check_senses
+    from fusion.estimation.asked import check_senses
     from fusion.results.files import frame_errors
     from fusion.tracking.tracker import Tracker
     from fusion.truth.errors import Judge

@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fusion.cli.options import add_object, load_object, positive, say, write_json
+from fusion.cli.options import add_object, positive, say, write_json
+from fusion.results.runs import load_object
 
 if TYPE_CHECKING:
     from fusion.estimation.answer import Estimate

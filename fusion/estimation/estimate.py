@@ -1,58 +1,57 @@
-"""One frame, one answer: look, feel, search, refine, solve together, judge.
+"""One frame, one answer: look, feel, search, solve together, judge.
 
-Readable as the method: each step is one named stage of the trace, run or skipped with its reason. What a step needs
-beyond a line is in `fusion.estimation.stages`.
+Readable as the method: each step is one named stage of the trace, run or skipped with its reason.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
+from fusion.estimation.asked import as_prior, check_limits, check_senses
 from fusion.estimation.moments import moments
+from fusion.estimation.pool import Pool
+from fusion.estimation.proposals import search_stages, starts_of
+from fusion.estimation.ranking import guarded, ranked
 from fusion.estimation.search import find_modes, worth_solving
-from fusion.estimation.solve import joint
+from fusion.estimation.settings import EstimateSettings
+from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import solve_modes
-from fusion.estimation.stages import (
-    EstimateSettings,
-    as_prior,
-    beyond_rows,
-    blind,
-    check_limits,
-    check_senses,
-    comparable,
-    good_enough,
-    hand_from_object,
-    is_within,
-    look,
-    no_answer,
-    numb,
-    rejudged,
-    search_stages,
-    starts_of,
-    vision_rows,
-    with_shared_errors,
-)
+from fusion.estimation.tolerance import good_enough, is_within, with_shared_errors
 from fusion.estimation.trace import Trace
 from scenes.evidence import table as tables
 from scenes.evidence.align import Prior
 from scenes.evidence.near_symmetries import near_symmetries
 from scenes.evidence.point_pairs import pair_table
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
 from scenes.threads import one_blas_thread
 from touch.contacts import feel
-from vision.look.segments import region_around, segment
+from vision.look.look import look, look_closer, surfaces
 from vision.plausibility import doubts
+from vision.predicted import Predictor
 from vision.sight import Sight
 from vision.visibility import visibility
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """One question: senses allowed, prior, tolerance (m, rad), seed; and how it is answered."""
+
+    senses: frozenset[str]
+    prior: Prior | None
+    tolerance: tuple[float, float] | None
+    seed: int
+    beliefs: Beliefs
+    settings: EstimateSettings
 
 
 def estimate(
@@ -64,18 +63,21 @@ def estimate(
     budget_ms: float | None = None,
     seed: int = 0,
     settings: EstimateSettings | None = None,
+    beliefs: Beliefs | None = None,
 ) -> Estimate:
     """Where is the object in this frame?
 
     prior: a coarse camera_from_object (4, 4), or a Gaussian on it; default the frame's own prior. use: the senses
     allowed. tolerance (m, rad): standard deviations that are good enough; when vision alone is sure and that good,
     touch is skipped, and when the rows are that good before shared errors are solved for, that is
-    skipped. budget_ms: once it is spent, the joint solution (calibration, depth scale, bias) is skipped.
+    skipped. budget_ms: once it is spent, the joint solution (calibration, depth scale, bias) is skipped. beliefs: what
+    the sensors are worth; default what the frame says of its own.
     Returns an Estimate; data that tell nothing give the verdict "lost" and a covariance that says so, not an error.
     """
     settings, senses = settings or EstimateSettings(), check_senses(use)
     check_limits(tolerance, budget_ms)
     believed = as_prior(prior if prior is not None else frame.prior, settings)
+    asked = _Asked(senses, believed, tolerance, seed, beliefs or frame.beliefs or Beliefs(), settings)
     # built or read once per object, not part of a frame's time
     model.field  # noqa: B018
     near_symmetries(model)
@@ -84,99 +86,94 @@ def estimate(
     trace = Trace(budget_ms)
     with one_blas_thread():
         if tolerance is not None and senses == {"vision", "touch"} and frame.depth is not None:
-            alone = _estimate(frame, model, believed, frozenset({"vision"}), trace, seed, settings, tolerance)
-            if good_enough(alone, tolerance, settings):
+            alone = _estimate(frame, model, replace(asked, senses=frozenset({"vision"})), trace)
+            if good_enough(model, alone, tolerance, settings):
                 return trace.skipping(alone, "feel", "vision alone is within the tolerance")
-        return _estimate(frame, model, believed, senses, trace, seed, settings, tolerance)
+        return _estimate(frame, model, asked, trace)
 
 
-def _estimate(
-    frame: Frame,
-    model: ObjectModel,
-    believed: Prior | None,
-    senses: frozenset[str],
-    trace: Trace,
-    seed: int,
-    settings: EstimateSettings,
-    tolerance: tuple[float, float] | None,
-) -> Estimate:
-    rng = np.random.default_rng(seed)
-    viewed = frame if "vision" in senses else blind(frame)
+def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> Estimate:
+    settings, beliefs, believed = asked.settings, asked.beliefs, asked.prior
+    viewed = frame if "vision" in asked.senses else frame.without_vision()
+    touched = frame if "touch" in asked.senses else frame.without_touch()
     start = believed.pose if believed is not None else None
 
-    with trace.stage("look", "vision" in senses, "vision not asked for") as stage:
-        looked, how = look(viewed, model, start, settings)
-        seen = vision_rows(looked, settings)
-        stage.note(len(seen), f"{len(looked.pixels)} object pixels, {len(looked.hand)} of the hand{how}")
-    with trace.stage("feel", "touch" in senses, "touch not asked for") as stage:
-        felt = feel(frame if "touch" in senses else numb(frame), settings.contact_gate, looked.region)
-        stage.note(len(felt.rows), f"{len(felt.contacts)} contacts, {len(felt.rows) - len(felt.contacts)} empty points")
-
-    hand = looked.hand_view if looked.hand_view is not None and len(looked.hand_view.points) else None
-    correction = hand.correct() if hand is not None else np.eye(4)
-    uncorrected = hand is None and frame.camera is not None
-    touch_rows = felt.slackened(settings.calibration, uncorrected).moved(correction)
-    rows = tables.stack(seen, touch_rows)
+    with trace.stage("look", "vision" in asked.senses, "vision not asked for") as stage:
+        looked = look(viewed, model, beliefs, start, settings.look)
+        seen = looked.rows(beliefs.depth, settings.look.rows)
+        stage.note(len(seen), f"{len(looked.pixels)} object pixels, {len(looked.of_hand)} of the hand{looked.how}")
+    with trace.stage("feel", "touch" in asked.senses, "touch not asked for") as stage:
+        hand = looked.seen_hand
+        felt = feel(touched, hand.correct() if hand is not None else None, beliefs, looked.region, settings.touch)
+        contacts = len(felt.reported_contacts)
+        stage.note(len(felt.reported_rows), f"{contacts} contacts, {len(felt.reported_rows) - contacts} empty points")
+    rows = tables.stack(seen, felt.rows)
     # emptiness alone tells where the object is not
-    if len(rows) == 0 or (believed is None and not len(looked.pixels) and not len(felt.contacts)):
-        return no_answer(frame, model, believed, trace, settings)
+    if len(rows) == 0 or (believed is None and not len(looked.pixels) and not contacts):
+        return posterior.no_answer(frame, model, believed, trace.stages, settings.modes, settings.verdict)
 
-    sight = Sight(viewed, model, settings.depth)
+    sight = Sight(viewed, model, beliefs.depth, settings.sight)
     with trace.stage("search", True, "") as stage:
-        touched = felt.contacts.moved(correction)
-        starts = starts_of(model, believed, looked.pixels.points, touched, rows, sight.costs, settings, rng)
-        blur = float(np.clip(settings.blur_share * model.radius, *settings.blur_limits))
-        found = find_modes(
-            model,
-            rows,
-            starts,
-            search_stages(blur, believed is not None, sifted=not len(touched)),
-            believed,
-            sight.costs,
-            settings.plan,
-            settings.modes,
-        )
+        how, blur = settings.proposals, settings.proposals.blur(model)
+        rng = np.random.default_rng(asked.seed)
+        starts = starts_of(model, believed, looked.pixels.points, felt.contacts, rows, sight.costs, how, rng)
+        stages = search_stages(blur, how.near if believed is not None else how.wide if contacts else how.sifted)
+        found = find_modes(model, rows, starts, stages, believed, sight.costs, settings.plan, settings.modes)
         modes = found.modes
         stage.note(len(rows), f"{found.looked_at} of {len(starts)} starts, blur {1e3 * blur:.1f} mm; {found.why}")
-    wide = believed is None and "vision" in senses and looked.region is not None and not looked.is_cloud
+    wide = believed is None and "vision" in asked.senses and looked.region is not None and not looked.is_cloud
     with trace.stage("look again", wide, "the region was narrow") as stage:
         if wide:
             likely = np.array([m.pose for m in modes if m.weight > settings.plan.negligible or m is modes[0]])
-            region = region_around(model, likely, settings.segmentation)
-            beliefs = settings.segmentation, settings.depth, settings.calibration
-            looked = segment(viewed, model, None, *beliefs, again=(region, looked.hand_view))
-            seen = vision_rows(looked, settings)
-            rows = tables.stack(seen, touch_rows)
-            last = search_stages(blur, near=True)[-1:]
+            looked = look_closer(viewed, model, looked, likely, beliefs, settings.look)
+            seen = looked.rows(beliefs.depth, settings.look.rows)
+            rows = tables.stack(seen, felt.rows)
+            last = search_stages(blur, how.near)[-1:]
             modes = find_modes(model, rows, likely, last, None, sight.costs, settings.plan, settings.modes).modes
             stage.note(len(rows), f"{len(looked.pixels)} object pixels around {len(likely)} poses")
-    rough = with_shared_errors(modes, viewed, settings)
-    spent, settled = trace.over_budget, is_within(rough, tolerance, settings)
+
+    # something that nobody has a model of touches the object, and may be what is seen
+    unknown = contacts > 0 and not looked.told_apart and viewed.depth is not None
+    pieces = surfaces(viewed, looked.plane, beliefs, settings.look)[1] if unknown else None
+    predictor = Predictor(viewed, model, beliefs.depth, hand, settings.prediction, looked.plane, pieces)
+    known = settings.look.rows, settings.modes, settings.pool
+    pieces_by = search_stages(blur, how.sifted)
+    pool = Pool(model, felt.rows, believed, predictor, sight, looked, beliefs.depth, *known)
+    with trace.stage("compete", predictor.sees, "no depth image to predict") as stage:
+        if predictor.sees:
+            more = [pool.proposed(starts, stages, seen, start), pool.of_pieces(pieces_by, rng, how.of_piece)]
+            candidates = np.concatenate([np.array([m.pose for m in modes]), *more])
+            modes = pool.compete(candidates)
+            stage.note(len(candidates), f"{len(modes)} of {len(candidates)} proposals are left")
+    rough = with_shared_errors(model, modes, viewed, beliefs.depth)
+    spent, settled = trace.over_budget, is_within(model, rough, asked.tolerance, settings)
     why_not = "the time budget is spent" if spent else "the rows alone are within the tolerance"
     finish = not (spent or settled)
     modes = modes if finish else rough
     with trace.stage("solve together", finish, why_not) as stage:
         if finish:
-            problem = joint.JointProblem.of(model, frame, looked, seen, felt.rows, believed, hand, settings)
-            solved = solve_modes(problem, worth_solving(modes, settings.plan))
-            costs = comparable(solved, settings) + sight.costs(np.array([s.pose for s in solved]))
-            costs += beyond_rows(frame if "touch" in senses else numb(frame), model, solved, settings)
-            modes = rejudged(model, solved, costs, settings)
-            best = solved[int(np.argmin(costs))]
-            correction = best.correct()
-            stage.note(
-                len(rows), f"calibration off by {best.millimetres:.1f} mm, depth scale by {100 * best.scale:+.2f} %"
-            )
+            worth = worth_solving(modes, settings.plan)[: settings.joint.modes]
+            shown = [pool.evidence(pose) if predictor.sees else seen for pose in worth]
+            known_of = felt.reported_rows, believed, hand, beliefs, settings.joint
+            solved = solve_modes([JointProblem.of(model, frame, rows, *known_of) for rows in shown], worth)
+            solved = guarded(pool, solved, worth, settings)
+            first_of, modes = ranked(touched, pool, solved, sight, settings)
+            best, seen = solved[first_of], shown[first_of]
+            rows = tables.stack(seen, felt.rows)
+            felt = felt.corrected(best.correct())
+            off = f"calibration off by {best.millimetres:.1f} mm, depth scale by {100 * best.scale:+.2f} %"
+            stage.note(len(rows), off)
     with trace.stage("sample", finish, why_not) as stage:
         if finish:
-            spread = moments(model, rows, modes[0].pose, modes[0].covariance, seed, believed, settings=settings.moments)
-            modes = (replace(modes[0], pose=spread.pose, covariance=spread.covariance), *modes[1:])
+            first, how_wide = modes[0], settings.moments
+            spread = moments(model, rows, first.pose, first.covariance, asked.seed, believed, settings=how_wide)
+            modes = (replace(first, pose=spread.pose, covariance=spread.covariance), *modes[1:])
             stage.note(len(rows), f"{spread.effective:.0f} effective samples, directions widened: {spread.widened}")
     with trace.stage("judge", True, "") as stage:
         pose = modes[0].pose
-        residuals = posterior.contact_residuals(model, felt.contacts.moved(correction), pose, settings.verdict)
+        residuals = posterior.contact_residuals(model, felt.contacts, pose, settings.verdict)
         share, rms = posterior.pixel_agreement(model, seen, pose)
-        seeing = visibility(viewed, model, pose, settings.depth)
+        seeing = visibility(viewed, model, pose, beliefs.depth)
         word, why = posterior.verdict(model, modes, residuals, share, seeing, settings.verdict)
         stage.note(len(rows), why)
 
@@ -187,12 +184,12 @@ def _estimate(
         modes=modes,
         verdict=word,
         unobservable=posterior.unobservable(model, pose, modes[0].covariance, settings.verdict),
-        hand_from_object=hand_from_object(frame, pose, correction),
+        hand_from_object=frame.hand_from_object(pose, felt.correction),
         visible_fraction=seeing.visible,
         trace=trace.stages,
         contacts=residuals,
         pixel_rms_mm=1e3 * rms,
-        notes=(why, *doubts(viewed, looked.hand_view, settings.calibration)),
+        notes=(why, *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility)),
         dropped=looked.dropped,
         start=start,
         contributions=posterior.contributions(model, rows, pose, believed),

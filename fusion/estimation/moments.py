@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class MomentSettings:
-    """When and how the posterior is sampled."""
+    """When and how the posterior is sampled. Tuned on generated captures."""
 
     # Uneven evidence that holds less than this share of the information in every direction is not looked into.
     share: float = 0.2

@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Care:
-    """How much is spent on minima that may be new."""
+    """How much is spent on minima that may be new. Tuned on generated captures."""
 
     # Poses nearer to each other than this share of the distance at which modes are one go on as one.
     together: float
@@ -41,7 +41,7 @@ class Care:
 
 @dataclass(frozen=True)
 class PlanSettings:
-    """When a search may end early."""
+    """When a search may end early. Tuned on generated captures."""
 
     # Off: every stage looks at everything.
     skipping: bool = True

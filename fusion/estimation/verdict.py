@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.answer import ContactResidual, Contribution, Mode
+from fusion.estimation.answer import ContactResidual, Contribution, Estimate, Mode, Stage
 from scenes.evidence import align as alignment
 from scenes.evidence.align import Prior
-from scenes.evidence.modes import covariance_of
-from scenes.evidence.table import POINT, SIGMA, TOUCH, VISION, Evidence, empty
+from scenes.evidence.modes import ModeSettings, covariance_of, distinct_modes
+from scenes.evidence.table import GATE_ABOVE, POINT, SIGMA, TOUCH, VISION, Evidence, empty
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
-from scenes.recordings.frames import Contacts
+from scenes.recordings.frames import Contacts, Frame
 from vision.visibility import Visibility
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class VerdictSettings:
-    """When an answer is sure, and when it is none."""
+    """When an answer is sure, and when it is none. By judgement."""
 
     # Share of the posterior that the first mode must hold to be called the answer.
     sure_share: float = 0.9
@@ -66,7 +66,7 @@ def contact_residuals(
 
 def pixel_agreement(model: ObjectModel, seen: Evidence, pose: Array) -> tuple[float, float]:
     """Share of the ON pixels within three sigmas of the surface at pose, and the RMS distance (m) of those."""
-    on = seen.rows[seen.rows[:, 9] > 0]
+    on = seen.rows[seen.rows[:, GATE_ABOVE] > 0]
     if not len(on):
         return float("nan"), float("nan")
     distance = model.field.distance(se3.apply(se3.inverse(pose), on[:, POINT]))
@@ -100,28 +100,37 @@ def contributions(
     return tuple(out)
 
 
-def unobservable(
+def open_directions(
     model: ObjectModel, pose: Array, covariance: Array, settings: VerdictSettings | None = None
 ) -> tuple[str, ...]:
-    """Directions the data leave open, in the object's own axes."""
+    """Directions the data leave open, in the object's own axes; those of its symmetry are none.
+
+    The symmetry is taken out of the covariance, not out of the list: an eigenvector is never exactly the axis.
+    """
     settings = settings or VerdictSettings()
     rotation = pose[:3, :3]
+    own = model.symmetries.quotient(rotation, model.centroid)
+    doubtful = own @ covariance @ own.T
     found = []
     for block, limit, word in (
         (slice(0, 3), settings.unknown_angle, "rotation about"),
         (slice(3, 6), settings.unknown_distance, "translation along"),
     ):
-        values, vectors = np.linalg.eigh(rotation.T @ covariance[block, block] @ rotation)
+        values, vectors = np.linalg.eigh(rotation.T @ doubtful[block, block] @ rotation)
         for value, vector in zip(values, vectors.T):
             if np.sqrt(max(value, 0.0)) > limit:
                 found.append(f"{word} {_axis_name(vector)}")
+    return tuple(found)
+
+
+def unobservable(
+    model: ObjectModel, pose: Array, covariance: Array, settings: VerdictSettings | None = None
+) -> tuple[str, ...]:
+    """Directions the data leave open, then turns about the object's own axes, which nothing ever tells."""
     # a ball turns about every axis, whichever two were declared
     turns = np.eye(3) if model.symmetries.is_spherical else [a.direction for a in model.symmetries.axes[:1]]
-    for direction in turns:
-        name = f"rotation about {_axis_name(direction)}"
-        if name not in found:
-            found.append(name)
-    return tuple(found)
+    own = [f"rotation about {_axis_name(direction)}" for direction in turns]
+    return *open_directions(model, pose, covariance, settings), *own
 
 
 def _axis_name(direction: Array) -> str:
@@ -156,10 +165,35 @@ def verdict(
         return "ambiguous", f"only {seeing.visible:.0%} of the object is seen and nothing touches it"
     if modes[0].weight < settings.sure_share:
         return "ambiguous", f"first of {len(modes)} modes holds {modes[0].weight:.0%}"
-    covariance = modes[0].covariance
-    open_directions = unobservable(model, modes[0].pose, covariance, settings)
-    symmetric = {f"rotation about {_axis_name(a.direction)}" for a in model.symmetries.axes[:1]}
-    hidden = [d for d in open_directions if d not in symmetric]
-    if hidden and not model.symmetries.is_spherical:
+    hidden = open_directions(model, modes[0].pose, modes[0].covariance, settings)
+    if hidden:
         return "ambiguous", f"{', '.join(hidden)} unknown"
     return "ok", f"first mode holds {modes[0].weight:.0%}"
+
+
+def no_answer(
+    frame: Frame,
+    model: ObjectModel,
+    prior: Prior | None,
+    trace: tuple[Stage, ...],
+    mode_settings: ModeSettings,
+    settings: VerdictSettings,
+) -> Estimate:
+    """No row of evidence at all: the prior (or the identity), as wide as it is, and the verdict lost."""
+    pose = prior.pose if prior is not None else np.eye(4)
+    information = prior.information if prior is not None else np.zeros((6, 6))
+    nothing = alignment.Alignment(pose[None], np.zeros(1), information[None], np.zeros(1, dtype=np.int64))
+    modes = distinct_modes(model, nothing, mode_settings)
+    return Estimate(
+        frame.index,
+        pose,
+        modes[0].covariance,
+        modes,
+        "lost",
+        unobservable(model, pose, modes[0].covariance, settings),
+        frame.hand_from_object(pose, np.eye(4)),
+        0.0,
+        trace,
+        notes=("no evidence: no pixel of the object and no contact",),
+        start=prior.pose if prior is not None else None,
+    )

@@ -115,8 +115,8 @@ def finished(job: Job) -> list[Row] | None:
 def run_capture(job: Job) -> list[Row]:
     """Estimate every frame of a capture and write its results: a folder that appears whole. In a worker process."""
     one_thread()
-    from fusion.cli.options import estimates, load_object, prior_setter
     from fusion.results.files import frame_errors, result_json, write_results
+    from fusion.results.runs import estimates, load_object, prior_setter
     from fusion.truth.errors import Judge, json_number
     from scenes.recordings.captures import read_capture
 

@@ -14,9 +14,9 @@ from fusion.advice.next_touch import next_touches
 from fusion.estimation.answer import ContactResidual, Estimate, Mode, Stage
 from fusion.truth.errors import Errors, Judge, json_number
 from scenes.errors import InputError
-from scenes.files.bop import PoseRow, numbers, write_json, write_poses
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings.bop import PoseRow, numbers, write_json, write_poses
 from scenes.recordings.captures import Capture
 from scenes.recordings.frames import Frame
 
@@ -60,7 +60,7 @@ def result_json(
 def write_results(out: Path, capture: Capture, answers: Sequence[Estimate], content: dict[str, Any]) -> None:
     """Write OUT/poses.csv and OUT/result.json; the folder is made when missing."""
     out.mkdir(parents=True, exist_ok=True)
-    number, scene = capture.settings.object_id, capture.settings.notes.get("scene_id", 0)
+    number, scene = capture.manifest.object_id, capture.manifest.notes.get("scene_id", 0)
     scene = scene if isinstance(scene, int) else 0
     write_poses(
         out / "poses.csv",

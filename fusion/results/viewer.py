@@ -16,7 +16,7 @@ from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.captures import Capture
 from scenes.recordings.frames import Frame
-from vision.look.segments import all_points
+from vision.look.points import all_points
 
 Array = NDArray[np.float64]
 

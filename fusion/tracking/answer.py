@@ -10,43 +10,44 @@ from numpy.typing import NDArray
 
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate, Mode, Stage
-from fusion.estimation.solve import joint
-from fusion.estimation.stages import EstimateSettings, hand_from_object
+from fusion.estimation.settings import EstimateSettings
+from fusion.estimation.solve.settings import JointSettings
 from fusion.tracking.filter import Belief
 from fusion.tracking.motion import HandMotionSettings
 from fusion.tracking.slip import WatchSettings
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
+from vision.look.warm import WarmLookSettings
 from vision.tracking.by_vision import VelocitySettings
-from vision.tracking.look import LookSettings
 
 Array = NDArray[np.float64]
 
 # Pixels count half of what they do in one frame: frames share the edges of fingers that are taken for the object.
-RIGS = tuple(replace(rig, weight=0.5 * rig.weight) for rig in joint.JointSettings().rigs)
+RIGS = tuple(replace(rig, weight=0.5 * rig.weight) for rig in JointSettings().rigs)
 
 
 @dataclass(frozen=True)
 class TrackSettings:
-    """Tracking with both senses; `first` is how the first frame, and a lost object, is found."""
+    """Tracking with both senses; `first` is how the first frame, and a lost object, is found. Values tuned on
+    generated sequences.
+    """
 
     first: EstimateSettings = field(default_factory=EstimateSettings)
-    look: LookSettings = field(default_factory=LookSettings)
+    look: WarmLookSettings = field(default_factory=WarmLookSettings)
     velocity: VelocitySettings = field(default_factory=VelocitySettings)
     hand: HandMotionSettings = field(default_factory=HandMotionSettings)
     slip: WatchSettings = field(default_factory=WatchSettings)
-    # Object pixels of a frame, and blur (m) of the first of two passes: as wide as a slip in one frame.
-    pixels: int = 250
+    # Blur (m) of the first of two passes: as wide as a slip in one frame.
     blur: float = 0.003
     # The prior of a frame's own answer is the prediction widened by this much, so that a slip is not held back and
     # directions that nothing tells of stay where they are (rad, m).
     loose_angle: float = float(np.deg2rad(6.0))
     loose_distance: float = 0.006
-    # A frame's own answer that is this many of those widths from the prediction is not trusted: the object is searched.
+    # A frame's own answer this many times those widths from the prediction is not trusted: the object is searched.
     leap: float = 2.5
     # The joint solution starts within a millimetre and knows the size of the shared errors from the first frames.
-    joint: joint.JointSettings = field(
-        default_factory=lambda: joint.JointSettings(steps=4, most_inducing=24, spacing=1.6, modes=1, rigs=RIGS)
+    joint: JointSettings = field(
+        default_factory=lambda: JointSettings(steps=4, most_inducing=24, spacing=1.6, modes=1, rigs=RIGS)
     )
     level_frames: int = 3
     # Factor on the variance that independent noise makes of a frame's answer: the noise of neighbouring pixels is not
@@ -57,7 +58,7 @@ class TrackSettings:
     lasting: float = 0.8
     # Share of the first estimate's variance that later frames do not average out.
     first_lasting: float = 0.6
-    # Modes carried from frame to frame, and how much of a mode's odds the next frame inherits: frames repeat
+    # Modes carried from frame to frame, and the share of its log odds that the next frame inherits: frames repeat
     # one another's errors, so odds are not multiplied.
     modes: int = 3
     inherited: float = 0.6
@@ -133,7 +134,7 @@ def as_carried(
         modes=(Mode(predicted.pose, 1.0, 0.0, covariance),),
         verdict="ambiguous" if held else "lost",
         unobservable=posterior.unobservable(model, predicted.pose, covariance, settings.first.verdict),
-        hand_from_object=hand_from_object(frame, predicted.pose, np.eye(4)),
+        hand_from_object=frame.hand_from_object(predicted.pose, np.eye(4)),
         visible_fraction=0.0,
         trace=trace,
         notes=(why,),

@@ -116,12 +116,13 @@ def update(model: ObjectModel, predicted: Belief, measured: Measurement) -> Beli
 
 
 @dataclass(frozen=True)
-class SlipSettings:
-    """When an object that should be held has moved in the hand."""
+class TrackSlipSettings:
+    """When an object that should be held has moved in the hand. Values tuned on generated sequences."""
 
     # A squared innovation (chi-square, 6 degrees of freedom) above this in one frame: one in a million by chance.
     alarm: float = 40.0
-    # Several frames together (Page's cumulative sum, 1954): what a frame may add without counting, and the limit.
+    # Several frames together (Page's cumulative sum of those squares, 1954): what a frame may add without counting, and
+    # the limit.
     allowance: float = 12.0
     limit: float = 30.0
     # Errors of two frames that no covariance speaks of: bent surfaces, other pixels (rad, m).
@@ -142,10 +143,10 @@ class SlipTest:
     where no rigid motion of the object explains it.
     """
 
-    def __init__(self, model: ObjectModel, length: float, settings: SlipSettings | None = None) -> None:
+    def __init__(self, model: ObjectModel, length: float, settings: TrackSlipSettings | None = None) -> None:
         """length: correlation length of the depth bias in pixels, over which shared errors change."""
         self.model = model
-        self.settings = settings or SlipSettings()
+        self.settings = settings or TrackSlipSettings()
         self._length = length
         self._held: Belief | None = None
         self._pixel: Array | None = None

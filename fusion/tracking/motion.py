@@ -15,15 +15,16 @@ from numpy.typing import NDArray
 
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings.beliefs import CalibrationModel
 from scenes.recordings.frames import Contacts, Frame
-from vision.look.hand import CalibrationModel, camera_from_hand
+from vision.look.hand import camera_from_hand
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class HandMotionSettings:
-    """What a hand's motion says of the object's."""
+    """What a hand's motion says of the object's. Values by judgement."""
 
     # How far a sticking contact may creep or roll in one frame (m), per axis: fingertips are balls, they roll by
     # about this much on a curved surface when the object turns by two degrees.
@@ -31,7 +32,7 @@ class HandMotionSettings:
     # Width of what fingers may do to an object in one frame when contacts leave it open (rad, m).
     turn: float = float(np.deg2rad(3.0))
     move: float = 0.003
-    # The same for the slip test: an object that turns in directions that no finger drives is not held.
+    # The same (rad, m) for the slip test: an object that turns in directions that no finger drives is not held.
     turn_held: float = float(np.deg2rad(0.5))
     move_held: float = 0.0005
     # Fingertips that moved less than this stand still (m): encoders of 0.05 degrees at 10 cm.

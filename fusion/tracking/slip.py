@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.tracking.filter import Belief, Measurement, SlipSettings, SlipTest
+from fusion.tracking.filter import Belief, Measurement, SlipTest, TrackSlipSettings
 from fusion.tracking.motion import InHand
 from scenes.geometry.objects import ObjectModel
 from touch.arrays.readings import Reading
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 class WatchSettings:
     """When an object that should be held has moved in the hand."""
 
-    poses: SlipSettings = field(default_factory=SlipSettings)
+    poses: TrackSlipSettings = field(default_factory=TrackSlipSettings)
     patterns: PatternSettings = field(default_factory=PatternSettings)
 
 

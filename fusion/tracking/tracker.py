@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
+from fusion.estimation.asked import as_prior, check_senses
 from fusion.estimation.estimate import estimate
-from fusion.estimation.solve import joint
+from fusion.estimation.solve.joint import JointResult
+from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import solve_modes
 from fusion.estimation.solve.settings import Rig
-from fusion.estimation.stages import as_prior, blind, check_senses, hand_from_object, numb
 from fusion.estimation.trace import Trace
 from fusion.tracking.answer import TrackedEstimate, TrackSettings, as_carried, as_tracked
 from fusion.tracking.filter import Belief, Measurement, moved_modes, update
@@ -35,14 +36,15 @@ from scenes.evidence.modes import Mode, distinct_modes
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
 from scenes.threads import one_blas_thread
 from touch.arrays.readings import readings_of
 from touch.contacts import Felt, feel
-from vision.look.segments import Segments, free_space_rows, surface_rows
+from vision.look.looked import Looked
+from vision.look.warm import Looker
 from vision.sight import Sight
 from vision.tracking.by_vision import ConstantVelocity
-from vision.tracking.look import Looker
 from vision.visibility import visibility
 
 Array = NDArray[np.float64]
@@ -55,14 +57,16 @@ def track(
     use: Iterable[str] = ("vision", "touch"),
     seed: int = 0,
     settings: TrackSettings | None = None,
+    beliefs: Beliefs | None = None,
 ) -> Iterator[TrackedEstimate]:
     """Where is the object in each of these frames?
 
     prior: of the first frame, as for `estimate`; default the frame's own. use: the senses allowed. Yields one answer a
     frame, in their order; a frame whose index is below its predecessors' came late: it corrects the present, and its
-    answer is for its own time. Raises InputError as `estimate` does.
+    answer is for its own time. beliefs: what the sensors are worth; default what the first frame says of its own.
+    Raises InputError as `estimate` does.
     """
-    tracker = Tracker(model, prior, use, seed, settings)
+    tracker = Tracker(model, prior, use, seed, settings, beliefs)
     for frame in frames:
         yield tracker.step(frame)
 
@@ -77,6 +81,7 @@ class Tracker:
         use: Iterable[str] = ("vision", "touch"),
         seed: int = 0,
         settings: TrackSettings | None = None,
+        beliefs: Beliefs | None = None,
     ) -> None:
         """As `track`."""
         self.model = model
@@ -84,12 +89,16 @@ class Tracker:
         self._senses = check_senses(use)
         self._prior = as_prior(prior, self.settings.first)
         self._seed = seed
-        first = self.settings.first
-        self._looker = Looker(model, self.settings.look, first.segmentation, first.depth, first.calibration)
+        self._asked = beliefs
+        self._believe(beliefs or Beliefs())
         self._hand_motion = HandMotion(model, self.settings.hand)
         self._velocity = ConstantVelocity(model.centroid, self.settings.velocity)
-        self._watch = SlipWatch(model, first.depth.bias_length, self.settings.slip)
         self._forget()
+
+    def _believe(self, beliefs: Beliefs) -> None:
+        self._beliefs = beliefs
+        self._looker = Looker(self.model, self.settings.look, self.settings.first.look, beliefs)
+        self._watch = SlipWatch(self.model, beliefs.depth.bias_length, self.settings.slip)
 
     def _forget(self) -> None:
         self._belief: Belief | None = None
@@ -104,6 +113,8 @@ class Tracker:
     def step(self, frame: Frame) -> TrackedEstimate:
         """The object in this frame."""
         if self._belief is None:
+            if self._asked is None and frame.beliefs is not None:
+                self._believe(frame.beliefs)
             return self._begin(frame)
         with one_blas_thread():
             answer = self._follow(frame, self._belief)
@@ -115,7 +126,7 @@ class Tracker:
     # --- beginning, and beginning again
 
     def _begin(self, frame: Frame) -> TrackedEstimate:
-        answer = estimate(frame, self.model, self._prior, self._senses, seed=self._seed, settings=self.settings.first)
+        answer = self._estimated(frame, self._prior)
         if answer.verdict == "lost":
             return as_tracked(answer, "lost")
         self._restart(frame, answer)
@@ -127,7 +138,7 @@ class Tracker:
         self._belief = Belief(answer.pose, (1 - share) * answer.covariance, share * answer.covariance)
         self._modes = answer.modes[: self.settings.modes]
         self._index, self._unseen, self._lost_for, self._usual = frame.index, 0, 0, None
-        contacts = feel(self._felt_frame(frame), self.settings.first.contact_gate).contacts
+        contacts = self._feel(frame).reported_contacts
         self._hand = HandState.of(frame, contacts)
         self._velocity.restart(frame.index, answer.pose)
         self._watch.let_go()
@@ -141,7 +152,7 @@ class Tracker:
             tries.append(None)
         for prior in tries:
             bare = replace(frame, prior=None)
-            found = estimate(bare, self.model, prior, self._senses, seed=self._seed, settings=s.first)
+            found = self._estimated(bare, prior)
             if found.verdict == "ok" or (prior is not None and found.verdict == "ambiguous"):
                 pose = self.model.symmetries.nearest(found.pose, lost.pose)
                 found = replace(found, pose=pose, trace=(*lost.trace, *found.trace))
@@ -149,50 +160,50 @@ class Tracker:
                 return as_tracked(found, "re-initialised")
         return lost
 
+    def _estimated(self, frame: Frame, prior: Prior | None) -> Estimate:
+        """The frame by itself."""
+        first, senses, beliefs = self.settings.first, self._senses, self._beliefs
+        return estimate(frame, self.model, prior, senses, seed=self._seed, settings=first, beliefs=beliefs)
+
     # --- one frame
 
     def _follow(self, frame: Frame, belief: Belief) -> TrackedEstimate:
-        s = self.settings
         trace = Trace()
         with trace.stage("predict", True, "") as stage:
             predicted, modes, why = self._predict(frame, belief)
             stage.note(0, why)
-        viewed = frame if "vision" in self._senses else blind(frame)
+        viewed = frame if "vision" in self._senses else frame.without_vision()
         with trace.stage("look", "vision" in self._senses, "vision not asked for") as stage:
             looked = self._looker.look(viewed, predicted.pose)
-            seen = surface_rows(looked, s.pixels, self._looker.segmentation, s.first.depth)
-            free = free_space_rows(looked, self._looker.segmentation)
-            stage.note(len(seen) + len(free), f"{len(looked.pixels)} object pixels, {len(looked.hand)} of the hand")
+            seen = looked.rows(self._beliefs.depth, self._looker.first.rows)
+            stage.note(len(seen), f"{len(looked.pixels)} object pixels, {len(looked.of_hand)} of the hand")
         with trace.stage("feel", "touch" in self._senses, "touch not asked for") as stage:
-            felt = feel(self._felt_frame(frame), s.first.contact_gate, looked.region)
-            stage.note(
-                len(felt.rows), f"{len(felt.contacts)} contacts, {len(felt.rows) - len(felt.contacts)} empty points"
-            )
-        seen = tables.stack(seen, free) if len(seen) else seen
-        if not len(seen) and not len(felt.contacts):
+            felt = self._feel(frame, looked)
+            contacts, felt_rows = len(felt.reported_contacts), len(felt.reported_rows)
+            stage.note(felt_rows, f"{contacts} contacts, {felt_rows - contacts} empty points")
+        if not len(seen) and not contacts:
             return self._carry(frame, predicted, trace, felt)
-        correction = self._correction(looked, felt)
         with trace.stage("align", True, "") as stage:
             prior = self._loose(predicted)
-            rows = tables.stack(seen, felt.rows.moved(correction))
+            rows = tables.stack(seen, felt.rows)
             found, switched = self._align(viewed, rows, modes, prior)
             stage.note(len(rows), "another mode explains more" if switched else "a few steps from the prediction")
         with trace.stage("solve together", True, "") as stage:
             if switched:
                 prior = replace(prior, pose=found[0].pose)
-            solved = self._solve(frame, looked, seen, felt, prior, found[0].pose, correction)
+            solved = self._solve(frame, looked, seen, felt, prior, found[0].pose)
             measured = self._measurement(solved, predicted, looked)
-            if looked.hand_view is not None and len(felt.rows):
-                correction = solved.correct()
-            stage.note(len(rows), f"calibration off by {1e3 * _shift(correction, solved.pose):.1f} mm")
-        return self._judged(
-            frame, viewed, trace, predicted, measured, found, switched, (looked, seen, felt, correction)
-        )
+            if looked.hand is not None and felt_rows:
+                felt = felt.corrected(solved.correct())
+            stage.note(
+                len(rows), f"calibration off by {1e3 * _shift(felt.correction, self._middle(solved.pose)):.1f} mm"
+            )
+        return self._judged(frame, viewed, trace, predicted, measured, found, switched, (looked, seen, felt))
 
     def _predict(self, frame: Frame, belief: Belief) -> tuple[Belief, tuple[Mode, ...], str]:
         """The belief and the modes in this frame, before anything is sensed in it."""
         steps = frame.index - self._index
-        now = HandState.of(frame, feel(numb(frame), self.settings.first.contact_gate).contacts)
+        now = HandState.of(frame, feel(frame.without_touch(), np.eye(4), self._beliefs).reported_contacts)
         if self._hand is None or now is None:
             pose, noise = self._velocity.predict(frame.index)
             motion = pose @ se3.inverse(belief.pose)
@@ -208,10 +219,8 @@ class Tracker:
         expected = self._hand_motion.in_hand(self._hand, frame, hold, max(1, abs(steps)))
         expected = expected.turned(now.camera_from_hand[:3, :3])
         moved = belief.moved(motion)
-        centre = moved.pose[:3, :3] @ self.model.centroid + moved.pose[:3, 3]
-        drift = calibration_drift(
-            self._hand.camera_from_hand, now.camera_from_hand, centre, self.settings.first.calibration
-        )
+        centre = self._middle(moved.pose)
+        drift = calibration_drift(self._hand.camera_from_hand, now.camera_from_hand, centre, self._beliefs.calibration)
         delta, noise = expected.motion, expected.noise + drift
         self._watch.predict(motion, expected, drift)
         whole = se3.perturb(motion @ belief.pose, delta, self.model.centroid) @ se3.inverse(belief.pose)
@@ -223,15 +232,17 @@ class Tracker:
         return moved.shifted(delta, noise, self.model.centroid), moved_modes(self._modes, whole), why
 
     def _felt_frame(self, frame: Frame) -> Frame:
-        return frame if "touch" in self._senses else numb(frame)
+        return frame if "touch" in self._senses else frame.without_touch()
 
-    def _correction(self, looked: Segments, felt: Felt) -> Array:
-        """camera_from_camera (4, 4) that moves what the robot reports to where the hand is seen, or was last."""
-        if not len(felt.rows):
-            return np.eye(4)
-        if looked.hand_view is not None:
-            return looked.hand_view.correct()
-        return self._looker.correction if self._looker.correction is not None else np.eye(4)
+    def _feel(self, frame: Frame, looked: Looked | None = None) -> Felt:
+        """What is felt, moved to where the hand is seen, or was last; as the robot reports it before a look."""
+        region = None if looked is None else looked.region
+        felt = feel(self._felt_frame(frame), np.eye(4), self._beliefs, region, self.settings.first.touch)
+        if looked is None or not len(felt.reported_rows):
+            return felt
+        if looked.hand is not None:
+            return felt.corrected(looked.hand.correct())
+        return felt if self._looker.correction is None else felt.corrected(self._looker.correction)
 
     def _loose(self, predicted: Belief) -> Prior:
         s = self.settings
@@ -249,41 +260,46 @@ class Tracker:
             model, rows, starts, prior if len(starts) == 1 else None, AlignSettings(blur=s.blur, iterations=6)
         )
         fine = align(model, rows, coarse.poses, prior if len(starts) == 1 else None, AlignSettings(iterations=12))
-        past = Sight(viewed, model, s.first.depth).costs(fine.poses)
+        past = Sight(viewed, model, self._beliefs.depth, s.first.sight).costs(fine.poses)
         costs = fine.costs + past - s.inherited * np.log(np.maximum(odds, 1e-6))
         hessians = fine.hessians if len(starts) == 1 else fine.hessians + prior.information
         found = distinct_modes(model, Alignment(fine.poses, costs, hessians, fine.iterations), s.first.modes)
         return found, bool(np.argmin(costs) != 0)
 
     def _solve(
-        self, frame: Frame, looked: Segments, seen: Evidence, felt: Felt, prior: Prior, start: Array, correction: Array
-    ) -> joint.JointResult:
+        self, frame: Frame, looked: Looked, seen: Evidence, felt: Felt, prior: Prior, start: Array
+    ) -> JointResult:
         s = self.settings
         known = len(self._rigs) >= s.level_frames
         how = replace(s.joint, rigs=(self._usual_rig(),)) if known else s.joint
-        hand = looked.hand_view
-        rows = felt.rows if hand is not None else felt.rows.moved(correction)
-        problem = joint.JointProblem.of(self.model, frame, looked, seen, rows, prior, hand, replace(s.first, joint=how))
-        solved = solve_modes(problem, [start])[0]
+        hand = looked.hand
+        rows = felt.reported_rows if hand is not None else felt.rows
+        problem = JointProblem.of(self.model, frame, seen, rows, prior, hand, self._beliefs, how)
+        solved = solve_modes([problem], [start])[0]
         if not known and len(seen) and hand is not None:
             self._rigs.append(solved.level)
         return solved
+
+    def _middle(self, pose: Array) -> Array:
+        """Where the object's centroid is (3,): its file's origin may be anywhere."""
+        return se3.apply(pose, self.model.centroid[None])[0]
 
     def _usual_rig(self) -> Rig:
         """The rig that most of the first frames were taken for, the lesser of two."""
         usual = sorted(self._rigs)[(len(self._rigs) - 1) // 2]
         return next(rig for rig in self.settings.joint.rigs if rig.level == usual)
 
-    def _measurement(self, solved: joint.JointResult, predicted: Belief, looked: Segments) -> Measurement:
+    def _measurement(self, solved: JointResult, predicted: Belief, looked: Looked) -> Measurement:
         """The frame's own answer; a frame without a camera has the robot's error of its own."""
         s = self.settings
         pose = self.model.symmetries.nearest(solved.pose, predicted.pose)
         shared = solved.shared
         if self._hand is not None and not len(looked.pixels):
             left = self._looker.correction is not None
-            calibration = s.first.calibration
+            calibration = self._beliefs.calibration
             angle = s.left_angle if left else calibration.rotation_sigma
-            distance = np.hypot(calibration.translation_sigma, calibration.rotation_sigma * np.linalg.norm(pose[:3, 3]))
+            lever = float(np.linalg.norm(self._middle(pose)))
+            distance = np.hypot(calibration.translation_sigma, calibration.rotation_sigma * lever)
             distance = s.left_distance if left else float(distance)
             shared = shared + np.diag(np.repeat([angle, distance], 3) ** 2)
         return Measurement.of(pose, solved.independent, shared, s.noise, s.lasting)
@@ -297,13 +313,13 @@ class Tracker:
         measured: Measurement,
         found: tuple[Mode, ...],
         switched: bool,
-        sensed: tuple[Segments, Evidence, Felt, Array],
+        sensed: tuple[Looked, Evidence, Felt],
     ) -> TrackedEstimate:
         """Update the belief, test for slip, say what may be said."""
         s, model = self.settings, self.model
-        looked, seen, felt, correction = sensed
+        looked, seen, felt = sensed
         with trace.stage("judge", True, "") as stage:
-            pixel = None if frame.camera is None else frame.camera.project(measured.pose[None, :3, 3])[0][0]
+            pixel = None if frame.camera is None else frame.camera.project(self._middle(measured.pose)[None])[0][0]
             pixel = pixel if pixel is not None and np.isfinite(pixel).all() else None  # behind the camera
             alone = Belief(measured.pose, measured.own, measured.shared)
             belief = alone if switched else update(model, predicted, measured)
@@ -321,9 +337,9 @@ class Tracker:
             pose = model.symmetries.nearest(belief.pose, predicted.pose)
             belief = replace(belief, pose=pose)
             modes = (Mode(pose, found[0].weight, found[0].cost, belief.covariance), *found[1:])
-            residuals = posterior.contact_residuals(model, felt.contacts.moved(correction), pose, s.first.verdict)
+            residuals = posterior.contact_residuals(model, felt.contacts, pose, s.first.verdict)
             share, rms = posterior.pixel_agreement(model, seen, pose)
-            seeing = visibility(viewed, model, pose, s.first.depth)
+            seeing = visibility(viewed, model, pose, self._beliefs.depth)
             word, why = posterior.verdict(model, modes, residuals, share, seeing, s.first.verdict)
             leap = se3.difference(measured.pose, predicted.pose, model.centroid)
             if word != "lost" and self._strays(share, len(looked.pixels)):
@@ -343,7 +359,7 @@ class Tracker:
             modes=modes,
             verdict=word,
             unobservable=posterior.unobservable(model, pose, belief.covariance, s.first.verdict),
-            hand_from_object=hand_from_object(frame, pose, correction),
+            hand_from_object=frame.hand_from_object(pose, felt.correction),
             visible_fraction=seeing.visible,
             trace=trace.stages,
             contacts=residuals,
@@ -367,7 +383,7 @@ class Tracker:
         self._lost_for = self._unseen = 0
         if np.isfinite(share):
             self._usual = share if self._usual is None else 0.9 * self._usual + 0.1 * share
-        hand = HandState.of(frame, felt.contacts)
+        hand = HandState.of(frame, felt.reported_contacts)
         if frame.index < self._index:
             if self._hand is None or hand is None:
                 return
@@ -385,12 +401,12 @@ class Tracker:
             self._unseen += frame.index - self._index
             modes = moved_modes(self._modes, predicted.pose @ se3.inverse(self._modes[0].pose)) if self._modes else ()
             self._belief, self._modes, self._index = predicted, modes, frame.index
-            self._hand = HandState.of(frame, felt.contacts)
+            self._hand = HandState.of(frame, felt.reported_contacts)
             self._velocity.coast(frame.index)
         held = self._hand is not None and self._unseen <= s.coast
         return as_carried(self.model, frame, predicted, trace.stages, held, self._hand is not None, s)
 
 
-def _shift(correction: Array, pose: Array) -> float:
-    """How far a correction (4, 4) moves the object at pose, metres."""
-    return float(np.linalg.norm((correction @ pose)[:3, 3] - pose[:3, 3]))
+def _shift(correction: Array, point: Array) -> float:
+    """How far a correction (4, 4) moves a point (3,), metres."""
+    return float(np.linalg.norm(se3.apply(correction, point[None])[0] - point))

@@ -27,7 +27,8 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings.captures import Capture
 from scenes.recordings.frames import Frame
 from scenes.recordings.validation import check_usable
-from vision.look.segments import all_points, crop_points, object_points
+from vision.look.look import object_points
+from vision.look.points import all_points, crop_points
 from vision.published.icp import icp
 
 Array = NDArray[np.float64]
@@ -146,7 +147,7 @@ def compare(
 
 def group_of(capture: Capture) -> str:
     """Captures made alike share a group: how they were made when they say it, else their name without its number."""
-    notes = capture.settings.notes
+    notes = capture.manifest.notes
     if "noise" in notes and "occlusion" in notes:
         return f"{notes['noise']}, {100 * float(notes['occlusion']):.0f} % hidden"
     return re.sub(r"[\W_]*\d+$", "", capture.name) or capture.name

@@ -13,7 +13,7 @@ from fusion.truth import metrics
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
-from vision.look.segments import all_points
+from vision.look.points import all_points
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -23,11 +23,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class JudgeSettings:
-    """What counts as a success, and how finely errors are measured."""
+    """What counts as a success, and how finely errors are measured. Values by judgement where no source is named."""
 
-    # ADD-S below this is a success: a parallel gripper closes on it (the threshold of the tables).
+    # ADD-S (m) below this is a success: a parallel gripper closes on it (the threshold of the tables).
     success: float = 0.005
-    # Observed points within this of the surface are the object's, not its neighbours' (T2 chapter 6 uses 1 cm).
+    # Observed points within this (m) of the surface are the object's, not its neighbours' (T2 chapter 6 uses 1 cm).
     inlier: float = 0.010
     # Points of the truth, and points of the surface among which their nearest is sought: 0.7 mm apart on a hand tool,
     # so that a symmetric object at its truth has an ADD-S of 0.3 mm at most. The first are the head of the second, so

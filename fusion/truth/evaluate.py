@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from fusion.truth import metrics
 from fusion.truth.errors import Judge, JudgeSettings
 from scenes.errors import CaptureError, InputError
-from scenes.files.bop import PoseRow
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
+from scenes.recordings.bop import PoseRow
 from scenes.recordings.captures import Capture
 from scenes.recordings.frames import Frame
 

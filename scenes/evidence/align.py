@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class AlignSettings:
-    """One stage of alignment."""
+    """One stage of alignment. Values by judgement."""
 
     # Added in quadrature to every row's sigma: metres on points, radians on normals. 0 is the final stage.
     blur: float = 0.0

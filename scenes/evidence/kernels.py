@@ -21,6 +21,7 @@ import numpy as np
 
 from scenes.evidence.prior_kernels import prior_terms
 from scenes.evidence.row_kernels import FLOOR_ABOVE, FLOOR_BELOW, INVERSE, NARROW, prepare, robust
+from scenes.evidence.table import FACING, GATE_ABOVE, GATE_BELOW, OFFSET, WEIGHT
 from scenes.geometry.lattice import distance_at, normal_at, seen_distance_at
 
 # Where the lattice's smoothed gradient is shorter than this (medial axis, thin edges) the model has no one normal:
@@ -66,7 +67,7 @@ def cost_terms(lattice, rows, huber, bend, rotation, middle, prior, need, hessia
         d, gx, gy, gz = distance_at(values, origin, spacing, qx, qy, qz)
         # where the normal is looked up: at the point, or where that was led back to
         fx, fy, fz = qx, qy, qz
-        if rows[n, 12] > 0.0:
+        if rows[n, FACING] > 0.0:
             # a pixel brings its ray, a contact its outward normal: a finger comes from where that points to
             sign = -1.0 if with_normal else 1.0
             vx = sign * (r00 * rows[n, 3] + r10 * rows[n, 4] + r20 * rows[n, 5])
@@ -75,8 +76,10 @@ def cost_terms(lattice, rows, huber, bend, rotation, middle, prior, need, hessia
             if gx * vx + gy * vy + gz * vz > 0.0:
                 d, gx, gy, gz = seen_distance_at(values, origin, spacing, qx, qy, qz, vx, vy, vz)
                 fx, fy, fz = qx - d * gx, qy - d * gy, qz - d * gz
-        d -= rows[n, 11]
-        gate, floor = (rows[n, 9], rows[n, FLOOR_ABOVE]) if d > 0.0 else (rows[n, 10], rows[n, FLOOR_BELOW])
+        d -= rows[n, OFFSET]
+        gate, floor = (
+            (rows[n, GATE_ABOVE], rows[n, FLOOR_ABOVE]) if d > 0.0 else (rows[n, GATE_BELOW], rows[n, FLOOR_BELOW])
+        )
         if gate == 0.0:
             continue
         inverse = rows[n, INVERSE]
@@ -104,7 +107,7 @@ def cost_terms(lattice, rows, huber, bend, rotation, middle, prior, need, hessia
             ez = (rows[n, 5] - az) * inverse_normal
             s += ex * ex + ey * ey + ez * ez + 2.0 * math.log(wide / narrow)
         rho, belongs = robust(s, gate, floor, huber)
-        weight = rows[n, 8]
+        weight = rows[n, WEIGHT]
         total += 0.5 * weight * rho
         w = weight * belongs
         if not need or w < 1e-12:

@@ -36,7 +36,7 @@ class Mode:
 
 @dataclass(frozen=True)
 class ModeSettings:
-    """When two answers are one, and how wide an unknown direction is."""
+    """When two answers are one, and how wide an unknown direction is. Values by judgement."""
 
     # Displacement of the object's surface, as a share of its radius, under which two poses are one mode.
     merge_share: float = 0.12

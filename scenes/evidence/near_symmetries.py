@@ -27,7 +27,7 @@ CACHE_VERSION = 1
 
 @dataclass(frozen=True)
 class NearSettings:
-    """What is nearly the same."""
+    """What is nearly the same. Values by judgement, on mugs and tools."""
 
     # Turns about each principal axis that are tried (rad): a handle is some 20 degrees wide.
     step: float = float(np.deg2rad(15.0))

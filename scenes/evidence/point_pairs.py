@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PairSettings:
-    """How fine the object's table of pairs is."""
+    """How fine the object's table of pairs is. The table is Drost et al.'s (2010); values by judgement."""
 
     # Oriented points on the surface; the table holds their square.
     points: int = 500

@@ -77,6 +77,24 @@ def starts_around(
     return se3.perturb(pose, delta, model.centroid)
 
 
+def starts_of_prior(
+    model: ObjectModel, prior: Prior, count: int, widest_angle: float, widest_distance: float, rng: np.random.Generator
+) -> Array:
+    """(count, 4, 4) draws from a prior, its mean first, with all its correlations.
+
+    Directions in which it is wider than widest_angle (rad) and widest_distance (m) are drawn as if they were so wide.
+    """
+    widest = np.repeat([widest_angle, widest_distance], 3)
+    # in units of the widest, so that an information of nothing is no division by zero
+    values, vectors = np.linalg.eigh(prior.information * widest * widest[:, None])
+    covariance = (vectors / np.maximum(values, 1.0)) @ vectors.T * widest * widest[:, None]
+    scale = np.sqrt(np.diag(covariance))
+    factor = scale[:, None] * np.linalg.cholesky(covariance / scale / scale[:, None] + 1e-12 * np.eye(6))
+    delta = rng.normal(size=(count, 6)) @ factor.T
+    delta[:1] = 0.0
+    return se3.perturb(prior.pose, delta, model.centroid)
+
+
 def search(
     model: ObjectModel,
     evidence: Evidence,

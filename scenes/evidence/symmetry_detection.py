@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DetectionSettings:
-    """What still counts as the same."""
+    """What still counts as the same. Values by judgement, on the library's objects and scanned meshes."""
 
     # Distance that the surface may be off after the motion, as a share of the diameter (a facet of a 96-gon is 0.05 %),
     # and not below (m) what meshes are made to. A hexagonal pencil is 0.5 mm from a round one.

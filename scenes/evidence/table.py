@@ -83,6 +83,12 @@ class Evidence:
         rows[self.sense == sense, SIGMA] = sigma
         return Evidence(rows, self.sense)
 
+    def widened(self, sigma: float) -> Evidence:
+        """The same rows with an independent error of this sigma (m) more."""
+        rows = self.rows.copy()
+        rows[:, SIGMA] = np.hypot(rows[:, SIGMA], sigma)
+        return Evidence(rows, self.sense)
+
     def moved(self, target_from_source: Array) -> Evidence:
         """The same rows in another frame."""
         rows = self.rows.copy()

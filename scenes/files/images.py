@@ -1,4 +1,4 @@
-"""Images of a capture as PNG: depth (16 bit), colour, masks; and the camera that took them."""
+"""Images of a capture as PNG: depth (16 bit), colour, masks."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError
-from scenes.files.bop import MM, SceneCamera
-from scenes.geometry.cameras import Camera
 
 LARGEST_COUNT = 65535
+# Depth counts are in multiples of a millimetre, metres everywhere else.
+MM = 1e-3
 # Pixels that no depth camera has: a header that claims more (in a file of a few bytes) would fill the memory.
 MOST_PIXELS = 100_000_000
 # A PNG begins with this; width and height are the next two big-endian words.
@@ -156,14 +156,3 @@ def read_mask(path: Path) -> NDArray[np.bool_]:
 def write_mask(path: Path, mask: NDArray[np.bool_]) -> None:
     """Write (h, w) bool as 0 and 255."""
     _write(path, np.where(mask, 255, 0).astype(np.uint8))
-
-
-def camera(entry: SceneCamera, shape: tuple[int, ...] | None) -> Camera:
-    """The pinhole camera of images of `shape` (h, w); without an image the size is the entry's, or twice the centre."""
-    if shape is not None:
-        height, width = shape[:2]
-    elif entry.size is not None:
-        width, height = entry.size
-    else:
-        width, height = (max(1, round(2 * float(c) + 1)) for c in entry.matrix[:2, 2])
-    return Camera.from_matrix(entry.matrix, width, height)

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Column:
+class CsvColumn:
     """One column: its header, what its cells hold ("index", "number" or "text"), and whether they may be empty."""
 
     name: str
@@ -28,15 +28,15 @@ class Column:
     optional: bool = False
 
 
-def _numbers(*names: str, optional: bool = False) -> tuple[Column, ...]:
-    return tuple(Column(name, "number", optional) for name in names)
+def _numbers(*names: str, optional: bool = False) -> tuple[CsvColumn, ...]:
+    return tuple(CsvColumn(name, "number", optional) for name in names)
 
 
-FRAME = Column("frame", "index")
-SENSOR = Column("sensor", "text")
+FRAME = CsvColumn("frame", "index")
+SENSOR = CsvColumn("sensor", "text")
 POSE_NAMES = tuple(f"m{row}{column}" for row in range(4) for column in range(4))
 
-JOINTS = (FRAME, Column("joint", "text"), Column("position"))
+JOINTS = (FRAME, CsvColumn("joint", "text"), CsvColumn("position"))
 HAND_POSES = (FRAME, *_numbers(*POSE_NAMES))
 CONTACTS = (
     FRAME,
@@ -45,15 +45,15 @@ CONTACTS = (
     *_numbers("nx", "ny", "nz", "fx", "fy", "fz", "sigma_point", "sigma_normal", optional=True),
 )
 # A list of contacts by itself: one frame, sensors that need no name.
-LOOSE_CONTACTS = (Column("frame", "index", optional=True), Column("sensor", "text", optional=True), *CONTACTS[2:])
+LOOSE_CONTACTS = (CsvColumn("frame", "index", optional=True), CsvColumn("sensor", "text", optional=True), *CONTACTS[2:])
 NO_CONTACT = (FRAME, SENSOR, *_numbers("x", "y", "z", "radius"))
 WRENCHES = (FRAME, SENSOR, *_numbers("fx", "fy", "fz", "mx", "my", "mz"))
 NO_FACES: NDArray[np.int64] = np.zeros((0, 3), dtype=np.int64)
-TACTILE = (Column("taxel", "index"), Column("pressure"))
+TACTILE = (CsvColumn("taxel", "index"), CsvColumn("pressure"))
 
 
 @dataclass(frozen=True)
-class Table:
+class CsvTable:
     """Rows of a CSV: numbers (and indices) and texts by column name, each n long; `lines`, where each row was."""
 
     file: str
@@ -74,10 +74,10 @@ class Table:
             np.nan_to_num(self.numbers["frame"]).astype(np.int64) if "frame" in self.numbers else np.zeros(0, np.int64)
         )
 
-    def of_frame(self, frame: int) -> Table:
+    def of_frame(self, frame: int) -> CsvTable:
         """The rows of one frame, in the file's order."""
         rows = np.flatnonzero(self.frames() == frame)
-        return Table(
+        return CsvTable(
             self.file,
             {name: values[rows] for name, values in self.numbers.items()},
             {name: [values[i] for i in rows] for name, values in self.texts.items()},
@@ -85,7 +85,7 @@ class Table:
         )
 
 
-def read_table(path: str | Path, columns: Sequence[Column], report: Report) -> Table:
+def read_table(path: str | Path, columns: Sequence[CsvColumn], report: Report) -> CsvTable:
     """Read the known columns of a CSV with a header (others are ignored).
 
     Reports an unreadable file, a missing column, a row of the wrong length, a cell that is not what its column holds;
@@ -96,29 +96,29 @@ def read_table(path: str | Path, columns: Sequence[Column], report: Report) -> T
         text = Path(path).read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         report(Problem(file, None, "expected UTF-8 text, got other bytes"))
-        return Table(file)
+        return CsvTable(file)
     except OSError as error:
         report(Problem(file, None, f"cannot be read: {error.strerror}"))
-        return Table(file)
+        return CsvTable(file)
     rows = csv.reader(text.splitlines())
     header = [name.strip() for name in next(rows, [])]
     if not header:
         needed = ",".join(c.name for c in columns if not c.optional)
         report(Problem(file, None, f"expected the header {needed}, got an empty file"))
-        return Table(file)
+        return CsvTable(file)
     missing = [c.name for c in columns if not c.optional and c.name not in header]
     if missing:
         got = ",".join(header)[:80]
         report(Problem(file, None, f"expected the column{'s'[: len(missing) > 1]} {', '.join(missing)}, got {got}"))
-        return Table(file)
+        return CsvTable(file)
     try:
         return _parse(file, rows, header, columns, report)
     except csv.Error as error:
         report(Problem(file, None, f"line {rows.line_num}: {error}"))
-        return Table(file)
+        return CsvTable(file)
 
 
-def _parse(file: str, rows: Any, header: list[str], columns: Sequence[Column], report: Report) -> Table:
+def _parse(file: str, rows: Any, header: list[str], columns: Sequence[CsvColumn], report: Report) -> CsvTable:
     at = {c.name: header.index(c.name) for c in columns if c.name in header}
     numbers: dict[str, list[float]] = {c.name: [] for c in columns if c.kind != "text"}
     texts: dict[str, list[str]] = {c.name: [] for c in columns if c.kind == "text"}
@@ -152,7 +152,7 @@ def _parse(file: str, rows: Any, header: list[str], columns: Sequence[Column], r
         for name in texts:
             texts[name].append(values[name])
         lines.append(line)
-    return Table(
+    return CsvTable(
         file,
         {name: np.array(values, dtype=np.float64) for name, values in numbers.items()},
         texts,
@@ -160,7 +160,7 @@ def _parse(file: str, rows: Any, header: list[str], columns: Sequence[Column], r
     )
 
 
-def _number(text: str, column: Column) -> tuple[float, str]:
+def _number(text: str, column: CsvColumn) -> tuple[float, str]:
     """The value, and what is wrong with it ("" when nothing)."""
     if column.optional and (not text or text.lower() == "nan"):
         return float("nan"), ""
@@ -175,7 +175,7 @@ def _number(text: str, column: Column) -> tuple[float, str]:
     return value, ""
 
 
-def write_table(path: str | Path, columns: Sequence[Column], rows: Iterable[Sequence[object]]) -> None:
+def write_table(path: str | Path, columns: Sequence[CsvColumn], rows: Iterable[Sequence[object]]) -> None:
     """Write rows in the columns' order; floats so that they read back the same, NaN as an empty cell."""
     with Path(path).open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

@@ -16,6 +16,9 @@ from scenes.recordings.frames import Frame
 
 T = TypeVar("T")
 
+# Contacts that fingers may have felt: recorded sets have 3 to 75, clouds from a thousand points on.
+MOST_CONTACTS = 300
+
 
 class Dropped:
     """How many of what were left out, and why; in the order in which they were first met."""
@@ -31,6 +34,10 @@ class Dropped:
     def count(self, what: str | None = None) -> int:
         """How many were left out, of everything or of `what`."""
         return sum(n for (name, _), n in self._counts.items() if what in (None, name))
+
+    def merge(self, other: Dropped) -> None:
+        """Count all of another's too."""
+        self._counts.update(other._counts)
 
     def to_json(self) -> list[dict[str, Any]]:
         """One entry a pair of what and why."""
@@ -58,6 +65,13 @@ class Converted:
             "dropped": self.dropped.to_json(),
             "remarks": list(self.remarks),
         }
+
+
+def many_contacts(where: str, count: int, hint: str = "") -> tuple[str, ...]:
+    """A warning where more contacts were read than fingers feel; none for a number that may be."""
+    if count <= MOST_CONTACTS:
+        return ()
+    return (f"warning: {where}: all {count} points become contacts, more than fingers feel: is it a cloud?{hint}",)
 
 
 def at_least_one(frames: Iterable[Frame], source: Path, dropped: Dropped) -> Iterator[Frame]:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from scenes.errors import CaptureError
 from scenes.files.off import read_off, write_off
+from scenes.formats.conversion import Converted, many_contacts
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.captures import Capture, write_capture
 from scenes.recordings.frames import Contacts, Frame
@@ -43,10 +44,11 @@ def read_grasp(folder: str | Path) -> tuple[Frame, ObjectModel]:
     return frame, model
 
 
-def convert(folder: str | Path, out: str | Path) -> Path:
-    """Write the grasp as a capture of one frame (world: the robot's hand) and return its folder."""
+def convert(folder: str | Path, out: str | Path) -> Converted:
+    """Write the grasp as a capture of one frame (world: the robot's hand); warns of contacts that are the cloud."""
     frame, model = read_grasp(folder)
-    return write_capture(out, [frame], model, world="robot base", notes={"source": "icub-handover"})
+    written = write_capture(out, [frame], model, world="robot base", notes={"source": "icub-handover"})
+    return Converted((written,), 1, remarks=many_contacts(f"{Path(folder) / 'contacts.off'}", len(frame.contacts)))
 
 
 def export(capture: Capture, out: str | Path) -> list[Path]:

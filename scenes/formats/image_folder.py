@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError
-from scenes.files import bop, images
+from scenes.files import images
 from scenes.files.problems import refuse
 from scenes.formats.bop.scene import IMAGE_ENDINGS
 from scenes.formats.conversion import Converted, Dropped, at_least_one, located
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings import bop
 from scenes.recordings.captures import write_capture
 from scenes.recordings.frames import Frame
 
@@ -111,7 +112,7 @@ def _convert(
             yield Frame(
                 index=numbers[name],
                 where=f"{folder}, image {name}",
-                camera=images.camera(entry, seen[0].shape),
+                camera=bop.camera(entry, seen[0].shape),
                 depth=depth,
                 rgb=rgb,
                 mask=mask,

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from scenes.errors import CaptureError, InputError
 from scenes.files.off import read_off
-from scenes.formats.conversion import Converted, Dropped
+from scenes.formats.conversion import Converted, Dropped, many_contacts
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.captures import write_capture
 from scenes.recordings.frames import Contacts, Frame
@@ -59,15 +59,30 @@ def convert(path: Path, out: Path, model: ObjectModel | None = None, object_id: 
         most = int(settings["numMeas"])
         dropped.add("contacts", f"beyond numMeas {most}", max(0, len(felt) - most))
         felt = felt.take(range(min(most, len(felt))))
+    remarks = _doubts(path, settings, len(felt))
     frame = Frame(index=0, where=str(path), cloud=cloud, cloud_colours=colours, contacts=felt)
     notes = {"source": "tacman", "settings": settings}
-    return Converted((write_capture(out, [frame], model, world="robot base", notes=notes),), 1, dropped)
+    return Converted((write_capture(out, [frame], model, world="robot base", notes=notes),), 1, dropped, remarks)
+
+
+def _doubts(path: Path, settings: dict[str, str], felt: int) -> tuple[str, ...]:
+    """Sentences for contacts that look like the points of a cloud: the same file twice, or too many for fingers."""
+    named, measured = settings.get("fingersFile"), settings["measurementsFile"]
+    if named is None:
+        hint = "; a cloud needs a fingersFile beside it that names the contacts"
+        return many_contacts(f"{path}: {measured}", felt, hint)
+    if _find(path, named).resolve() == _find(path, measured).resolve():
+        return (
+            f"warning: {path}: fingersFile and measurementsFile are both {named}: its points are cloud and contacts",
+        )
+    return many_contacts(f"{path}: {named}", felt)
 
 
 def convert_contacts(contacts: Contacts, out: Path, model: ObjectModel, where: str) -> Converted:
     """A list of contacts as a capture of one frame (world: robot base)."""
     frame = Frame(index=0, where=where, contacts=contacts)
-    return Converted((write_capture(out, [frame], model, world="robot base", notes={"source": "contacts"}),), 1)
+    written = write_capture(out, [frame], model, world="robot base", notes={"source": "contacts"})
+    return Converted((written,), 1, remarks=many_contacts(where, len(contacts)))
 
 
 def _model(path: Path, settings: dict[str, str], object_id: int | None) -> ObjectModel:

@@ -20,7 +20,7 @@ Faces = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class RepairSettings:
-    """What may be mended silently and what is refused."""
+    """What may be mended silently and what is refused. Values by judgement."""
 
     # Vertices nearer than this share of the diameter are one vertex (export round-off).
     merge_share: float = 1e-6
@@ -30,7 +30,8 @@ class RepairSettings:
     max_lid_share: float = 0.4
     # A rim is flat when it leaves its plane by less than this share of its own size.
     flat_share: float = 0.02
-    # Where triangles meet without sharing vertices nothing leaks: winding numbers stay this near whole numbers.
+    # Where triangles meet without sharing vertices nothing leaks: winding numbers (no unit)
+    # stay this near whole numbers.
     largest_leak: float = 0.02
 
 

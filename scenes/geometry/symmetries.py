@@ -117,6 +117,25 @@ class Symmetries:
         best = np.argmax(traces, axis=-1)
         return np.take_along_axis(candidates, best[..., None, None, None], axis=-3)[..., 0, :, :]
 
+    def quotient(self, rotation: Array, centre: Array) -> Array:
+        """(6, 6) that takes a small motion of an object that stands at `rotation` (3, 3) to the equivalent one without
+        turns about its own axes: what of a covariance is a doubt, P C P^T.
+
+        Motions as in poses.perturb about `centre` (3,), object frame: rotation, then displacement of the centre. An
+        axis beside the centre carries it along.
+        """
+        out = np.eye(6)
+        if self.is_spherical:
+            lever = rotation @ (centre - self._centre())
+            out[:3, :3] = 0.0
+            out[3:, :3] = poses.skew(lever)
+        elif self.axes:
+            axis = self.axes[0]
+            turn = rotation @ axis.direction
+            carried = rotation @ np.cross(axis.direction, centre - axis.point)
+            out[:, :3] -= np.outer(np.concatenate([turn, carried]), turn)
+        return out
+
     def _centre(self) -> Array:
         """The point nearest to all axes (where the axes of a spherical object meet)."""
         a = np.zeros((3, 3))

@@ -25,7 +25,7 @@ Faces = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class ReconstructionSettings:
-    """How finely, and what is believed."""
+    """How finely, and what is believed. Values tuned on generated captures."""
 
     # Voxels along the cube's side, and the smallest voxel (m): below, depth noise is all that is seen.
     resolution: int = 128
@@ -40,14 +40,14 @@ class ReconstructionSettings:
     least_views: float = 0.1
     # Pieces of observed surface smaller than this share of the largest are flying pixels.
     smallest_piece: float = 0.05
-    # A vertex seen by so many views is as sure as one gets here: confidence is views / (views + this).
+    # Views (number) at which a vertex is half sure: confidence is views / (views + this).
     half_sure: float = 2.0
     # Triangles of the mesh, at most; more where simplifying it would open it.
     most_faces: int = 20_000
 
 
 @dataclass(frozen=True)
-class View:
+class DepthView:
     """One depth image: camera; camera_from_object (4, 4); depth (h, w) m, 0 where nothing is to be believed; mask
     (h, w), the pixels of `depth` that are the object's (the others say what is free before them).
     """
@@ -82,7 +82,7 @@ class Reconstruction:
 
 
 def reconstruct(
-    views: Sequence[View],
+    views: Sequence[DepthView],
     touched: Array | None = None,
     hand: tuple[Array, Faces] | None = None,
     settings: ReconstructionSettings | None = None,
@@ -132,7 +132,7 @@ def _volume(side: float, count: int, truncation: float, origin: Array) -> Any:
     return o3d.pipelines.integration.UniformTSDFVolume(side, count, truncation, kind, origin=origin)
 
 
-def _integrate(volume: Any, view: View) -> None:
+def _integrate(volume: Any, view: DepthView) -> None:
     o3d = open3d()
     camera = view.camera
     depth = o3d.geometry.Image(np.ascontiguousarray(view.depth, dtype=np.float32))

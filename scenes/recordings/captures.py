@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError, PalpateError
-from scenes.files import bop, images, tables
+from scenes.files import images, tables
 from scenes.files.problems import Problem, Report, refuse
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings import bop
 from scenes.recordings.frames import Contacts, EmptyRegions, Frame, GelImage, Wrench
-from scenes.recordings.manifest import read_model, read_settings
+from scenes.recordings.manifest import read_manifest, read_model
 from scenes.recordings.writing import write_capture
 from scenes.robot.gels import image_problem
 from scenes.robot.hands import Hand
@@ -43,14 +44,14 @@ CSV_FILES = {
 class Capture:
     """A folder of frames. len, iteration, capture[position] and capture.frame(number); every Frame is read anew.
 
-    Attributes: path; settings; frame_ids, sorted; model and hand, read at the first use.
+    Attributes: path; manifest (capture.json); frame_ids, sorted; model and hand, read at the first use.
     """
 
     def __init__(self, path: str | Path, report: Report = refuse) -> None:
         """Read capture.json and find the frames; use `read_capture`. Raises CaptureError for no capture at all."""
         self.path = Path(path)
         self.report = report
-        self.settings = read_settings(self.path, report)
+        self.manifest = read_manifest(self.path, report)
         self._tables = {name: self._table(name) for name in CSV_FILES}
         self._cameras = self._by_frame("scene_camera.json")
         self._truths = self._by_frame("scene_gt.json")
@@ -68,7 +69,7 @@ class Capture:
     @property
     def world(self) -> str:
         """What the world frame is: "camera" or "robot base"."""
-        return self.settings.world
+        return self.manifest.world
 
     def __len__(self) -> int:
         return len(self.frame_ids)
@@ -82,14 +83,14 @@ class Capture:
     @cached_property
     def model(self) -> ObjectModel:
         """The object, metres, with the symmetries of models_info.json."""
-        return read_model(self.path, self.settings)
+        return read_model(self.path, self.manifest)
 
     @cached_property
     def hand(self) -> Hand | None:
         """The hand, or None when the capture has none."""
-        if self.settings.hand is None:
+        if self.manifest.hand is None:
             return None
-        urdf, sensors = (None if part is None else self.path / part for part in self.settings.hand)
+        urdf, sensors = (None if part is None else self.path / part for part in self.manifest.hand)
         if urdf is None or not urdf.is_file():
             raise CaptureError(f"{self.path / 'capture.json'}: expected a hand URDF at {urdf}, found none")
         if sensors is not None and not sensors.is_file():
@@ -110,7 +111,7 @@ class Capture:
         self._same_size(number, {"depth": depth, "rgb": rgb, mask_name: mask})
         shape = next((image.shape for image in (depth, rgb, mask) if image is not None), None)
         if entry is not None:
-            camera = self._attempt("scene_camera.json", number, lambda: images.camera(entry, shape))
+            camera = self._attempt("scene_camera.json", number, lambda: bop.camera(entry, shape))
             camera_from_world = np.eye(4) if entry.camera_from_world is None else entry.camera_from_world
         cloud, colours = self._cloud(number)
         return Frame(
@@ -148,9 +149,9 @@ class Capture:
             self.report(Problem(self._file(name), number, str(error)))
             return None
 
-    def _table(self, name: str) -> tables.Table:
+    def _table(self, name: str) -> tables.CsvTable:
         path = self.path / name
-        return tables.read_table(path, CSV_FILES[name], self.report) if path.is_file() else tables.Table(str(path))
+        return tables.read_table(path, CSV_FILES[name], self.report) if path.is_file() else tables.CsvTable(str(path))
 
     def _by_frame(self, name: str) -> dict[int, Any]:
         path = self.path / name
@@ -202,7 +203,7 @@ class Capture:
 
     def _truth(self, number: int) -> tuple[Array, int] | None:
         entry = self._truths.get(number)
-        return None if entry is None else bop.truth_entry(entry, self.settings.object_id)
+        return None if entry is None else bop.truth_entry(entry, self.manifest.object_id)
 
     def _prior(self, number: int) -> Array | None:
         return bop.prior_entry(self._priors[number]) if number in self._priors else None
@@ -352,7 +353,7 @@ def read_capture(folder: str | Path) -> Capture:
     return Capture(folder)
 
 
-def contacts_of(rows: tables.Table) -> Contacts:
+def contacts_of(rows: tables.CsvTable) -> Contacts:
     """Contacts from rows of a contacts.csv; raises InputError naming the line."""
     parts = {}
     for names in (("nx", "ny", "nz"), ("fx", "fy", "fz")):

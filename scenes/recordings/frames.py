@@ -5,17 +5,19 @@ A `Frame` carries only what was recorded; every sensor is optional and `None` (o
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scenes.errors import InputError
-from scenes.geometry.poses import FARTHEST
+from scenes.geometry.poses import FARTHEST, inverse
 
 if TYPE_CHECKING:
     from scenes.geometry.cameras import Camera
+    from scenes.recordings.beliefs import Beliefs
     from scenes.robot.hands import Hand
 
 Array = NDArray[np.float64]
@@ -126,6 +128,12 @@ class Contacts:
             self.sigma_known,
         )
 
+    def of_unknown_worth(self, sigma: float) -> Contacts:
+        """The same contacts with one sigma (m) that stands in for what their recording does not say."""
+        out = copy(self)
+        out.sigma_point, out.sigma_known = np.full(len(self), sigma), False
+        return out
+
     def moved(self, target_from_source: Array) -> Contacts:
         """The same contacts in another frame."""
         rotation, translation = target_from_source[:3, :3], target_from_source[:3, 3]
@@ -186,6 +194,7 @@ class Frame:
     tactile: pressures (k,) Pa of each array. gels: the image of each gel.
     camera_from_object_truth and prior (4, 4): ground truth and coarse start, when the recording has them;
     hand_from_object_truth (4, 4): where a simulated hand really holds it.
+    beliefs: what the recording says its sensors are worth; None says nothing.
     where: file and frame, for messages.
     """
 
@@ -209,3 +218,20 @@ class Frame:
     prior: Array | None = None
     camera_from_object_truth: Array | None = None
     hand_from_object_truth: Array | None = None
+    beliefs: Beliefs | None = None
+
+    def without_vision(self) -> Frame:
+        """The frame without what a camera gave."""
+        return replace(self, depth=None, rgb=None, mask=None, cloud=None, cloud_colours=None)
+
+    def without_touch(self) -> Frame:
+        """The frame without what touch gave."""
+        return replace(self, contacts=Contacts(np.zeros((0, 3))), no_contact=None, wrenches=(), tactile={}, gels={})
+
+    def hand_from_object(self, pose: Array, correction: Array) -> Array | None:
+        """(4, 4) of the object at pose (4, 4) camera_from_object, the camera-robot calibration corrected; None without
+        a hand pose.
+        """
+        if self.world_from_hand is None:
+            return None
+        return inverse(correction @ self.camera_from_world @ self.world_from_hand) @ pose

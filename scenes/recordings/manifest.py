@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from scenes.errors import CaptureError, InputError
-from scenes.files import bop
 from scenes.files.problems import Problem, Report, refuse
 from scenes.geometry.objects import METRES_PER_UNIT, ObjectModel
+from scenes.recordings import bop
 from scenes.recordings.writing import FORMAT, VERSION
 
 WORLDS = ("camera", "robot base")
@@ -22,7 +22,7 @@ RECORDINGS = ("scene_camera.json", "cam_K.txt", "metadata.yaml", "cloud.off", "d
 
 
 @dataclass(frozen=True)
-class Settings:
+class Manifest:
     """capture.json: object id, model file (inside the folder) and its unit, name; hand files or None; world; notes."""
 
     object_id: int
@@ -34,31 +34,31 @@ class Settings:
     notes: dict[str, Any]
 
 
-def read_model(folder: Path, settings: Settings) -> ObjectModel:
+def read_model(folder: Path, manifest: Manifest) -> ObjectModel:
     """The capture's object, with the symmetries of models_info.json when there is one beside the mesh.
 
     Raises PalpateError for a missing or impossible mesh, or one whose size contradicts models_info.json.
     """
-    path = folder / settings.model
+    path = folder / manifest.model
     if not path.is_file():
         raise CaptureError(f"{folder / 'capture.json'}: expected the object's mesh at {path}, found none")
-    model = ObjectModel.load(path, unit=settings.unit, name=settings.name)
+    model = ObjectModel.load(path, unit=manifest.unit, name=manifest.name)
     info_path = path.parent / "models_info.json"
     if not info_path.is_file():
         return model
     content = bop.read_json(info_path, refuse)
-    info = content.get(str(settings.object_id)) if isinstance(content, dict) else None
+    info = content.get(str(manifest.object_id)) if isinstance(content, dict) else None
     if not isinstance(info, dict):
-        raise CaptureError(f"{info_path}: expected an entry for object {settings.object_id}, found none")
+        raise CaptureError(f"{info_path}: expected an entry for object {manifest.object_id}, found none")
     try:
         symmetries = bop.symmetries_entry(info)
         stated = float(bop.numbers(info.get("diameter", model.diameter / bop.MM), 1, "diameter")[0]) * bop.MM
     except InputError as error:
-        raise CaptureError(f"{info_path}, object {settings.object_id}: {error}") from error
+        raise CaptureError(f"{info_path}, object {manifest.object_id}: {error}") from error
     if stated <= 0 or max(stated / model.diameter, model.diameter / stated) > LARGEST_DIAMETER_RATIO:
         raise CaptureError(
             f"{path}: expected a diameter of {stated / bop.MM:.4g} mm as models_info.json says, got"
-            f" {model.diameter / bop.MM:.4g} mm when its numbers are read as {settings.unit}: is the unit right?"
+            f" {model.diameter / bop.MM:.4g} mm when its numbers are read as {manifest.unit}: is the unit right?"
         )
     return ObjectModel(model.name, model.vertices, model.faces, symmetries, model.mended)
 
@@ -72,7 +72,7 @@ def recording_hint(folder: Path) -> str:
     return ""
 
 
-def read_settings(folder: Path, report: Report) -> Settings:
+def read_manifest(folder: Path, report: Report) -> Manifest:
     """What capture.json says; raises CaptureError when there is none, reports each field that is not as it must be."""
     if not folder.is_dir():
         found = "a file" if folder.exists() else "nothing"
@@ -106,7 +106,7 @@ def read_settings(folder: Path, report: Report) -> Settings:
         (hand["urdf"], hand.get("sensors")) if isinstance(hand, dict) and isinstance(hand.get("urdf"), str) else None
     )
     notes = content.get("notes")
-    return Settings(
+    return Manifest(
         number if isinstance(number, int) else 1,
         model if isinstance(model, str) else "",
         unit if isinstance(unit, str) and unit in METRES_PER_UNIT else "m",

@@ -58,7 +58,7 @@ def _attempt(capture: Capture, problems: list[Problem]) -> ObjectModel | None:
     try:
         return capture.model
     except PalpateError as error:
-        problems.append(Problem(str(capture.path / capture.settings.model), None, str(error)))
+        problems.append(Problem(str(capture.path / capture.manifest.model), None, str(error)))
         return None
 
 

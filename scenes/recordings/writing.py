@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from scenes.errors import CaptureError, InputError, unknown
-from scenes.files import bop, images, tables
+from scenes.files import images, tables
 from scenes.files.ply import write_ply
 from scenes.geometry.objects import METRES_PER_UNIT, ObjectModel
+from scenes.recordings import bop
 from scenes.recordings.frames import Frame
 from scenes.robot.hands import Hand
 

@@ -33,7 +33,7 @@ DEEPEST = 0.9
 
 @dataclass(frozen=True)
 class SoftLayer:
-    """The rubber over the taxels and their electronics."""
+    """The rubber over the taxels and their electronics. Values by judgement, of the kind that silicone has."""
 
     # Thickness (m), Young's modulus (Pa) and Poisson's ratio of a silicone skin (Shore A 10).
     thickness: float = 0.002

@@ -20,8 +20,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LooseFingerSettings:
-    """How fingers are laid over an object."""
+    """How fingers are laid over an object. Values by judgement; a person's finger is 8 mm in radius."""
 
+    # How many fingers.
     fewest: int = 3
     most: int = 5
     # Radii that are tried (m): from a thin robot finger to one in a glove. When the thickest at the surface hide too

@@ -18,7 +18,7 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
 from scenes.robot.hands import Hand
 from scenes.synthesis.grasping.closing import ExactClosing
-from scenes.synthesis.grasping.grasps import Grasp, GraspSettings, has_force_closure
+from scenes.synthesis.grasping.grasps import Grasp, GraspSearchSettings, has_force_closure
 
 Array = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ KINDS = ("carry", "turn", "slip", "leave")
 
 @dataclass(frozen=True)
 class MotionSettings:
-    """How fast and how far. A person moves a tool at about 0.2 m/s and 1 rad/s."""
+    """How fast and how far. A person moves a tool at about 0.2 m/s and 1 rad/s. Values by judgement."""
 
     # Frames per second, and duration of one swing to and fro (s).
     rate: float = 30.0
@@ -55,7 +55,7 @@ class MotionSettings:
 
 
 @dataclass(frozen=True)
-class Step:
+class MotionStep:
     """One instant: where the hand is, how it holds the object, whether the object is slipping."""
 
     camera_from_hand: Array
@@ -73,7 +73,7 @@ def plan_motion(
     camera: Camera,
     rng: np.random.Generator,
     settings: MotionSettings | None = None,
-) -> tuple[list[Step], dict[str, Any]]:
+) -> tuple[list[MotionStep], dict[str, Any]]:
     """Steps from a grasp seen at a pose, and notes: kind, rate and slips (first and last frame, degrees, millimetres).
 
     kind: "carry" (to and fro), "turn" (about an axis through the object), "slip" (carried, and slipping in the hand) or
@@ -94,7 +94,7 @@ def plan_motion(
         # about the object's centre at the start, which is where the hand holds
         turn = poses.exp_rotation(delta[:3])
         motion = poses.make_pose(turn, centre + delta[3:] - turn @ centre)
-        steps.append(Step(motion @ camera_from_hand, grasps[i], i in sliding))
+        steps.append(MotionStep(motion @ camera_from_hand, grasps[i], i in sliding))
     return steps, {"kind": kind, "rate_hz": settings.rate, "slips": slips}
 
 
@@ -150,7 +150,7 @@ def _slips(
     frames: int, grasp: Grasp, hand: Hand, model: ObjectModel, rng: np.random.Generator, settings: MotionSettings
 ) -> tuple[list[Grasp], list[dict[str, float]]]:
     """The grasp of every frame, fingers closed anew around an object that moves inside them, and the slips."""
-    closing = GraspSettings()
+    closing = GraspSearchSettings()
     exact = ExactClosing(hand, model, closing.fine_spacing, closing.self_overlap)
     grasps, slips = [grasp] * frames, []
     first = int(rng.integers(5, 5 + settings.slip_every))
@@ -206,6 +206,6 @@ def hold_anew(exact: ExactClosing, grasp: Grasp, delta: Array, reopen: float) ->
     points = np.array([point for point, _ in touching.values()])
     normals = np.array([normal for _, normal in touching.values()])
     contacts = Contacts(points, normals, sensors=list(touching)).moved(moved)
-    closure = has_force_closure(points, normals, model, GraspSettings().friction)
+    closure = has_force_closure(points, normals, model, GraspSearchSettings().friction)
     joints = dict(zip(hand.joint_names, (float(x) for x in values)))
     return Grasp(joints, moved, contacts, grasp.kind, closure)

@@ -11,7 +11,8 @@ from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer, shade
 from scenes.synthesis.noise import presets as noise_models
-from scenes.synthesis.noise.presets import DepthErrors, NoisePreset
+from scenes.synthesis.noise.presets import DepthErrors, DepthNoise, NoisePreset
+from scenes.synthesis.optics.units import CameraUnit
 from scenes.synthesis.settings import SynthesisSettings
 
 Array = NDArray[np.float64]
@@ -27,16 +28,30 @@ def photograph(
     preset: NoisePreset,
     rng: np.random.Generator,
     settings: SynthesisSettings,
-    errors: DepthErrors | None = None,
+    errors: DepthErrors | CameraUnit | None = None,
 ) -> dict[str, Any]:
-    """depth, and rgb and mask when asked for, of a scene of camera_from_mesh poses."""
+    """depth, and rgb and mask when asked for, of a scene of camera_from_mesh poses.
+
+    A camera imitated from its optics delivers its infra-red image as rgb, grey, unless settings.infrared is off.
+    """
     rendering = renderer.render(settings.camera, scene)
-    depth = noise_models.observe_depth(rendering, settings.camera, preset, rng, errors)
+    infrared = None
+    if isinstance(preset.depth, DepthNoise):
+        lasting = errors if isinstance(errors, DepthErrors) else None
+        depth = noise_models.observe_depth(rendering, settings.camera, preset, rng, lasting)
+    else:
+        from scenes.synthesis.optics import take
+
+        unit = errors if isinstance(errors, CameraUnit) else None
+        shot = take(renderer, scene, settings.camera, preset.depth, rng, unit)
+        depth, infrared = shot.depth, shot.infrared
     depth = np.where(depth < settings.depth_unit * np.iinfo(np.uint16).max, depth, 0.0)  # what 16 bits can hold
     image: dict[str, Any] = {"depth": (np.rint(depth / settings.depth_unit) * settings.depth_unit).astype(np.float32)}
     if settings.mask:
         image["mask"] = rendering.mask("object")
-    if settings.rgb:
+    if settings.rgb and settings.infrared and infrared is not None:
+        image["rgb"] = np.repeat(infrared[..., None], 3, axis=2)
+    elif settings.rgb:
         image["rgb"] = shade(rendering, {name: _colour(name) for name in scene})
     return image
 

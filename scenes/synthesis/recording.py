@@ -22,26 +22,30 @@ from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
 from scenes.recordings.frames import Contacts, EmptyRegions, Frame, GelImage, Wrench
 from scenes.synthesis.grasping.hiding import place
-from scenes.synthesis.loose_fingers import lay_fingers, random_contacts
+from scenes.synthesis.loose_fingers import random_contacts
 from scenes.synthesis.noise import presets as noise_models
 from scenes.synthesis.noise.presets import LastingErrors, NoisePreset
-from scenes.synthesis.photography import add_background, photograph
+from scenes.synthesis.photography import photograph
 from scenes.synthesis.settings import SynthesisSettings
-from scenes.synthesis.views import draw_views
+from scenes.synthesis.staging.mesh_errors import believed
+from scenes.synthesis.staging.mounts import hand_mesh
+from scenes.synthesis.staging.pieces import Staging, staged
+from scenes.synthesis.staging.prints import printed
+from scenes.synthesis.staging.standing import STANDING, Stage
 from scenes.threads import thread_count
 
 if TYPE_CHECKING:
     from scenes.recordings.captures import Capture
     from scenes.robot.hands import Hand
     from scenes.synthesis.grasping.grasps import Grasp
-    from scenes.synthesis.motion import MotionSettings, Step
+    from scenes.synthesis.motion import MotionSettings, MotionStep
 
 __all__ = ["OCCLUDERS", "TOUCH_KINDS", "SynthesisSettings", "synthesize", "synthesize_frames"]
 
 Array = NDArray[np.float64]
 
 TOUCH_KINDS = ("point", "wrench", "array", "gel", "empty")
-OCCLUDERS = ("hand", "fingers", "object", "border", "none")
+OCCLUDERS = ("hand", "border", *STANDING)
 CLUTTER = "clutter"
 
 
@@ -58,21 +62,28 @@ def synthesize(
     settings: SynthesisSettings | None = None,
     motion: str | None = None,
     taxels: str | Array = "fingertip",
+    scene: str | Staging | None = None,
+    mesh_error: str | None = None,
 ) -> Capture:
     """Make frames as `synthesize_frames` does, write them as a capture, and read it back.
 
-    Raises InputError as `synthesize_frames`, CaptureError when the folder cannot be written.
+    mesh_error: the capture's model is not quite the object that is seen and felt (see staging.mesh_errors). Raises
+    InputError as `synthesize_frames`, CaptureError when the folder cannot be written.
     """
     from scenes.recordings.captures import read_capture, write_capture
 
     settings = settings or SynthesisSettings()
-    recording = _Recording(model, hand, occlusion, touch, noise, seed, occluders, settings, taxels)
+    recording = _Recording(model, hand, occlusion, touch, noise, seed, occluders, settings, taxels, scene)
+    given = believed(model, mesh_error, seed)
     named = noise_models.preset(noise).name
     notes = {"object": model.name, "occlusion": occlusion, "noise": named, "touch": list(touch), "seed": seed}
     notes |= {"occluders": recording.occluders} if occluders else {}
+    notes |= {"scene": recording.staging.name} if recording.staging.name else {}
+    notes |= {"mesh_error": mesh_error} if mesh_error else {}
     made = recording.frames(frames, motion)
     notes |= {"motion": recording.motion_notes} if motion else {}
-    write_capture(folder, made, model, hand=recording.hand, depth_scale=settings.depth_unit * 1e3, notes=notes)
+    told = recording.hand if recording.staging.hand_known else None
+    write_capture(folder, made, given, hand=told, depth_scale=settings.depth_unit * 1e3, notes=notes)
     return read_capture(folder)
 
 
@@ -88,6 +99,7 @@ def synthesize_frames(
     settings: SynthesisSettings | None = None,
     motion: str | None = None,
     taxels: str | Array = "fingertip",
+    scene: str | Staging | None = None,
 ) -> list[Frame]:
     """Frames of one object; nothing touches the disk.
 
@@ -98,14 +110,15 @@ def synthesize_frames(
 
     occlusion: share (0 to 1) of the object's own in-image pixels that something hides, held within 0.03.
     occluders: "hand" (grasping, forearm included), "fingers" (loose ones that no frame tells of), "object" (a second
-    one), "border" (the image ends before the object does) or "none"; by default the hand when there is one, else loose
-    fingers. "+clutter" after it lets other things stand about. touch: "point" gives contacts, "wrench" wrenches of
-    the fingertips, "array" pressures of taxels (`taxels`: "fingertip" of 12, "pad" of 3 x 8, or (k, 6) of one's own),
-    "empty" the regions where fingers feel nothing. Raises InputError for arguments out of range and for an occlusion
-    that cannot be reached, with what could be.
+    one), "neighbours" (others that touch it, on a table), "border" (the image ends before the object does) or "none";
+    by default the hand when there is one, else loose fingers. "+clutter" after it lets other things stand about. scene:
+    pieces joined by "+" (see staging.pieces): "table", "wall", "adapter", "print", "unknown-hand". touch: "point" gives
+    contacts, "wrench" wrenches of the fingertips, "array" pressures of taxels (`taxels`: "fingertip" of 12, "pad" of
+    3 x 8, or (k, 6) of one's own), "empty" the regions where fingers feel nothing. Raises InputError for arguments out
+    of range and for an occlusion that cannot be reached, with what could be.
     """
     settings = settings or SynthesisSettings()
-    recording = _Recording(model, hand, occlusion, touch, noise, seed, occluders, settings, taxels)
+    recording = _Recording(model, hand, occlusion, touch, noise, seed, occluders, settings, taxels, scene)
     return list(recording.frames(frames, motion))
 
 
@@ -123,6 +136,7 @@ class _Recording:
         occluders: str | None,
         settings: SynthesisSettings,
         taxels: str | Array,
+        scene: str | Staging | None,
     ) -> None:
         self.model, self.hand, self.occlusion, self.touch = model, hand, occlusion, touch
         self.preset = noise_models.preset(noise)
@@ -133,7 +147,8 @@ class _Recording:
         if extra not in ("", CLUTTER) or self.kind not in OCCLUDERS:
             names = ", ".join(OCCLUDERS)
             raise InputError(f"occluders: expected one of {names}, or with +{CLUTTER}, got {self.occluders!r}")
-        _check(hand, occlusion, touch, self.kind)
+        self.staging = staged(scene)
+        _check(hand, occlusion, touch, self.kind, self.staging)
         if "array" in touch and hand is not None and not any(s.kind == "array" for s in hand.sensors.values()):
             from scenes.robot.tactile import with_arrays
 
@@ -143,6 +158,7 @@ class _Recording:
 
             self.hand = with_gels(self.hand or hand, seed)
         self.renderer = Renderer({"object": (model.vertices, model.faces)})
+        self.stage = Stage(self.renderer, model, settings, self.staging)
         self.motion_notes: dict[str, Any] = {}
 
     def frames(self, count: int, motion: str | None, settings: MotionSettings | None = None) -> Iterator[Frame]:
@@ -160,12 +176,15 @@ class _Recording:
             rng = np.random.default_rng(child)
             if self.kind == "hand":
                 assert self.hand is not None
-                grasp, camera_from_hand = place(
-                    self.model, self.hand, self.occlusion, rng, self.renderer, self.settings
-                )
+                grasp, camera_from_hand = self._placed(rng)
                 yield self._held(index, grasp, camera_from_hand, rng, errors)
             else:
                 yield self._loose(index, rng, errors)
+
+    def _placed(self, rng: np.random.Generator) -> tuple[Grasp, Array]:
+        assert self.hand is not None
+        mounted = self.staging.adapter
+        return place(self.model, self.hand, self.occlusion, rng, self.renderer, self.settings, mounted)
 
     def _sequence(self, count: int, motion: str, settings: MotionSettings | None) -> Iterator[Frame]:
         from scenes.synthesis.motion import plan_motion
@@ -174,16 +193,14 @@ class _Recording:
             raise InputError(f"motion: expected a hand that carries the object, got occluders {self.occluders!r}")
         plan, *children = np.random.SeedSequence(self.seed).spawn(count + 1)
         rng = np.random.default_rng(plan)
-        grasp, camera_from_hand = place(self.model, self.hand, self.occlusion, rng, self.renderer, self.settings)
+        grasp, camera_from_hand = self._placed(rng)
         camera = self.settings.camera
         steps, self.motion_notes = plan_motion(
             motion, count, grasp, camera_from_hand, self.hand, self.model, camera, rng, settings
         )
         scene = self._scene(grasp, camera_from_hand)
-        around = {}
-        if self.settings.background:
-            corners = [self.renderer.vertices("hand", step.camera_from_hand) for step in steps[:: max(1, count // 20)]]
-            around["background"] = add_background(self.model, scene, self.renderer, rng, self.settings, tuple(corners))
+        corners = [self.renderer.vertices("hand", step.camera_from_hand) for step in steps[:: max(1, count // 20)]]
+        around = self.stage.around(scene, rng, tuple(corners))
         if self.clutter:
             around |= self._stand_about({**scene, **around}, rng)
         return self._recorded(steps, children, self._drifting(count, rng), around, int(rng.integers(2**31)))
@@ -197,7 +214,7 @@ class _Recording:
 
     def _recorded(
         self,
-        steps: list[Step],
+        steps: list[MotionStep],
         children: list[np.random.SeedSequence],
         errors: list[LastingErrors],
         around: dict[str, Array],
@@ -231,8 +248,7 @@ class _Recording:
     def _scene(self, grasp: Grasp, camera_from_hand: Array) -> dict[str, Array]:
         """camera_from_mesh of object and hand; the renderer's hand takes the grasp's posture."""
         assert self.hand is not None
-        vertices, faces, _ = self.hand.mesh(grasp.joints)
-        self.renderer.add("hand", vertices, faces)
+        self.renderer.add("hand", *hand_mesh(self.hand, grasp.joints, self.staging.adapter))
         return {"object": camera_from_hand @ grasp.hand_from_object, "hand": camera_from_hand}
 
     def _stand_about(self, scene: dict[str, Array], rng: np.random.Generator) -> dict[str, Array]:
@@ -248,13 +264,16 @@ class _Recording:
         around: dict[str, Array] | None,
     ) -> dict[str, Any]:
         if around is None:
-            around = {}
-            if self.settings.background:
-                around["background"] = add_background(self.model, scene, self.renderer, rng, self.settings)
+            around = self.stage.around(scene, rng)
             if self.clutter:
                 around |= self._stand_about({**scene, **around}, rng)
         depth_errors = None if errors is None else errors.depth
-        return photograph({**scene, **around}, self.renderer, self.preset, rng, self.settings, depth_errors)
+        whole = {**scene, **around}
+        image = photograph(whole, self.renderer, self.preset, rng, self.settings, depth_errors)
+        # ink is nearly clear in infra-red light, which cameras imitated from their optics deliver
+        if self.staging.printed and "rgb" in image and isinstance(self.preset.depth, noise_models.DepthNoise):
+            image["rgb"] = printed(image["rgb"], whole, self.renderer, self.settings.camera, self.model)
+        return image
 
     def _held(
         self,
@@ -303,7 +322,7 @@ class _Recording:
             gels = feel_gels(hand, self.model, grasp.hand_from_object, grasp.joints, own)
         if "empty" in self.touch:
             empty = _moved(feel.empty_regions(hand, grasp, joints), world_from_hand)
-        return Frame(
+        frame = Frame(
             index=index,
             where=f"synthetic {self.model.name}, frame {index}",
             camera=settings.camera,
@@ -320,10 +339,13 @@ class _Recording:
             hand_from_object_truth=grasp.hand_from_object,
             **image,
         )
+        if self.staging.hand_known:
+            return frame
+        return replace(frame, hand=None, joints=None, world_from_hand=None, hand_from_object_truth=None)
 
     def _loose(self, index: int, rng: np.random.Generator, errors: LastingErrors | None) -> Frame:
         model, settings = self.model, self.settings
-        scene = self._before(rng)
+        scene = self.stage.stand(self.kind, self.occlusion, rng)
         image = self._image(scene, rng, errors, None)
         shift = noise_models.camera_from_robot_error(self.preset.robot, rng)
         shift = shift if errors is None else errors.camera_from_robot
@@ -339,28 +361,6 @@ class _Recording:
             **image,
         )
 
-    def _before(self, rng: np.random.Generator) -> dict[str, Array]:
-        """camera_from_mesh of the object and of what hides it."""
-        from scenes.synthesis import clutter
-
-        settings, camera, share = self.settings, self.settings.camera, self.occlusion
-        if self.kind == "border":
-            return {"object": clutter.beyond_border(self.renderer, self.model, share, rng, settings)}
-        refusal: InputError | None = None
-        for view in draw_views(settings.grasps, camera, self.model.radius, rng, settings.views):
-            pose = view.camera_from_scene(self.model.centroid)
-            try:
-                if self.kind == "none" or (self.kind == "object" and share <= 0):
-                    return {"object": pose}
-                if self.kind == "object":
-                    hider = clutter.second_object(self.renderer, self.model, pose, share, camera, rng)
-                    return {"object": pose, "clutter0": hider}
-                fingers = lay_fingers(self.renderer, "object", pose, share, camera, rng, settings.fingers)
-                return {"object": pose, **fingers}
-            except InputError as error:
-                refusal = error
-        raise refusal or InputError("occlusion: expected at least one view to be tried")
-
     def _prior(self, truth: Array, rng: np.random.Generator) -> Array:
         settings = self.settings
         return poses.displaced(truth, settings.prior_angle, settings.prior_distance, self.model.centroid, rng)
@@ -372,7 +372,7 @@ def _moved(regions: EmptyRegions | None, world_from_hand: Array) -> EmptyRegions
     return replace(regions, points=poses.apply(world_from_hand, regions.points))
 
 
-def _check(hand: Hand | None, occlusion: float, touch: tuple[str, ...], kind: str) -> None:
+def _check(hand: Hand | None, occlusion: float, touch: tuple[str, ...], kind: str, staging: Staging) -> None:
     if kind == "hand" and hand is None:
         raise InputError("occluders: expected a hand to hide the object with, got none")
     if not 0.0 <= occlusion <= 0.97:
@@ -380,6 +380,11 @@ def _check(hand: Hand | None, occlusion: float, touch: tuple[str, ...], kind: st
     unknown = [name for name in touch if name not in TOUCH_KINDS]
     if unknown:
         raise InputError(f"touch: expected kinds among {', '.join(TOUCH_KINDS)}, got {unknown[0]!r}")
+    if kind == "neighbours" and not staging.table:
+        raise InputError("occluders: expected a scene with a table for neighbours to stand on, got none")
+    if kind != "hand" and (staging.adapter or not staging.hand_known):
+        piece = "adapter" if staging.adapter else "unknown-hand"
+        raise InputError(f"scene: expected a hand that grasps for {piece!r}, got occluders {kind!r}")
     needs = [name for name in touch if name != "point"]
-    if needs and (hand is None or kind != "hand"):
+    if needs and (hand is None or kind != "hand" or not staging.hand_known):
         raise InputError(f"touch: expected a hand whose fingertips measure for {needs[0]!r}, got none")

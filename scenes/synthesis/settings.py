@@ -8,12 +8,13 @@ import numpy as np
 
 from scenes.geometry.cameras import Camera
 from scenes.synthesis.loose_fingers import LooseFingerSettings
+from scenes.synthesis.staging.tables import TableSettings
 from scenes.synthesis.views import ViewSettings
 
 
 @dataclass(frozen=True)
 class SynthesisSettings:
-    """Metres, radians, newtons."""
+    """Metres, radians, newtons. Values by judgement where no source is named."""
 
     # A VGA structured-light camera.
     camera: Camera = field(default_factory=lambda: Camera(570.0, 570.0, 319.5, 239.5, 640, 480))
@@ -31,6 +32,8 @@ class SynthesisSettings:
     background: bool = True
     background_distance: tuple[float, float] = (0.3, 1.0)
     background_tilt: float = float(np.deg2rad(35.0))
+    # Tables, of scenes that have one.
+    table: TableSettings = field(default_factory=TableSettings)
     # Things that stand about, beside and behind the object: how many, and the share of the object that they may hide
     # beyond what was asked.
     clutter: tuple[int, int] = (4, 8)
@@ -52,6 +55,8 @@ class SynthesisSettings:
     one_robot: bool = False
     # Depth images are stored in steps of this (m); frames in memory are rounded alike.
     depth_unit: float = 1e-4
-    # Write the true visible pixels as the object's mask, and a colour image.
+    # Write the true visible pixels as the object's mask, and a colour image: of cameras imitated from their optics the
+    # infra-red image that depth was read from, in grey.
     mask: bool = False
     rgb: bool = True
+    infrared: bool = True

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ViewSettings:
-    """How views are drawn and when one is good."""
+    """How views are drawn and when one is good. Values by judgement."""
 
     # Camera to object (m): where table-top depth cameras work.
     nearest: float = 0.45

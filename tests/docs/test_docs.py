@@ -24,6 +24,7 @@ ONLY_PARSED = {
     "formats.md": "test_formats_docs.py runs it on recordings that it makes",
     "benchmarks.md": "benches take minutes to hours, and some need recorded contact sets",
     "scenes.md": "one block, which downloads",
+    "evaluation.md": "benches take minutes to hours",
 }
 
 
@@ -70,7 +71,7 @@ def test_pages_are_known():
     """A new page is run, or it is said why not."""
     told = RUN_HERE | set(ONLY_PARSED)
     unknown = [page.name for page in PAGES if docs_commands.all_blocks(page) and page.name not in told]
-    silent = {"api.md", "method.md"}
+    silent = {"api.md", "architecture.md", "method.md"}
     assert set(unknown) <= silent
     for name in silent:
         assert not [b for b in docs_commands.all_blocks(DOCS / name) if b.language in ("sh", "python")]
@@ -99,6 +100,14 @@ def test_links_lead_somewhere(page):
             heads = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
             names = {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
             assert heading in names, f"{page.name}: {target}"
+
+
+def test_the_house_is_as_the_page_has_it():
+    """Files and folders named on the page are there."""
+    text = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    named = re.findall(r"`((?:scenes|vision|touch|fusion|tests)/[\w/.]*)`", text)
+    assert len(named) > 20
+    assert [name for name in named if not (ROOT / name).exists()] == []
 
 
 def test_reasons_are_given_for_what_is_not_run():

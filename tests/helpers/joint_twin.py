@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fusion.estimation.solve.joint import FIXED, SCALE, XI
+from fusion.estimation.solve.system import FIXED, SCALE, XI
 from scenes.evidence import align as alignment
 from scenes.evidence.table import FACING, GATE_ABOVE, GATE_BELOW, NORMAL, OFFSET, POINT
 from scenes.geometry import poses as se3
@@ -19,44 +19,46 @@ def robust(square, gate):
     return np.where(silent, 0.0, loss), np.where(silent, 0.0, 1.0 / (1.0 + np.exp(over)))
 
 
-def vision(problem, pose, unknown):
+def vision(system, pose, unknown):
     """Cost, gradient and Gauss-Newton matrix of the vision rows about (delta, whitened xi, s, b)."""
+    problem = system.problem
     rows, model = problem.seen.rows, problem.model
     rotation, middle = pose[:3, :3], pose[:3, :3] @ model.centroid + pose[:3, 3]
     p = rows[:, POINT]
     ray = p / p[:, 2:] if problem.camera is not None else p
-    bias = problem._seen_basis @ (problem._white[FIXED:] * unknown[FIXED:])
-    moved = p - (problem._white[SCALE] * unknown[SCALE]) * p - bias[:, None] * ray
+    bias = problem.seen_basis @ (system.white[FIXED:] * unknown[FIXED:])
+    moved = p - (system.white[SCALE] * unknown[SCALE]) * p - bias[:, None] * ray
     y = moved - middle
     distance, g = model.field.seen_distance_and_gradient(
         y @ rotation + model.centroid, rows[:, NORMAL] @ rotation, rows[:, FACING] > 0
     )
     distance, g = distance - rows[:, OFFSET], g @ rotation.T
     gate = np.where(distance > 0, rows[:, GATE_ABOVE], rows[:, GATE_BELOW])
-    normals = problem._normals @ rotation.T
-    cosine = np.where(problem._is_pixel, -np.sum(normals * rows[:, NORMAL], axis=1), 1.0)
+    normals = system.normals @ rotation.T
+    cosine = np.where(problem.is_pixel, -np.sum(normals * rows[:, NORMAL], axis=1), 1.0)
     steep = cosine < problem.settings.least_cosine
-    turning = np.where((problem._is_pixel & ~steep)[:, None], -np.cross(normals, rows[:, NORMAL]), 0.0)
+    turning = np.where((problem.is_pixel & ~steep)[:, None], -np.cross(normals, rows[:, NORMAL]), 0.0)
     cosine = np.where(steep, problem.settings.least_cosine, cosine)
     distance, g = distance / cosine, g / cosine[:, None]
-    sigma = problem._sigma * problem._slope
-    loss, belongs = robust((distance / sigma) ** 2 + 2.0 * np.log(problem._slope), gate)
+    sigma = problem.sigma * system.slope
+    loss, belongs = robust((distance / sigma) ** 2 + 2.0 * np.log(system.slope), gate)
     jac = np.zeros((len(rows), len(unknown)))
     jac[:, :3] = np.cross(g, y) - (distance / cosine)[:, None] * turning
     jac[:, 3:6] = -g
-    jac[:, SCALE] = -np.sum(g * p, axis=1) * problem._white[SCALE]
-    jac[:, FIXED:] = -np.sum(g * ray, axis=1)[:, None] * problem._seen_basis * problem._white[FIXED:]
-    weighted = jac * (problem._weight * belongs / sigma**2)[:, None]
-    return 0.5 * float(problem._weight @ loss), weighted.T @ distance, weighted.T @ jac
+    jac[:, SCALE] = -np.sum(g * p, axis=1) * system.white[SCALE]
+    jac[:, FIXED:] = -np.sum(g * ray, axis=1)[:, None] * problem.seen_basis * system.white[FIXED:]
+    weighted = jac * (system.weight * belongs / sigma**2)[:, None]
+    return 0.5 * float(system.weight @ loss), weighted.T @ distance, weighted.T @ jac
 
 
-def touch(problem, pose, unknown):
+def touch(system, pose, unknown):
     """Touch rows moved by xi, about (delta, whitened xi)."""
-    xi = problem._white_xi @ unknown[XI]
-    moved = problem.felt.moved(se3.perturb(np.eye(4), xi, problem._centre))
+    problem = system.problem
+    xi = system.white_xi @ unknown[XI]
+    moved = problem.felt.moved(se3.perturb(np.eye(4), xi, system.centre))
     how = alignment.AlignSettings(bend=problem.settings.bend)
     cost, g, h = alignment.terms(problem.model, moved, pose, settings=how)
     lever = np.eye(6)
-    lever[3:, :3] = -se3.skew(pose[:3, :3] @ problem.model.centroid + pose[:3, 3] - problem._centre)
-    chain = np.concatenate([np.eye(6), -lever @ problem._white_xi], axis=1)
+    lever[3:, :3] = -se3.skew(pose[:3, :3] @ problem.model.centroid + pose[:3, 3] - system.centre)
+    chain = np.concatenate([np.eye(6), -lever @ system.white_xi], axis=1)
     return cost, chain.T @ g, chain.T @ h @ chain

@@ -13,7 +13,7 @@ PROGRAM = """
 import hashlib
 import numpy as np
 from fusion import estimate
-from scenes import library
+from scenes.synthesis import library
 from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
 

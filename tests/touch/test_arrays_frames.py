@@ -49,8 +49,8 @@ def test_pressures_of_a_frame_lie_on_the_object():
 
 def test_feel_takes_arrays_as_rows_and_as_contacts():
     frame = frames()[0]
-    alone, without = feel(replace(frame, contacts=NONE), 4.0), feel(replace(frame, tactile={}), 4.0)
-    both = feel(frame, 4.0)
+    alone, without = feel(replace(frame, contacts=NONE)), feel(replace(frame, tactile={}))
+    both = feel(frame)
     touching = sum(r.active.any() for r in readings_of(frame))
     assert len(alone.contacts) == touching
     assert alone.contacts.has_normal.all()

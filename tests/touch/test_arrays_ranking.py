@@ -7,7 +7,8 @@ import pytest
 
 from fusion.benchmarks.arrays import grasps
 from fusion.benchmarks.arrays.modes import random_hold
-from fusion.estimation.stages import EstimateSettings, beyond_rows
+from fusion.estimation.ranking import beyond_rows
+from fusion.estimation.settings import EstimateSettings
 from scenes.evidence import align as alignment
 from scenes.evidence.modes import Mode
 from scenes.geometry import poses as se3
@@ -95,7 +96,7 @@ def test_an_estimate_adds_patterns_in_place_of_their_rows(held, monkeypatch):
     settings = EstimateSettings(patterns=RANKING)
     # no arrays, a single solution, or no patterns wanted: nothing to add
     np.testing.assert_array_equal(beyond_rows(frame, model, solved, settings), 0.0)
-    monkeypatch.setattr("fusion.estimation.stages.readings_of", lambda frame: readings)
+    monkeypatch.setattr("fusion.estimation.ranking.readings_of", lambda frame: readings)
     np.testing.assert_array_equal(beyond_rows(frame, model, solved[:1], settings), 0.0)
     np.testing.assert_array_equal(beyond_rows(frame, model, solved, EstimateSettings(patterns=None)), 0.0)
     found = beyond_rows(frame, model, solved, settings)

@@ -8,6 +8,7 @@ import pytest
 from scenes.errors import InputError
 from scenes.evidence import table as evidence
 from scenes.geometry import poses
+from scenes.recordings.beliefs import Beliefs, CalibrationModel
 from scenes.recordings.frames import Contacts, EmptyRegions, Frame
 from touch.contacts import feel
 
@@ -18,12 +19,6 @@ class Ball:
     radius: float
 
 
-@dataclass(frozen=True)
-class Calibration:
-    translation_sigma: float = 0.002
-    rotation_sigma: float = 0.005
-
-
 def silent(rows):
     """Rows that speak only of penetration."""
     return rows.rows[:, evidence.GATE_ABOVE] == 0
@@ -32,7 +27,7 @@ def silent(rows):
 def test_contacts_come_out_in_the_camera_frame(rng):
     pose = poses.make_poses(poses.random_rotations(1, rng), rng.normal(size=(1, 3)))[0]
     contacts = Contacts(rng.normal(size=(4, 3)), poses.random_unit_vectors(4, rng), 2e-3, 0.1)
-    felt = feel(Frame(0, camera_from_world=pose, contacts=contacts), 4.0)
+    felt = feel(Frame(0, camera_from_world=pose, contacts=contacts))
     assert np.allclose(felt.contacts.points, poses.apply(pose, contacts.points))
     assert np.allclose(felt.rows.rows[:, evidence.NORMAL], contacts.normals @ pose[:3, :3].T)
     assert np.allclose(felt.rows.rows[:, evidence.SIGMA], 2e-3)
@@ -41,17 +36,16 @@ def test_contacts_come_out_in_the_camera_frame(rng):
 
 
 def test_a_frame_without_touch():
-    felt = feel(Frame(0), 4.0)
+    felt = feel(Frame(0))
     assert len(felt.contacts) == 0
     assert len(felt.rows) == 0
-    assert len(felt.slackened(Calibration(), True)) == 0
 
 
 def test_empty_regions_keep_their_radius(rng):
     pose = poses.make_poses(poses.random_rotations(1, rng), rng.normal(size=(1, 3)))[0]
     centres = rng.normal(size=(3, 3))
     empty = EmptyRegions(centres, np.array([0.01, 0.02, 0.03]), ["a", "b", "c"])
-    felt = feel(Frame(0, camera_from_world=pose, no_contact=empty), 4.0)
+    felt = feel(Frame(0, camera_from_world=pose, no_contact=empty))
     assert len(felt.rows) == 3
     assert silent(felt.rows).all()
     assert np.allclose(felt.rows.points, poses.apply(pose, centres))
@@ -61,7 +55,7 @@ def test_empty_regions_keep_their_radius(rng):
 def test_the_hand_is_space_that_the_object_cannot_be_in(exact_frame, drill):
     truth = exact_frame.camera_from_object_truth
     centre = poses.apply(truth, drill.centroid[None])[0]
-    near = feel(exact_frame, 4.0, Ball(centre, 0.12))
+    near = feel(exact_frame, region=Ball(centre, 0.12))
     hidden = silent(near.rows)
     assert hidden.sum() > 50
     assert (~hidden).sum() == len(exact_frame.contacts)
@@ -71,26 +65,36 @@ def test_the_hand_is_space_that_the_object_cannot_be_in(exact_frame, drill):
     assert drill.field.distance(poses.apply(poses.inverse(truth), points)).min() > -0.003
     # together they count like a few
     assert near.rows.rows[hidden, evidence.WEIGHT].sum() <= 20.0 + 1e-9
-    away = feel(exact_frame, 4.0, Ball(np.array([5.0, 0.0, 0.0]), 0.1))
+    away = feel(exact_frame, region=Ball(np.array([5.0, 0.0, 0.0]), 0.1))
     assert not silent(away.rows).any()
 
 
 def test_joint_errors_widen_contacts_of_a_hand(exact_frame):
-    with_hand = feel(exact_frame, 4.0)
-    without = feel(replace(exact_frame, hand=None, joints=None, world_from_hand=None), 4.0)
+    with_hand = feel(exact_frame, np.eye(4))
+    without = feel(replace(exact_frame, hand=None, joints=None, world_from_hand=None), np.eye(4))
     on = ~silent(with_hand.rows)
     assert (with_hand.rows.rows[on, evidence.SIGMA] > without.rows.rows[:, evidence.SIGMA]).all()
 
 
 def test_an_uncorrected_calibration_widens_everything(exact_frame):
-    felt = feel(exact_frame, 4.0)
-    before = felt.rows.rows[:, evidence.SIGMA].copy()
-    wide = felt.slackened(Calibration(), True).rows[:, evidence.SIGMA]
-    depth = np.linalg.norm(felt.rows.points.mean(axis=0))
-    slack = np.hypot(0.002, 0.005 * depth)
-    assert np.allclose(wide, np.hypot(before, slack))
-    assert np.array_equal(felt.slackened(Calibration(), False).rows[:, evidence.SIGMA], before)
-    assert np.array_equal(felt.rows.rows[:, evidence.SIGMA], before)
+    beliefs = Beliefs(calibration=CalibrationModel(0.002, 0.005))
+    told = feel(exact_frame, np.eye(4), beliefs)
+    wide = feel(exact_frame, None, beliefs)
+    before = told.rows.rows[:, evidence.SIGMA]
+    slack = np.hypot(0.002, 0.005 * np.linalg.norm(told.rows.points.mean(axis=0)))
+    assert np.allclose(wide.rows.rows[:, evidence.SIGMA], np.hypot(before, slack))
+    assert np.array_equal(wide.reported_rows.rows[:, evidence.SIGMA], before)
+    # once corrected it is as sure as its own sigmas say
+    assert np.array_equal(wide.corrected(np.eye(4)).rows.rows[:, evidence.SIGMA], before)
+
+
+def test_a_correction_moves_contacts_and_rows_alike(exact_frame, rng):
+    correction = poses.exp(0.01 * rng.normal(size=6))
+    felt = feel(exact_frame, correction)
+    contacts = len(felt.contacts)
+    assert np.allclose(felt.contacts.points, poses.apply(correction, felt.reported_contacts.points))
+    assert np.allclose(felt.rows.points[:contacts], felt.contacts.points)
+    assert np.array_equal(felt.reported_rows.rows, feel(exact_frame).reported_rows.rows)
 
 
 @pytest.mark.parametrize(
@@ -125,6 +129,6 @@ def test_contacts_normalise_and_forget_what_is_unknown():
 
 
 def test_contacts_of_unknown_worth_are_believed_little_and_never_gated_out():
-    felt = feel(Frame(0, contacts=Contacts(np.zeros((2, 3)))), 4.0)
+    felt = feel(Frame(0, contacts=Contacts(np.zeros((2, 3)))))
     assert (felt.rows.rows[:, evidence.SIGMA] > 0.002).all()
     assert (felt.rows.rows[:, evidence.GATE_ABOVE] == evidence.NO_GATE).all()

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from scenes.errors import InputError
 from scenes.geometry import poses
-from touch.wrenches.fingertips import SoftLayer, tip_contacts
-from touch.wrenches.intrinsic import sphere_contact
+from touch.wrenches.fingertips import SoftSkin, tip_contacts
+from touch.wrenches.sphere import sphere_contact
 
 seeds = st.integers(0, 2**32 - 1)
 RADII = np.array([0.008, 0.010, 0.014])
@@ -90,7 +90,7 @@ def test_an_ellipsoid_with_equal_radii_is_the_sphere(rng):
 
 @pytest.mark.parametrize("kind", SURFACES)
 def test_a_soft_layer_is_indented_by_the_normal_force(kind, rng):
-    layer = SoftLayer(stiffness=8000.0, thickness=0.002)
+    layer = SoftSkin(stiffness=8000.0, thickness=0.002)
     point, normal = on_surface(kind, 200, rng)
     force, _, _ = press(point, normal, rng)
     depth = -np.einsum("ni,ni->n", force, normal) / layer.stiffness
@@ -153,5 +153,5 @@ def test_bad_surfaces_are_named():
     with pytest.raises(InputError, match="got mesh"):
         tip_contacts([[0, 0, 1]], [[0, 0, 0]], {"mesh": {"file": "tip.stl"}})
     with pytest.raises(InputError, match="above 0"):
-        SoftLayer.parse({"stiffness": -1.0})
-    assert SoftLayer.parse({"thickness": 0.002}) is None
+        SoftSkin.parse({"stiffness": -1.0})
+    assert SoftSkin.parse({"thickness": 0.002}) is None

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from scenes.errors import CaptureError
 from scenes.geometry import poses
 from scenes.recordings.frames import Frame, Wrench
-from touch.wrenches.intrinsic import IntrinsicSettings, sphere_contact, wrench_contacts
+from touch.wrenches.intrinsic import wrench_contacts
+from touch.wrenches.sphere import IntrinsicSettings, sphere_contact
 
 RADIUS = 0.01
 seeds = st.integers(0, 2**32 - 1)

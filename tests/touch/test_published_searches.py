@@ -10,11 +10,13 @@ from scenes.errors import InputError
 from scenes.evidence import table as tables
 from scenes.evidence.align import Prior
 from scenes.geometry import poses
+from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
 from scenes.synthesis import library
-from touch.localization import METHODS, contact_index, localize
+from touch.answers import contact_index
+from touch.localization import METHODS, localize
+from touch.published import costs as published
 from touch.published import gradient_descent, levenberg_marquardt, monte_carlo
-from touch.published import trials as published
 from touch.published.direct import BoxSettings, objective
 
 seeds = st.integers(0, 2**32 - 1)
@@ -94,6 +96,28 @@ def test_regions_hold_what_is_near_and_enough(block):
         part = regions.cloud[regions.first[k] : regions.first[k + 1]]
         reach = np.linalg.norm(part - regions.contacts[k], axis=1).max()
         assert reach <= 1.5 + 1e-9 or sizes[k] == 60
+
+
+@pytest.mark.parametrize("seed", [0, 2, 32])
+def test_a_descent_that_diverges_ends_at_finite_numbers(seed):
+    # at the published rate each step overshoots the last, until single precision cannot hold its square
+    corners = np.array([[0.0, 0, 0], [0.2, 0, 0], [0, 0.2, 0], [0, 0, 0.2]])
+    model = ObjectModel("tetrahedron", corners, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
+    contacts = Contacts(*model.sample_surface(9, seed=seed))
+    found = localize(model, contacts, seed=seed, method="gradient-descent")
+    assert np.isfinite(found.pose).all()
+    assert np.isfinite(found.index)
+    assert found.verdict != "ok"
+
+
+def test_a_step_that_cannot_be_normalised_is_not_taken():
+    step = np.array([1.0, 0, 0, 0, 5.0, 0, 0])
+    assert gradient_descent.is_within(step, 5.0)
+    assert not gradient_descent.is_within(step, 4.0)
+    for place, value in ((0, 0.0), (0, np.nan), (1, np.inf), (6, np.nan)):
+        wrong = step.copy()
+        wrong[place] = value
+        assert not gradient_descent.is_within(wrong, 5.0)
 
 
 @pytest.mark.parametrize("refine", [gradient_descent.refine, levenberg_marquardt.refine])

@@ -12,6 +12,7 @@ from scenes.errors import InputError
 from scenes.evidence import table as tables
 from scenes.files.off import write_off
 from scenes.geometry import poses
+from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
 from scenes.synthesis import library
 from touch.published.recursion import StoppingRule, localize_online
@@ -63,11 +64,56 @@ def test_shares_sum_to_one_and_order_is_by_likelihood(models, seed):
     contacts, _ = touched(models[0], 12, 0.002, seed)
     found = identify(models, contacts, seed=seed)
     likelihoods = [one.likelihood for one in found.candidates]
-    assert sum(likelihoods) == pytest.approx(1.0)
+    assert sum(likelihoods) + found.none == pytest.approx(1.0)
     assert likelihoods == sorted(likelihoods, reverse=True)
     assert sum(one.inverse_cost for one in found.candidates) == pytest.approx(1.0)
     assert {one.name for one in found.candidates} == set(NAMES)
     assert found.best == found.candidates[0].name
+
+
+def bent(model, size, seed):
+    """Another object of the same kind: the model with a smooth field of `size` (m) on its surface."""
+    from trimesh.remesh import subdivide_to_size
+
+    rng = np.random.default_rng(seed)
+    vertices, faces = subdivide_to_size(model.vertices, model.faces, 0.06 * model.diameter)
+    waves = 2 * np.pi / model.diameter * rng.normal(size=(3, 3))
+    field = np.cos(vertices @ waves.T + rng.uniform(0, 2 * np.pi, size=3)) * np.sqrt(2.0)
+    return ObjectModel.from_mesh(vertices + size * field, faces, "bent")
+
+
+@pytest.mark.parametrize("name", ["l_block", "cylinder"])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_relative_of_the_only_candidate_is_none_of_these(name, seed):
+    """One candidate, and 80 contacts of 0.5 mm on something that is 3 mm otherwise: never ok."""
+    model = library.make(name)
+    stranger = identify([model], touched(bent(model, 0.003, seed), 80, 0.0005, seed)[0], seed=seed)
+    assert stranger.verdict != "ok"
+    assert stranger.none > 0.1  # 0.005 before anything was felt
+    itself = identify([model], touched(model, 80, 0.0005, seed)[0], seed=seed)
+    assert itself.verdict == "ok"
+    assert itself.none < 0.01
+
+
+@pytest.mark.parametrize("count", [1, 3, 8])
+def test_a_few_contacts_do_not_tell_that_it_is_the_only_candidate(models, count):
+    """A pose fits six numbers: nothing but one candidate is no evidence for it."""
+    contacts, _ = touched(models[0], count, 0.0, seed=count)
+    assert identify(models[:1], contacts).verdict == "ambiguous"
+
+
+def test_a_tool_of_the_same_family_is_not_the_tool(contact_data):
+    """Recorded contacts without their tool among the candidates: no relative is named for sure."""
+    from fusion.benchmarks.contacts.sets import recognition_models, recognition_sets
+
+    tools = recognition_models()
+    for name, contacts in recognition_sets().items():
+        truth = "pipeHook2" if name == "hook2" else name.rpartition("_")[2]
+        others = identify([tool for tool in tools if tool.name != truth], contacts)
+        assert others.verdict != "ok"
+        assert others.none > 0.99
+        alone = identify([next(tool for tool in tools if tool.name == others.best)], contacts)
+        assert alone.verdict != "ok"
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])

@@ -200,7 +200,7 @@ def test_annealed_filter_reaches_the_surface(block, touched):
 
 def test_plain_filter_is_the_worst(block, touched):
     contacts, _ = touched
-    small = particle_filters.ParticleSettings(particles=500)
+    small = particle_filters.ParticleFilterSettings(particles=500)
     plain = particle_filters.plain(block, contacts, seed=0, settings=small)
     assert plain.index > localize(block, contacts, seed=0, method="mupf").index
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from scenes.geometry import poses
-from vision.look.hand import CalibrationModel, camera_from_hand, prior_information, view_hand
-from vision.look.pixels import DepthModel, read_pixels
+from scenes.recordings.beliefs import Beliefs, CalibrationModel
+from vision.look.hand import camera_from_hand, prior_information, view_hand
+from vision.look.pixels import read_pixels
 
 FULL = (0, 0, 640, 480)
 
@@ -15,7 +16,7 @@ FULL = (0, 0, 640, 480)
 def look(frame, **changes):
     frame = replace(frame, **changes)
     pixels = read_pixels(frame.depth, frame.camera, FULL, 12_000)
-    return view_hand(frame, pixels, DepthModel(), CalibrationModel())
+    return view_hand(frame, pixels, Beliefs())
 
 
 @pytest.mark.parametrize("seed", range(4))

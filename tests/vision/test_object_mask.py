@@ -8,12 +8,13 @@ import pytest
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.geometry.rendering import Renderer
+from scenes.recordings.beliefs import DepthModel
 from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis import library
 from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
-from vision.look.mask import MaskSettings, find_plane, object_mask, region_of
-from vision.look.pixels import DepthModel
+from vision.look.mask import MaskSettings, find_plane, object_mask
+from vision.look.regions import find_region
 
 NOTHING = Contacts(np.zeros((0, 3)))
 
@@ -40,9 +41,9 @@ def scene(cylinder):
 @pytest.mark.parametrize(("start", "touch", "colour"), [(1, 1, 1), (1, 1, 0), (0, 1, 1), (0, 0, 1)])
 def test_the_mask_is_nearly_the_true_one(scene, cylinder, start, touch, colour):
     seen = replace(scene, mask=None, contacts=scene.contacts if touch else NOTHING)
-    found = object_mask(seen, cylinder, scene.prior if start else None, colour=bool(colour))
+    found = object_mask(seen, cylinder, start=scene.prior if start else None, colour=bool(colour))
     assert overlap(found, scene) > 0.75
-    again = object_mask(seen, cylinder, scene.prior if start else None, colour=bool(colour))
+    again = object_mask(seen, cylinder, start=scene.prior if start else None, colour=bool(colour))
     np.testing.assert_array_equal(found, again)
 
 
@@ -59,8 +60,8 @@ def test_what_the_hand_holds_from_behind_is_found():
 
 def test_a_colour_image_without_colour_changes_nothing(scene, cylinder):
     grey = replace(scene, rgb=np.full_like(scene.rgb, 128))
-    plain = object_mask(scene, cylinder, scene.prior, colour=False)
-    np.testing.assert_array_equal(object_mask(grey, cylinder, scene.prior), plain)
+    plain = object_mask(scene, cylinder, start=scene.prior, colour=False)
+    np.testing.assert_array_equal(object_mask(grey, cylinder, start=scene.prior), plain)
 
 
 def wall_frame(tilt, noise, seed=0):
@@ -83,7 +84,7 @@ def test_the_wall_is_found_and_taken_away(tilt):
     assert plane[:3] @ pose[:3, 3] + plane[3] == pytest.approx(0.0, abs=1e-3)
     assert plane[3] > 0  # the camera is above it
     assert overlap(object_mask(frame, model), frame) > 0.95
-    assert overlap(object_mask(frame, model, place), frame) > 0.95
+    assert overlap(object_mask(frame, model, start=place), frame) > 0.95
 
 
 def test_a_box_seen_beyond_is_no_wall():
@@ -96,14 +97,14 @@ def test_a_box_seen_beyond_is_no_wall():
 
 def test_frames_that_hold_nothing(scene, cylinder):
     empty = replace(scene, depth=np.zeros_like(scene.depth))
-    assert not object_mask(empty, cylinder, scene.prior).any()
+    assert not object_mask(empty, cylinder, start=scene.prior).any()
     assert object_mask(empty, cylinder).shape == scene.depth.shape
     assert object_mask(replace(scene, depth=None), cylinder).size == 0
     away = scene.prior.copy()
     away[:3, 3] = (3.0, 0.0, 0.5)
-    assert not object_mask(scene, cylinder, away).any()
+    assert not object_mask(scene, cylinder, start=away).any()
     broken = scene.depth.copy()
     broken[::3] = np.nan
-    assert object_mask(replace(scene, depth=broken), cylinder, scene.prior).any()
+    assert object_mask(replace(scene, depth=broken), cylinder, start=scene.prior).any()
     nowhere = replace(scene, contacts=NOTHING, hand=None, joints=None, world_from_hand=None)
-    assert region_of(nowhere, cylinder, None) is None
+    assert find_region(nowhere, cylinder, None, 0.035) is None

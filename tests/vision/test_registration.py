@@ -8,7 +8,7 @@ from fusion.truth import metrics
 from scenes.errors import InputError
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
-from vision.published.icp import IcpSettings, icp, is_degenerate, point_to_plane_hessian
+from vision.published.icp import CloudIcpSettings, icp, is_degenerate, point_to_plane_hessian
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def test_a_robust_kernel_withstands_flying_pixels(tool):
         seen[wrong] / np.linalg.norm(seen[wrong], axis=1)[:, None]
     )
     robust = icp(seen, tool, start)
-    plain = icp(seen, tool, start, IcpSettings(kernel="none"))
+    plain = icp(seen, tool, start, CloudIcpSettings(kernel="none"))
     error = [metrics.add(result.pose, truth, tool.vertices) for result in (robust, plain)]
     assert error[0] < error[1]
     assert error[0] < 0.5e-3
@@ -164,7 +164,7 @@ def test_refuses_bad_input(tool):
             half_view(tool, poses.make_pose(translation=[0, 0, 0.5])),
             tool,
             poses.make_pose(translation=[0, 0, 0.5]),
-            IcpSettings(kernel="soft"),
+            CloudIcpSettings(kernel="soft"),
         )
     with pytest.raises(InputError, match="distances"):
-        IcpSettings(distances=())
+        CloudIcpSettings(distances=())

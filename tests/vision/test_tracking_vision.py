@@ -11,7 +11,8 @@ from scipy.spatial import cKDTree
 from scenes.evidence import table as tables
 from scenes.geometry import poses
 from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
-from vision.look.segments import segment
+from vision.look.look import look
+from vision.look.warm import Looker
 from vision.tracking.by_vision import (
     ConstantVelocity,
     VelocitySettings,
@@ -19,8 +20,7 @@ from vision.tracking.by_vision import (
     explained_share,
     track_by_vision,
 )
-from vision.tracking.look import Looker
-from vision.tracking.particles import ParticleSettings, ParticleTracker, coherences, thin_cloud
+from vision.tracking.particles import ParticleTracker, ParticleTrackerSettings, coherences, thin_cloud
 
 SEEDS = st.integers(0, 2**31)
 
@@ -100,8 +100,8 @@ def test_looking_again_sees_what_the_first_look_saw(drill, sequence):
     looker = Looker(drill)
     for frame in sequence[:3]:
         looked = looker.look(frame, frame.camera_from_object_truth)
-    full = segment(sequence[2], drill, sequence[2].camera_from_object_truth)
-    a, b = looked.hand_view.aligned, full.hand_view.aligned
+    full = look(sequence[2], drill, start=sequence[2].camera_from_object_truth)
+    a, b = looked.hand.aligned, full.hand.aligned
     assert np.rad2deg(poses.rotation_angle(a[:3, :3] @ b[:3, :3].T)) < 0.4
     assert np.linalg.norm(a[:3, 3] - b[:3, 3]) < 0.0025
     local = poses.apply(poses.inverse(sequence[2].camera_from_object_truth), looked.pixels.points)
@@ -140,7 +140,9 @@ def test_thinning_keeps_one_mean_a_cell():
 
 def test_the_particle_filter_stays_with_the_object(drill, sequence):
     def run():
-        tracker = ParticleTracker(drill, sequence[0].camera_from_object_truth, ParticleSettings(particles=300), seed=4)
+        tracker = ParticleTracker(
+            drill, sequence[0].camera_from_object_truth, ParticleTrackerSettings(particles=300), seed=4
+        )
         return [tracker.step(frame) for frame in sequence]
 
     found = run()

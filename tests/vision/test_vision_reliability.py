@@ -11,7 +11,8 @@ from scenes.geometry.cameras import Camera
 from scenes.geometry.rendering import Renderer
 from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis import library
-from vision.look.segments import SegmentationSettings, find_region, segment
+from vision.look.look import look
+from vision.look.regions import find_region
 from vision.plausibility import doubts
 
 NOTHING = Contacts(np.zeros((0, 3)))
@@ -80,19 +81,19 @@ def test_an_object_outside_the_image_is_lost(lab_frame, drill):
 
 def test_without_a_hint_the_object_is_sought_in_the_hand(lab_frame, drill):
     frame = replace(lab_frame, contacts=NOTHING, mask=None, prior=None)
-    region = find_region(frame, drill, None, SegmentationSettings())
+    region = find_region(frame, drill, None, 0.035)
     middle = poses.apply(frame.camera_from_object_truth, drill.centroid[None])[0]
     assert np.linalg.norm(region.centre - middle) < region.radius
 
 
 def test_the_hand_gives_wrong_intrinsics_away(lab_frame, drill):
-    seen = segment(lab_frame, drill, lab_frame.prior)
-    assert doubts(lab_frame, seen.hand_view) == ()
+    seen = look(lab_frame, drill, start=lab_frame.prior)
+    assert doubts(lab_frame, seen.hand) == ()
     c = lab_frame.camera
     wrong = replace(lab_frame, camera=Camera(1.25 * c.fx, 1.25 * c.fy, c.cx, c.cy, c.width, c.height))
-    assert doubts(wrong, segment(wrong, drill, wrong.prior).hand_view)
+    assert doubts(wrong, look(wrong, drill, start=wrong.prior).hand)
     in_other_unit = replace(lab_frame, depth=1.1 * lab_frame.depth)
-    assert doubts(in_other_unit, segment(in_other_unit, drill, wrong.prior).hand_view)
+    assert doubts(in_other_unit, look(in_other_unit, drill, start=wrong.prior).hand)
     assert doubts(replace(lab_frame, hand=None), None) == ()
 
 

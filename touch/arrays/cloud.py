@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CloudSettings:
-    """How dense the points are."""
+    """How dense the points are. Values by judgement."""
 
     # Surface per point (m^2): some forty points under a fingertip's pad. The thesis does not say.
     area: float = 6e-6

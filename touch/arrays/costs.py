@@ -35,7 +35,7 @@ COSTS = ("covariance", "distance", "forward")
 
 @dataclass(frozen=True)
 class MatchingSettings:
-    """Design parameters of T1 algorithm 5.2, which the thesis names without values."""
+    """Design parameters of T1 algorithm 5.2, which the thesis names without values. Values by judgement."""
 
     # epsilon (m): contacts farther than this from the surface are not matched (T1: 30 mm).
     epsilon: float = 0.030
@@ -56,14 +56,14 @@ class MatchingSettings:
 
 @dataclass(frozen=True)
 class ForwardSettings:
-    """What is believed of pressures and of where the arrays are."""
+    """What is believed of pressures and of where the arrays are. Values by judgement."""
 
     # Error of an indentation: a share of it (gain of a taxel), noise of the pressure (Pa), and what the elastic
     # foundation and the lattice leave out (m).
     gain: float = 0.2
     noise: float = 1000.0
     model: float = 2e-4
-    # Pose error of each array per axis: three joints of half a degree, and where the array sits on its link.
+    # Pose error of each array per axis (rad, m): three joints of half a degree, and where it sits on its link.
     turn: float = float(np.deg2rad(1.0))
     move: float = 0.001
     # Residuals beyond this many sigmas count less and less: dead taxels read nothing.

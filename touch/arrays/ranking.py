@@ -23,8 +23,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RankingSettings:
-    """What covariances and pressures are worth beside one another."""
+    """What covariances and pressures are worth beside one another. Values by judgement, on generated grasps."""
 
+    # Whether either speaks at all.
     covariance: bool = True
     pressures: bool = True
     # A covariance that differs by this much (m^2, Frobenius norm) in one contact is e times less likely: a tenth of a

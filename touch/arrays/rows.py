@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ArrayRowSettings:
-    """What rows of arrays are worth."""
+    """What rows of arrays are worth. Values by judgement."""
 
     # Error of a taxel's place (m): the finger's joints, which all taxels of an array share.
     place_sigma: float = 0.001

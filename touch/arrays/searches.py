@@ -17,11 +17,12 @@ from scenes.errors import InputError
 from scenes.evidence.align import Alignment, Prior, align
 from scenes.evidence.modes import Mode, distinct_modes
 from scenes.geometry import poses as se3
+from touch.answers import LocalizeSettings, verdict_of
 from touch.arrays import kernels
 from touch.arrays.costs import COSTS, ArrayProblem
 from touch.arrays.ranking import RankingSettings, pattern_costs, reweighted
 from touch.arrays.rows import ArrayRowSettings, array_contacts, array_rows
-from touch.localization import LocalizeSettings, find_candidates, verdict_of
+from touch.multistart import find_candidates
 
 Array = NDArray[np.float64]
 
@@ -42,7 +43,7 @@ class Box:
 
 
 @dataclass(frozen=True)
-class Found:
+class BoxMinimum:
     """pose (4, 4) of least cost among `evaluations`; seconds: wall time; cpu: of all threads (s)."""
 
     pose: Array
@@ -53,8 +54,8 @@ class Found:
 
 
 @dataclass(frozen=True)
-class SearchSettings:
-    """Work of the published searches."""
+class ArraySearchSettings:
+    """Work of the published searches. Values by judgement, on generated grasps."""
 
     # Evaluations in a box around an estimate.
     evaluations: int = 4000
@@ -72,7 +73,7 @@ class SearchSettings:
     tries: int = 12
 
 
-def direct(problem: ArrayProblem, cost: str, box: Box, evaluations: int, seed: int = 0) -> Found:
+def direct(problem: ArrayProblem, cost: str, box: Box, evaluations: int, seed: int = 0) -> BoxMinimum:
     """DIRECT (Jones 1993) by scipy; deterministic, the seed changes nothing."""
     from scipy.optimize import direct as minimise
 
@@ -83,7 +84,7 @@ def direct(problem: ArrayProblem, cost: str, box: Box, evaluations: int, seed: i
     return _found(problem, cost, box, found.x, int(found.nfev), begin, cpu)
 
 
-def annealing(problem: ArrayProblem, cost: str, box: Box, evaluations: int, seed: int = 0) -> Found:
+def annealing(problem: ArrayProblem, cost: str, box: Box, evaluations: int, seed: int = 0) -> BoxMinimum:
     """Generalised simulated annealing (Xiang 1997) by scipy, without its local search."""
     from scipy.optimize import dual_annealing
 
@@ -100,10 +101,15 @@ def annealing(problem: ArrayProblem, cost: str, box: Box, evaluations: int, seed
 
 
 def monte_carlo(
-    problem: ArrayProblem, cost: str, box: Box, evaluations: int, seed: int = 0, settings: SearchSettings | None = None
-) -> Found:
+    problem: ArrayProblem,
+    cost: str,
+    box: Box,
+    evaluations: int,
+    seed: int = 0,
+    settings: ArraySearchSettings | None = None,
+) -> BoxMinimum:
     """T1 chapter 4 in generations: each particle copies one of all that ever were, moved by noise that shrinks."""
-    settings = settings or SearchSettings()
+    settings = settings or ArraySearchSettings()
     begin, cpu = time.perf_counter(), time.process_time()
     rng, evaluate = np.random.default_rng(seed), problem.cost(cost)
     x = np.zeros((evaluations, 6))
@@ -127,13 +133,18 @@ def monte_carlo(
 
 
 def multistart(
-    problem: ArrayProblem, cost: str, box: Box, evaluations: int, seed: int = 0, settings: SearchSettings | None = None
-) -> Found:
+    problem: ArrayProblem,
+    cost: str,
+    box: Box,
+    evaluations: int,
+    seed: int = 0,
+    settings: ArraySearchSettings | None = None,
+) -> BoxMinimum:
     """Many starts, the best of them refined by random steps, longer after a success and shorter after none.
 
     A step rule for costs without gradients (Schumer and Steiglitz 1968, one fifth of the tries should succeed).
     """
-    settings = settings or SearchSettings()
+    settings = settings or ArraySearchSettings()
     begin, cpu = time.perf_counter(), time.process_time()
     rng, evaluate = np.random.default_rng(seed), problem.cost(cost)
     count = max(settings.refined, int(settings.starts * evaluations))
@@ -166,7 +177,7 @@ def minimise(
     search: str = "direct",
     evaluations: int | None = None,
     seed: int = 0,
-) -> Found:
+) -> BoxMinimum:
     """The least of a cost ("covariance", "distance" or "forward") in a box by a search of SEARCHES.
 
     Raises InputError for another name.
@@ -174,13 +185,13 @@ def minimise(
     if cost not in COSTS or search not in SEARCHES:
         raise InputError(f"arrays: expected a cost of {', '.join(COSTS)} and a search of {', '.join(SEARCHES)},"
                          f" got {cost!r} and {search!r}")  # fmt: skip
-    evaluations = evaluations or SearchSettings().evaluations
+    evaluations = evaluations or ArraySearchSettings().evaluations
     return SEARCHES[search](problem, cost, box, evaluations, seed)
 
 
 @dataclass(frozen=True)
 class PressureSettings:
-    """The default search over arrays."""
+    """The default search over arrays. Values by judgement, on generated grasps."""
 
     localize: LocalizeSettings = field(default_factory=LocalizeSettings)
     rows: ArrayRowSettings = field(default_factory=ArrayRowSettings)
@@ -300,7 +311,7 @@ def _scalar(problem: ArrayProblem, cost: str, box: Box) -> Callable[[Array], flo
     return value
 
 
-def _found(problem: ArrayProblem, cost: str, box: Box, x: Array, count: int, begin: float, cpu: float) -> Found:
+def _found(problem: ArrayProblem, cost: str, box: Box, x: Array, count: int, begin: float, cpu: float) -> BoxMinimum:
     pose = _poses(problem, np.asarray(x)[None], box)
     value = float(problem.cost(cost)(pose)[0])
-    return Found(pose[0], value, count, time.perf_counter() - begin, time.process_time() - cpu)
+    return BoxMinimum(pose[0], value, count, time.perf_counter() - begin, time.process_time() - cpu)

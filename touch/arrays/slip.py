@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class SlipSettings:
-    """When a pattern has moved."""
+class PatternSlipSettings:
+    """When a pattern has moved. Values tuned on generated sequences."""
 
     # Displacement (m) of the pressure's middle, as a share of the pitch, below which noise explains it; a pattern that
     # grows over one more row of taxels moves by less.
@@ -48,9 +48,9 @@ class Slip:
     state: str
 
 
-def slip_between(before: Reading, after: Reading, settings: SlipSettings | None = None) -> Slip:
+def slip_between(before: Reading, after: Reading, settings: PatternSlipSettings | None = None) -> Slip:
     """How the pattern of one array changed. Raises InputError for readings of different layouts."""
-    settings = settings or SlipSettings()
+    settings = settings or PatternSlipSettings()
     if before.taxels.shape != after.taxels.shape:
         raise InputError(f"slip: expected two readings of one array, got {before.taxels.shape}, {after.taxels.shape}")
     old, new = (np.where(r.active, r.pressure, 0.0) for r in (before, after))
@@ -90,7 +90,7 @@ def _heading(plane: Array, share: Array) -> Array:
 
 
 def slipped(
-    before: list[Reading], after: list[Reading], settings: SlipSettings | None = None
+    before: list[Reading], after: list[Reading], settings: PatternSlipSettings | None = None
 ) -> tuple[bool, dict[str, Slip]]:
     """Whether the object moved in the hand between two frames, and each array's change by its name.
 
@@ -104,12 +104,12 @@ def slipped(
 
 @dataclass(frozen=True)
 class PatternSettings:
-    """When the patterns of a hand say that the object has moved in it."""
+    """When the patterns of a hand say that the object has moved in it. Values tuned on generated sequences."""
 
     # Of one array. Noise of 400 Pa moves the middle by 0.1 mm where the pressure is low and by 0.03 mm elsewhere.
-    slip: SlipSettings = field(default_factory=SlipSettings)
-    # One array that is this many of its limits from where its pattern was is enough; a finger that rolls moves its own
-    # pattern alone, so two need less.
+    slip: PatternSlipSettings = field(default_factory=PatternSlipSettings)
+    # One array that is this many times its limits from where its pattern was is enough; a finger that rolls moves its
+    # own pattern alone, so two need less.
     alone: float = 0.75
     together: float = 0.4
     # Frames over which what the pattern was is averaged: a slip lasts a fifth of a second or less, 6 frames at 30 Hz,
@@ -170,7 +170,7 @@ class PatternWatch:
         return PatternChange(statistic > 1.0, statistic, changes)
 
 
-def limits_moved(change: Slip, pitch: float, settings: SlipSettings) -> float:
+def limits_moved(change: Slip, pitch: float, settings: PatternSlipSettings) -> float:
     """How far a pattern has moved, in units of what noise may do: the largest of displacement, turn and change."""
     turn = abs(change.turn) / settings.turn if np.isfinite(change.turn) else 0.0
     return max(

@@ -18,10 +18,11 @@ from scenes.evidence.search import SearchStage, search
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
+from touch.answers import Localization, contact_index, verdict_of
 from touch.gels.patches import Patch
 from touch.gels.proposals import ProposalSettings, bending_table, propose
 from touch.gels.rows import GelRowSettings, gel_contacts, patch_rows
-from touch.localization import Localization, contact_index, contact_starts, verdict_of
+from touch.multistart import contact_starts
 
 Array = NDArray[np.float64]
 

@@ -12,15 +12,16 @@ from scenes.evidence.align import Prior
 from scenes.evidence.table import Evidence
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from touch.localization import Localization, refine_contacts
+from touch.answers import Localization
+from touch.multistart import refine_contacts
+from touch.published.answers import conclude
 from touch.published.direct import BoxSettings, objective
-from touch.published.trials import conclude
 
 
 def localize(
     model: ObjectModel, contacts: Contacts, seed: int, prior: Prior | None, extra: Evidence | None
 ) -> Localization:
-    """The method behind `touch.localization(method="annealing")`."""
+    """The method behind `touch.localize(method="annealing")`."""
     from scipy.optimize import dual_annealing
 
     model.field  # noqa: B018  (built before anything is timed)

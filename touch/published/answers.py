@@ -1,4 +1,4 @@
-"""From the particles or poses that a search ends with to a Localization: modes, noise, verdict."""
+"""From the particles or poses that a published search ends with to a Localization: modes, noise, verdict."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.evidence import table as tables
-from scenes.evidence.align import AlignSettings, Prior, align
-from scenes.evidence.modes import Mode, distinct_modes
+from scenes.evidence.align import AlignSettings, Prior, align, terms
+from scenes.evidence.modes import Mode, covariance_of, distinct_modes
 from scenes.evidence.table import Evidence
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from touch.localization import Localization, contact_index, verdict_of
+from touch.answers import Localization, contact_index, noise_at, verdict_of
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class AnswerSettings:
-    """How the end of a stochastic search is read."""
+    """How the end of a stochastic search is read. Values by judgement."""
 
     # Particles looked at for other modes.
     looked_at: int = 300
@@ -51,7 +51,8 @@ def localization(
     index = contact_index(model, contacts, pose)
     sigma = float(np.sqrt(np.mean(contacts.sigma_point**2)))
     if len(contacts) > 6 and not contacts.sigma_known:
-        sigma = max(sigma, 1.25 * index * len(contacts) / (len(contacts) - 6))
+        _, _, information = terms(model, tables.from_contacts(contacts), pose, prior)
+        sigma = max(sigma, noise_at(model, contacts, pose, covariance_of(model, information))[0])
     rows = tables.from_contacts(contacts).with_sigma(sigma, tables.TOUCH)
     if extra is not None:
         rows = tables.stack(rows, extra)
@@ -63,6 +64,31 @@ def localization(
     modes = _weighed(modes)
     lost = index > settings.lost_sigmas * believed
     return Localization(pose, modes, index, sigma, "lost" if lost else verdict_of(modes), elapsed, method)
+
+
+def conclude(
+    model: ObjectModel,
+    contacts: Contacts,
+    found: Array,
+    method: str,
+    begin: float,
+    prior: Prior | None = None,
+    extra: Evidence | None = None,
+) -> Localization:
+    """A Localization of poses (b, 4, 4) exactly as a method left them: modes, covariances and verdict from the
+    contacts' sigmas.
+    """
+    rows = tables.from_contacts(contacts)
+    if extra is not None:
+        rows = tables.stack(rows, extra)
+    judged = align(model, rows, found, prior, AlignSettings(iterations=0))
+    modes = distinct_modes(model, judged)
+    elapsed = time.perf_counter() - begin
+    pose = modes[0].pose
+    sigma = float(np.sqrt(np.mean(contacts.sigma_point**2)))
+    return Localization(
+        pose, modes, contact_index(model, contacts, pose), sigma, verdict_of(modes, model), elapsed, method
+    )
 
 
 def _weighed(modes: tuple[Mode, ...]) -> tuple[Mode, ...]:

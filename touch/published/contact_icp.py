@@ -17,16 +17,17 @@ from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from touch.localization import Localization
+from touch.answers import Localization
 from touch.published.answers import localization
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class IcpSettings:
-    """When it stops."""
+class ContactIcpSettings:
+    """When it stops. Values by judgement."""
 
+    # Pairings with nearest points, at most.
     iterations: int = 100
     # Mean distance falling by less than this share ends the work.
     tolerance: float = 1e-5
@@ -41,9 +42,11 @@ def rigid_fit(source: Array, target: Array) -> Array:
     return se3.make_pose(rotation, b - rotation @ a)
 
 
-def refine(model: ObjectModel, points: Array, start: Array, settings: IcpSettings | None = None) -> tuple[Array, int]:
+def refine(
+    model: ObjectModel, points: Array, start: Array, settings: ContactIcpSettings | None = None
+) -> tuple[Array, int]:
     """Pose (4, 4) contacts_frame_from_object reached from `start`, and the iterations it took."""
-    settings = settings or IcpSettings()
+    settings = settings or ContactIcpSettings()
     object_from_contacts = se3.inverse(start)
     before = np.inf
     for iteration in range(settings.iterations):
@@ -63,10 +66,10 @@ def localize(
     seed: int = 0,
     prior: Prior | None = None,
     extra: Evidence | None = None,
-    settings: IcpSettings | None = None,
+    settings: ContactIcpSettings | None = None,
 ) -> Localization:
     """Localise by ICP from the prior's mean, else from one random rotation at the contacts' mean. Extra is not used."""
-    settings = settings or IcpSettings()
+    settings = settings or ContactIcpSettings()
     model.surface  # noqa: B018  (building the search tree is not part of the search's time)
     begin = time.perf_counter()
     if prior is not None:

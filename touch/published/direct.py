@@ -16,15 +16,17 @@ from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from touch.localization import Localization, refine_contacts
-from touch.published.trials import conclude, pose_of, surface_cost
+from touch.answers import Localization
+from touch.multistart import refine_contacts
+from touch.published.answers import conclude
+from touch.published.costs import pose_of, surface_cost
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class BoxSettings:
-    """The box that a global optimiser searches, and its work."""
+    """The box that a global optimiser searches, and its work. Values by judgement."""
 
     # Half widths without a prior: rotation vectors (rad) and the object's place about the contacts' mean, in radii.
     angle: float = float(np.pi)
@@ -70,7 +72,7 @@ def objective(
 def localize(
     model: ObjectModel, contacts: Contacts, seed: int, prior: Prior | None, extra: Evidence | None
 ) -> Localization:
-    """The method behind `touch.localization(method="direct")`; deterministic, the seed changes nothing."""
+    """The method behind `touch.localize(method="direct")`; deterministic, the seed changes nothing."""
     from scipy.optimize import direct
 
     model.field  # noqa: B018  (built before anything is timed)

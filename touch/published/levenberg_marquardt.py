@@ -1,5 +1,5 @@
 """Levenberg-Marquardt with a forward-difference Jacobian and a pseudo-inverse on neighbourhoods, as published (T1 eqs.
-2.30, 2.31, 3.3, 3.5). The package's own refinement, analytic and batched, is `touch.localization.refine_contacts`.
+2.30, 2.31, 3.3, 3.5). The package's own refinement, analytic and batched, is `touch.multistart.refine_contacts`.
 """
 
 from __future__ import annotations
@@ -15,16 +15,17 @@ from scenes.evidence.align import Prior
 from scenes.evidence.table import Evidence
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from touch.localization import Localization
+from touch.answers import Localization
+from touch.published.answers import conclude
+from touch.published.costs import RegionSettings, region_costs, regions_about, start_of
 from touch.published.gradient_descent import forward_jacobian, normalise
-from touch.published.trials import RegionSettings, conclude, region_costs, regions_about, start_of
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class LevenbergMarquardtSettings:
-    """T1 eq. 2.30."""
+    """T1 eq. 2.30. Values by judgement where no source is named."""
 
     # w_n of eq. 3.5, square centimetres; 0 is eq. 3.3.
     normal_weight: float = 20.0
@@ -121,7 +122,7 @@ def refine(
 def localize(
     model: ObjectModel, contacts: Contacts, seed: int, prior: Prior | None, extra: Evidence | None
 ) -> Localization:
-    """The method behind `touch.localization(method="levenberg-marquardt")`: local, starts at the prior's mean."""
+    """The method behind `touch.localize(method="levenberg-marquardt")`: local, starts at the prior's mean."""
     model.field  # noqa: B018  (built before anything is timed)
     begin = time.perf_counter()
     pose, _ = refine(model, contacts, start_of(model, contacts, seed, prior), seed)

@@ -20,7 +20,7 @@ from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
 from scenes.threads import run_chunks
-from touch.localization import Localization
+from touch.answers import Localization
 from touch.published import unscented_kernels as kernels
 from touch.published.answers import localization
 from touch.published.resampling import normalised, systematic
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class UnscentedSettings:
-    """T2 table 4.1."""
+    """T2 table 4.1. Values not in it by judgement."""
 
     # Particles; 1200 in the published experiments with real contacts.
     particles: int = 700
@@ -52,7 +52,7 @@ class UnscentedSettings:
     # noise.
     start_distance: float = 0.15
     start_angle: float = 0.3
-    # Scaled unscented transformation.
+    # Scaled unscented transformation (no unit).
     alpha: float = 1.0
     kappa: float = 2.0
     beta: float = 30.0

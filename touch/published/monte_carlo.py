@@ -23,15 +23,19 @@ from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
 from scenes.threads import run_chunks
-from touch.localization import Localization, refine_contacts
-from touch.published.trials import conclude, pose_of, surface_cost
+from touch.answers import Localization
+from touch.multistart import refine_contacts
+from touch.published.answers import conclude
+from touch.published.costs import pose_of, surface_cost
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class MonteCarloSettings:
-    """One use of the search; see `correction` and `everywhere`. The thesis names p_p, p_n, sigma_0 without values."""
+    """One use of the search; see `correction` and `everywhere`. The thesis names p_p, p_n, sigma_0 without values.
+    Values by judgement.
+    """
 
     # n_p: particles of a run, the initial ones included, and how many those are.
     particles: int = 15_000
@@ -318,7 +322,7 @@ def collides(model: ObjectModel, candidates: Array, extra: Evidence, settings: M
 def localize(
     model: ObjectModel, contacts: Contacts, seed: int, prior: Prior | None, extra: Evidence | None
 ) -> Localization:
-    """The method behind `touch.localization(method="monte-carlo")`: correction about the prior's mean, else global."""
+    """The method behind `touch.localize(method="monte-carlo")`: correction about the prior's mean, else global."""
     model.field  # noqa: B018  (built before anything is timed)
     begin = time.perf_counter()
     found, _, _ = search(model, contacts, seed, None if prior is None else prior.pose, extra)

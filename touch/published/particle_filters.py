@@ -20,7 +20,7 @@ from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from touch.localization import Localization
+from touch.answers import Localization
 from touch.published.answers import localization
 from touch.published.resampling import systematic
 
@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class ParticleSettings:
-    """Both filters."""
+class ParticleFilterSettings:
+    """Both filters. Values by judgement where no source is named."""
 
     # Particles. T2 estimates a million for the plain filter; this many show what fewer do.
     particles: int = 5000
@@ -48,7 +48,7 @@ class ParticleSettings:
 
 
 def _start(
-    model: ObjectModel, around: Array, prior: Prior | None, settings: ParticleSettings, rng: np.random.Generator
+    model: ObjectModel, around: Array, prior: Prior | None, settings: ParticleFilterSettings, rng: np.random.Generator
 ) -> Array:
     n = settings.particles
     if prior is not None:
@@ -70,10 +70,10 @@ def plain(
     seed: int = 0,
     prior: Prior | None = None,
     extra: Evidence | None = None,
-    settings: ParticleSettings | None = None,
+    settings: ParticleFilterSettings | None = None,
 ) -> Localization:
     """Localise by the bootstrap particle filter, contacts in their order; see touch.localization."""
-    settings = settings or ParticleSettings()
+    settings = settings or ParticleFilterSettings()
     model.field  # noqa: B018  (building the lattice is not part of the search's time)
     begin = time.perf_counter()
     rng = np.random.default_rng(seed)
@@ -96,10 +96,10 @@ def annealed(
     seed: int = 0,
     prior: Prior | None = None,
     extra: Evidence | None = None,
-    settings: ParticleSettings | None = None,
+    settings: ParticleFilterSettings | None = None,
 ) -> Localization:
     """Localise by the annealed particle filter, all contacts at once; see touch.localization."""
-    settings = settings or ParticleSettings()
+    settings = settings or ParticleFilterSettings()
     model.field  # noqa: B018  (building the lattice is not part of the search's time)
     begin = time.perf_counter()
     rng = np.random.default_rng(seed)

@@ -13,7 +13,7 @@ from scenes.errors import InputError
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from touch.localization import localize
+from touch.multistart import multistart
 from touch.published.memory_unscented_particle_filter import UnscentedParticleFilter, UnscentedSettings
 
 Array = NDArray[np.float64]
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class StoppingSettings:
-    """When the index has settled."""
+    """When the index has settled. Values by judgement."""
 
     # Contacts before which nothing is settled: six meet any surface, and the burn-in of T2 figure 4.14 is ten more.
     fewest: int = 15
@@ -51,7 +51,7 @@ class StoppingRule:
 
 
 @dataclass(frozen=True)
-class Step:
+class RecursionStep:
     """After `contacts` contacts: pose (4, 4) contacts_frame_from_object; index, mean |distance| of the contacts so far
     (m); seconds that this contact took.
     """
@@ -64,7 +64,7 @@ class Step:
 
 def localize_online(
     model: ObjectModel, contacts: Contacts, seed: int = 0, method: str = "mupf", window: int = 36
-) -> Iterator[Step]:
+) -> Iterator[RecursionStep]:
     """An estimate after every contact, in the order given; stop whenever a StoppingRule says so.
 
     method: "mupf" (recursive, `window` contacts remembered) or "multistart" (anew from all contacts so far).
@@ -80,7 +80,7 @@ def localize_online(
             search.update(contacts.points[n])
             pose = search.estimate()
         else:
-            pose = localize(model, contacts.take(np.arange(n + 1)), seed).pose
+            pose = multistart(model, contacts.take(np.arange(n + 1)), seed).pose
         elapsed = time.perf_counter() - begin
         distance = model.surface.closest(se3.apply(se3.inverse(pose), contacts.points[: n + 1]))[0]
-        yield Step(n + 1, pose, float(np.abs(distance).mean()), elapsed)
+        yield RecursionStep(n + 1, pose, float(np.abs(distance).mean()), elapsed)

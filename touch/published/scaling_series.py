@@ -20,7 +20,7 @@ from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from touch.localization import Localization
+from touch.answers import Localization
 from touch.published.answers import localization
 from touch.published.resampling import normalised, systematic
 
@@ -29,7 +29,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ScalingSettings:
-    """Neighbourhoods are measured by the displacement of the object's surface, metres."""
+    """Neighbourhoods are measured by the displacement of the object's surface, metres. The method is Petrovskaya
+    and Khatib's (2011); values by judgement.
+    """
 
     # Half-width of the first neighbourhood as a share of the object's radius, and of the last in sigmas of a contact.
     first_share: float = 1.0

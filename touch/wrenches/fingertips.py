@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scenes.errors import InputError
 from scenes.threads import run_chunks
-from touch.wrenches.intrinsic import IntrinsicSettings, sphere_contact
+from touch.wrenches.sphere import IntrinsicSettings, sphere_contact
 
 Array = NDArray[np.float64]
 
@@ -34,18 +34,18 @@ FACE_SLACK = 0.02
 
 
 @dataclass(frozen=True)
-class SoftLayer:
+class SoftSkin:
     """A compliant skin. stiffness: N/m of normal force per indentation; thickness: m, the most it can give."""
 
     stiffness: float
     thickness: float
 
     @staticmethod
-    def parse(entry: dict[str, Any] | None) -> SoftLayer | None:
+    def parse(entry: dict[str, Any] | None) -> SoftSkin | None:
         """From a sensor's soft_layer; None without a stiffness. Raises InputError for values that are not positive."""
         if entry is None or "stiffness" not in entry:
             return None
-        layer = SoftLayer(float(entry["stiffness"]), float(entry.get("thickness", math.inf)))
+        layer = SoftSkin(float(entry["stiffness"]), float(entry.get("thickness", math.inf)))
         if not (layer.stiffness > 0 and layer.thickness > 0):
             raise InputError(f"soft_layer: expected stiffness and thickness above 0, got {entry}")
         return layer
@@ -66,7 +66,7 @@ class TipContacts:
 
 
 def tip_contacts(
-    force: ArrayLike, torque: ArrayLike, surface: dict[str, dict[str, Any]], soft_layer: SoftLayer | None = None
+    force: ArrayLike, torque: ArrayLike, surface: dict[str, dict[str, Any]], soft_layer: SoftSkin | None = None
 ) -> TipContacts:
     """Contacts of wrenches: force (n, 3) N that the object does to the finger, torque (n, 3) N m about the origin.
 

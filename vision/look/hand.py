@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from scenes.geometry import poses as se3
 from scenes.geometry.surface import Surface
+from scenes.recordings.beliefs import Beliefs, CalibrationModel
 from scenes.recordings.frames import Frame
-from vision.look.pixels import DepthModel, Pixels, Region
+from vision.look.pixels import Pixels
 
 Array = NDArray[np.float64]
 
@@ -25,17 +26,8 @@ COARSE = 3
 
 
 @dataclass(frozen=True)
-class CalibrationModel:
-    """How far the robot may be from where it says it is, seen from the camera."""
-
-    # camera_from_robot after a usual hand-eye calibration: metres and radians per axis, at the camera.
-    translation_sigma: float = 0.002
-    rotation_sigma: float = float(np.deg2rad(0.3))
-
-
-@dataclass(frozen=True)
 class HandViewSettings:
-    """Alignment of the hand to its pixels."""
+    """Alignment of the hand to its pixels. By judgement, on generated captures."""
 
     # Pixels used.
     most: int = 1200
@@ -80,12 +72,6 @@ class HandView:
         return self.aligned @ se3.inverse(self.measured)
 
 
-def hand_region(frame: Frame, vertices: Array) -> Region:
-    """The ball around the hand's fingers and palm (vertices in the camera frame)."""
-    centre = vertices.mean(axis=0)
-    return Region(centre, float(np.linalg.norm(vertices - centre, axis=1).max()))
-
-
 def camera_from_hand(frame: Frame) -> Array | None:
     """(4, 4) as the robot reports it; None when the frame has no hand pose."""
     if frame.world_from_hand is None:
@@ -105,8 +91,7 @@ def prior_information(calibration: CalibrationModel, centre: Array) -> Array:
 def view_hand(
     frame: Frame,
     pixels: Pixels,
-    depth_model: DepthModel,
-    calibration: CalibrationModel,
+    beliefs: Beliefs,
     settings: HandViewSettings | None = None,
 ) -> HandView | None:
     """Align the frame's hand to the pixels (camera frame) that may show it; None without a hand, joints or pose."""
@@ -124,7 +109,7 @@ def view_hand(
     share = max(1.0, near.sum() / len(points))
     centre = points.mean(axis=0)
     pixel = pixels.area * share
-    return fit_hand(surface, measured, np.zeros(6), centre, points, pixel, depth_model, calibration, settings.gates)
+    return fit_hand(surface, measured, np.zeros(6), centre, points, pixel, beliefs, settings.gates)
 
 
 def fit_hand(
@@ -134,18 +119,17 @@ def fit_hand(
     centre: Array,
     points: Array,
     pixel: float,
-    depth_model: DepthModel,
-    calibration: CalibrationModel,
+    beliefs: Beliefs,
     gates: tuple[float, ...],
 ) -> HandView:
     """Gauss-Newton on the hand's pixels from the correction xi (6,) about centre (3,), a step for each gate (m).
 
     points (n, 3) camera frame; pixel: what each stands for, in pixels of the image: neighbours share their bias.
     """
-    prior = prior_information(calibration, centre)
-    bias = depth_model.bias_sigma**2
-    patch = max(1.0, depth_model.sharing_length**2 / pixel)
-    weight = 1.0 / (depth_model.independent_sigma(points[:, 2]) ** 2 + patch * bias)
+    depth = beliefs.depth
+    prior = prior_information(beliefs.calibration, centre)
+    patch = max(1.0, depth.sharing_length**2 / pixel)
+    weight = 1.0 / (depth.independent_sigma(points[:, 2]) ** 2 + patch * depth.bias_sigma**2)
     for i, gate in enumerate(gates):
         aligned = se3.perturb(np.eye(4), xi, centre) @ measured
         # the first passes only bring the hand near: some of its pixels, each with the weight of those left out

@@ -15,10 +15,11 @@ from scenes.geometry import poses
 from scenes.geometry.cameras import is_reading
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
+from scenes.recordings.beliefs import Beliefs, DepthModel
 from scenes.recordings.frames import Frame
-from vision.look.hand import CalibrationModel, HandView, HandViewSettings, view_hand
-from vision.look.pixels import DepthModel, Region, read_pixels
-from vision.look.segments import SegmentationSettings, find_region
+from vision.look.hand import HandView, HandViewSettings, view_hand
+from vision.look.pixels import Region, read_pixels
+from vision.look.regions import find_region
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -26,8 +27,12 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class MaskSettings:
-    """What is taken for table, hand and object."""
+    """What is taken for table, hand and object. Tuned on generated captures."""
 
+    # Room around a start's ball in which the object is looked for, metres: T1's coarse starts are 33 mm off.
+    slack: float = 0.035
+    # Pixels of the whole image among which the hand is looked for, where nobody has yet.
+    most_hand: int = 8000
     # A plane holds this share of the readings or is none; so many triples of points are tried, on so many points.
     plane_share: float = 0.2
     plane_tries: int = 200
@@ -76,10 +81,9 @@ class MaskSettings:
 def object_mask(
     frame: Frame,
     model: ObjectModel,
+    beliefs: Beliefs | None = None,
     start: Array | None = None,
     settings: MaskSettings | None = None,
-    depth_model: DepthModel | None = None,
-    calibration: CalibrationModel | None = None,
     colour: bool = True,
     view: HandView | None = None,
 ) -> Mask:
@@ -90,38 +94,26 @@ def object_mask(
     colour: whether the colour image, when there is one, may tell the hand from the object. view: the hand as it was
     seen in this frame before.
     """
-    settings, depth_model = settings or MaskSettings(), depth_model or DepthModel()
+    settings, beliefs = settings or MaskSettings(), beliefs or Beliefs()
     if frame.depth is None or frame.camera is None:
         return np.zeros((0, 0), dtype=bool)
     mask = np.zeros(frame.depth.shape, dtype=bool)
-    region = region_of(frame, model, start)
+    region = find_region(frame, model, start, settings.slack)
     full = (0, 0, frame.camera.width, frame.camera.height)
     box = full if region is None else region.box(frame.camera)
     if box is None:
         return mask
     part = (slice(box[1], box[3]), slice(box[0], box[2]))
-    points, candidates = _candidates(frame, model, start, region, box, settings, depth_model)
+    points, candidates = _candidates(frame, model, start, region, box, settings, beliefs.depth)
     if view is None and frame.hand is not None and frame.joints is not None and frame.world_from_hand is not None:
-        wide = read_pixels(frame.depth, frame.camera, full, 8000)
-        view = view_hand(frame, wide, depth_model, calibration or CalibrationModel(), HandViewSettings())
+        wide = read_pixels(frame.depth, frame.camera, full, settings.most_hand)
+        view = view_hand(frame, wide, beliefs, HandViewSettings())
     if view is not None:
         rgb = frame.rgb[part] if colour and frame.rgb is not None else None
         candidates &= ~_hand_pixels(frame, view, box, points[..., 2], candidates, rgb, settings)
-    pieces = _pieces(points[..., 2], candidates, settings)
+    pieces = connected_pieces(points[..., 2], candidates, settings)
     mask[part] = _chosen(pieces, points, frame, model, start, view, settings)
     return mask
-
-
-def region_of(frame: Frame, model: ObjectModel, start: Array | None) -> Region | None:
-    """Where to look: around the start, else what was felt, else between the fingertips; None for everywhere."""
-    settings = SegmentationSettings()
-    if start is not None or len(frame.contacts):
-        return find_region(frame, model, start, settings)
-    if frame.hand is None or frame.joints is None or frame.world_from_hand is None or not frame.hand.sensors:
-        return None
-    tips = np.array([pose[:3, 3] for pose in frame.hand.hand_from_sensor(frame.joints).values()])
-    seen = poses.apply(frame.camera_from_world @ frame.world_from_hand, tips)
-    return Region(seen.mean(axis=0), model.diameter + settings.slack)
 
 
 def _candidates(
@@ -150,12 +142,17 @@ def _candidates(
         good &= away < region.radius**2
     plane = find_plane(frame, settings, depth_model)
     if plane is not None:
-        room = settings.plane_margin + settings.plane_sigmas * depth_model.independent_sigma(z)
-        good &= points @ plane[:3] + plane[3] > room
+        good &= ~on_plane(points, plane, depth_model, settings)
     if start is not None and good.any():
         distance = model.field.distance(poses.apply(poses.inverse(start), points[good]))
         good[good] = np.abs(distance) < settings.reach
     return points, good
+
+
+def on_plane(points: Array, plane: Array, depth_model: DepthModel, settings: MaskSettings) -> Mask:
+    """(...) whether points (..., 3) are on a plane (4,), within what a camera makes of it, or behind it."""
+    room = settings.plane_margin + settings.plane_sigmas * depth_model.independent_sigma(points[..., 2])
+    return np.asarray(points @ plane[:3] + plane[3] <= room)
 
 
 def find_plane(frame: Frame, settings: MaskSettings, depth_model: DepthModel) -> Array | None:
@@ -264,7 +261,7 @@ def _colour_scores(
     return np.asarray(off[1] - off[0])
 
 
-def _pieces(z: Array, candidates: Mask, settings: MaskSettings) -> NDArray[np.int64]:
+def connected_pieces(z: Array, candidates: Mask, settings: MaskSettings) -> NDArray[np.int64]:
     """(h, w) number of the connected piece that each candidate pixel belongs to, from 0; -1 elsewhere."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components

@@ -1,4 +1,4 @@
-"""What a depth image is worth: pixels to points, their noise, and how much of it averaging does not remove."""
+"""Pixels with a reading, as points; and the ball of the world that is looked at. Camera frame, metres."""
 
 from __future__ import annotations
 
@@ -10,54 +10,6 @@ from numpy.typing import NDArray
 from scenes.geometry.cameras import Camera, is_reading
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class DepthModel:
-    """The estimator's belief about a depth camera (structured light or stereo at arm's length).
-
-    Independent noise follows Nguyen, Izadi & Lovell (3DIMPVT 2012); the rest is what calibration reports of such
-    cameras agree on (Basso, Menegatti & Pretto, IEEE T-RO 2018: smooth local distortion and a global depth error).
-    """
-
-    # Axial noise at 0.4 m and its growth, metres and 1/metres.
-    axial_floor: float = 0.0012
-    axial_growth: float = 0.0019
-    # Where the surface slopes there is more: a pixel reads the depth of a place beside its own (pixels; Nguyen et al.,
-    # eq. 2), and beyond 60 degrees of incidence the axial noise grows (metres^1.5; eq. 4).
-    lateral_sigma: float = 0.8
-    lateral_growth: float = 0.035
-    axial_steep: float = 0.0001
-    # Smooth bias of the surface, metres, and the correlation length of that bias in pixels: exp(-d^2 / (2 length^2)).
-    bias_sigma: float = 0.002
-    bias_length: float = 40.0
-    # In the search rows are weighed down instead: rows within this many pixels count as one. A bias so smooth moves and
-    # tilts what is seen but leaves its shape, hence less than its length; but where neither mask nor hand model tells
-    # what is in front, whole fingers and not single pixels are taken for the object, and they outvote the contacts.
-    sharing_length: float = 12.0
-    sharing_length_unknown: float = 40.0
-    # A cloud without its camera says nothing of its noise: error of a filtered stereo cloud in a hand's frame, metres,
-    # and how many independent patches its points amount to.
-    cloud_sigma: float = 0.0035
-    cloud_patches: float = 30.0
-    # Relative error of the depth scale.
-    scale_sigma: float = 0.005
-
-    def independent_sigma(self, depth: Array) -> Array:
-        """Standard deviation (m) of one pixel's independent noise at depth (m)."""
-        return self.axial_floor + self.axial_growth * np.square(depth - 0.4)
-
-    def sloping_sigma(self, depth: Array, cosine: Array, focal: float) -> Array:
-        """Standard deviation (m) along its ray of a pixel whose ray meets the surface at an incidence of this cosine.
-
-        depth (m), cosine (above 0), focal length in pixels.
-        """
-        theta = np.arccos(np.clip(cosine, 0.0, 1.0))
-        past = np.maximum(0.5 * np.pi - theta, 1e-2)
-        steep = self.axial_steep / np.sqrt(np.maximum(depth, 0.05)) * np.square(theta / past)
-        axial = self.independent_sigma(depth) + np.where(theta > np.deg2rad(60.0), steep, 0.0)
-        lateral = (self.lateral_sigma + self.lateral_growth * theta / past) * depth / focal
-        return np.asarray(np.hypot(axial, lateral * np.tan(theta)), dtype=np.float64)
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class IcpSettings:
+class CloudIcpSettings:
     """Tuned on half-hidden YCB objects from starts 20 degrees and 15 mm off (see the benchmark page)."""
 
     distances: tuple[float, ...] = (0.030, 0.010, 0.004)
@@ -85,7 +85,7 @@ class IcpResult:
     dropped: int = 0
 
 
-def icp(points: ArrayLike, model: ObjectModel, start: ArrayLike, settings: IcpSettings | None = None) -> IcpResult:
+def icp(points: ArrayLike, model: ObjectModel, start: ArrayLike, settings: CloudIcpSettings | None = None) -> IcpResult:
     """Refine `start` so that the observed points lie on the model.
 
     points (n, 3): camera frame, metres; rows that are not finite are dropped and counted. start (4, 4)
@@ -93,7 +93,7 @@ def icp(points: ArrayLike, model: ObjectModel, start: ArrayLike, settings: IcpSe
     0 and `degenerate` set: an opponent that has nothing to go on is not an error. Raises InputError for wrong shapes
     or a start that is not a rigid transform.
     """
-    settings = settings or IcpSettings()
+    settings = settings or CloudIcpSettings()
     start = poses.check_pose(start, "icp start")
     rows = np.asarray(points, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != 3:
@@ -154,7 +154,7 @@ def _one_thread() -> Iterator[None]:
 
 
 def _coarse_to_fine(
-    observed: Array, targets: list[Any], object_from_camera: Array, settings: IcpSettings
+    observed: Array, targets: list[Any], object_from_camera: Array, settings: CloudIcpSettings
 ) -> tuple[Array, float, float, NDArray[np.int64]]:
     """All levels: object_from_camera, fitness, rmse and the last level's partners (rows of the last target)."""
     o3d = open3d()
@@ -174,7 +174,7 @@ def _coarse_to_fine(
     return object_from_camera, fitness, rmse, partner
 
 
-def _kernel(settings: IcpSettings, level: int, distance: float) -> Any:
+def _kernel(settings: CloudIcpSettings, level: int, distance: float) -> Any:
     registration = open3d().pipelines.registration
     scale = settings.kernel_share * distance
     kernels = {

@@ -25,7 +25,7 @@ from scenes._open3d import open3d
 from scenes.errors import InputError
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
-from vision.published.icp import IcpSettings, icp
+from vision.published.icp import CloudIcpSettings, icp
 
 Array = NDArray[np.float64]
 
@@ -35,8 +35,8 @@ LOCAL = ("icp", "small_gicp")
 
 @dataclass(frozen=True)
 class BaselineSettings:
-    """The methods' usual choices, in shares of the object's size, with weights that forgive outliers; then searched
-    over on 48 captures other than the benchmark's: voxels of 3 or 5 %, four times the RANSAC iterations, mutual
+    """The methods' usual choices, in shares of the object's size, with weights that forgive outliers; then tuned on
+    48 generated captures other than the benchmark's: voxels of 3 or 5 %, four times the RANSAC iterations, mutual
     filtering (no better), twice the inlier distance or wider features for FGR (the same), three schedules of distances
     for small_gicp (the widest is best: 88, 85 and 75 % within 5 mm).
     """
@@ -73,7 +73,7 @@ class BaselineSettings:
     # Below this many points nothing is tried.
     fewest: int = 10
     # After a global method: the levels of ICP that a start which may be right needs.
-    icp: IcpSettings = field(default_factory=lambda: IcpSettings((0.015, 0.006, 0.004)))
+    icp: CloudIcpSettings = field(default_factory=lambda: CloudIcpSettings((0.015, 0.006, 0.004)))
 
 
 def available() -> tuple[str, ...]:

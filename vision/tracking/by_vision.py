@@ -20,12 +20,13 @@ from scenes.evidence.search import SearchStage, search, starts_around
 from scenes.evidence.table import GATE_ABOVE, SIGMA, Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
-from vision.look.pixels import DepthModel
-from vision.look.segments import free_space_rows, segment, surface_rows
+from vision.look.look import LookSettings, look
+from vision.look.looked import free_space_rows, surface_rows
+from vision.look.warm import Looker, WarmLookSettings
 from vision.sight import Sight
 from vision.starts import pixel_starts
-from vision.tracking.look import Looker, LookSettings
 
 Array = NDArray[np.float64]
 
@@ -35,7 +36,9 @@ FASTEST_TURN = 0.5
 
 @dataclass(frozen=True)
 class VelocitySettings:
-    """How an object moves that nothing is known of: its last velocity, and what that leaves open a frame later."""
+    """How an object moves that nothing is known of: its last velocity, and what that leaves open a frame later.
+    Values by judgement.
+    """
 
     # Share of the last velocity that is believed: full extrapolation doubles the noise of the two poses it is made of.
     damping: float = 0.8
@@ -85,14 +88,15 @@ class ConstantVelocity:
 
 
 @dataclass(frozen=True)
-class TrackerSettings:
-    """The vision tracker."""
+class VisionTrackerSettings:
+    """The vision tracker. Values tuned on generated sequences."""
 
-    look: LookSettings = field(default_factory=LookSettings)
+    look: WarmLookSettings = field(default_factory=lambda: WarmLookSettings(most_rows=300))
+    # The whole image is searched as it is: nothing is known of a hand.
+    first: LookSettings = field(default_factory=lambda: LookSettings(tidy=False))
     velocity: VelocitySettings = field(default_factory=VelocitySettings)
-    depth: DepthModel = field(default_factory=DepthModel)
-    # Pixels that are aligned, and the blur (m) of the first of two passes: as wide as the prediction's error.
-    pixels: int = 300
+    beliefs: Beliefs = field(default_factory=Beliefs)
+    # Blur (m) of the first of two passes over the pixels: as wide as the prediction's error.
     blur: float = 0.004
     # Lost: fewer pixels than this, fewer of them within three sigmas than this share, or seen past at more cells than
     # this many nats (a right pose costs below 10 with a hand in front, see vision.sight).
@@ -130,13 +134,17 @@ class VisionTracker:
     """Follows one object through frames with depth (or clouds)."""
 
     def __init__(
-        self, model: ObjectModel, pose: Array | None = None, settings: TrackerSettings | None = None, seed: int = 0
+        self,
+        model: ObjectModel,
+        pose: Array | None = None,
+        settings: VisionTrackerSettings | None = None,
+        seed: int = 0,
     ) -> None:
         """pose: a start, camera_from_object (4, 4); None takes the first frame's prior or searches."""
         self.model = model
-        self.settings = settings or TrackerSettings()
+        self.settings = settings or VisionTrackerSettings()
         self.motion = ConstantVelocity(model.centroid, self.settings.velocity)
-        self._looker = Looker(model, self.settings.look, depth=self.settings.depth)
+        self._looker = Looker(model, self.settings.look, self.settings.first, self.settings.beliefs)
         self._rng = np.random.default_rng(seed)
         self._start = pose
         self._started = False
@@ -183,11 +191,11 @@ class VisionTracker:
     def _follow(self, frame: Frame, predicted: Array, noise: Array) -> VisionTrack:
         s = self.settings
         looked = self._looker.look(frame, predicted)
-        seen = surface_rows(looked, s.pixels, self._looker.segmentation, s.depth)
+        seen = surface_rows(looked, s.beliefs.depth, self._looker.first.rows)
         if len(seen) < s.fewest_pixels:
             covariance = noise + covariance_of(self.model, np.zeros((6, 6)))
             return VisionTrack(frame.index, predicted, covariance, True, "coasted", np.nan, len(seen))
-        rows = tables.stack(seen, free_space_rows(looked, self._looker.segmentation))
+        rows = tables.stack(seen, free_space_rows(looked, self._looker.first.rows))
         prior = Prior(predicted, np.diag(1.0 / np.diag(noise)))
         starts = np.stack([predicted, self.motion.pose])
         coarse = align(self.model, rows, starts, prior, AlignSettings(blur=s.blur, iterations=8))
@@ -199,7 +207,7 @@ class VisionTracker:
     ) -> VisionTrack:
         """The best of the aligned poses, with what it explains; the symmetric twin nearest to the reference."""
         s = self.settings
-        past = Sight(frame, self.model, s.depth).costs(poses)
+        past = Sight(frame, self.model, s.beliefs.depth).costs(poses)
         best = int(np.argmin(costs + past))
         pose = self.model.symmetries.nearest(poses[best], reference)
         explained, count = explained_share(self.model, rows, pose)
@@ -213,11 +221,11 @@ class VisionTracker:
         """Look for the object near a pose, or everywhere; None when nothing explains the pixels."""
         s = self.settings
         start = None if everywhere else around
-        looked = segment(frame, self.model, start, depth_model=s.depth)
-        seen = surface_rows(looked, s.pixels, self._looker.segmentation, s.depth)
+        looked = look(frame, self.model, s.beliefs, start, s.first)
+        seen = surface_rows(looked, s.beliefs.depth, self._looker.first.rows)
         if len(seen) < s.fewest_pixels:
             return None
-        rows = tables.stack(seen, free_space_rows(looked, self._looker.segmentation))
+        rows = tables.stack(seen, free_space_rows(looked, self._looker.first.rows))
         prior = None
         if start is not None:
             starts = starts_around(self.model, start, s.near_angle, s.near_distance, s.starts_near, self._rng)
@@ -233,7 +241,7 @@ class VisionTracker:
                 SearchStage(3 * s.blur, 0.4, 80, 8, 80),
                 SearchStage(s.blur, 0.25, 160, 10, 20),
             )
-        sight = Sight(frame, self.model, s.depth)
+        sight = Sight(frame, self.model, s.beliefs.depth)
         coarse = search(self.model, rows, starts, stages, prior, rank=sight.costs)
         fine = align(self.model, rows, coarse.poses, prior, AlignSettings(iterations=20))
         reference = around if around is not None else fine.poses[0]
@@ -256,7 +264,7 @@ def track_by_vision(
     frames: Iterable[Frame],
     model: ObjectModel,
     pose: Array | None = None,
-    settings: TrackerSettings | None = None,
+    settings: VisionTrackerSettings | None = None,
     seed: int = 0,
 ) -> Iterator[VisionTrack]:
     """A VisionTracker over frames, one answer a frame."""

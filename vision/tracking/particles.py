@@ -22,13 +22,13 @@ from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
 from scenes.threads import run_chunks
-from vision.tracking.look import Looker
+from vision.look.warm import Looker
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class ParticleSettings:
+class ParticleTrackerSettings:
     """PCL's names are in the comments. Steps and initial spread are tuned, the rest is its tutorial's."""
 
     # setParticleNum; PCL starts with 600.
@@ -128,11 +128,11 @@ class ParticleTracker:
     """Follows one object by its cloud."""
 
     def __init__(
-        self, model: ObjectModel, pose: Array, settings: ParticleSettings | None = None, seed: int = 0
+        self, model: ObjectModel, pose: Array, settings: ParticleTrackerSettings | None = None, seed: int = 0
     ) -> None:
         """pose: the start, camera_from_object (4, 4); the filter has no other way to begin."""
         self.model = model
-        self.settings = settings or ParticleSettings()
+        self.settings = settings or ParticleTrackerSettings()
         self._rng = np.random.default_rng(seed)
         self._reference = np.zeros((0, 3))
         self._looker = Looker(model)

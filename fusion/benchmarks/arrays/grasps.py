@@ -31,7 +31,7 @@ FINGER, PALM = (8, 3, 0.0032, 0.025), (6, 4, 0.005, None)
 
 @dataclass(frozen=True)
 class GraspNoise:
-    """Errors of a recording."""
+    """Errors of a recording. Values by judgement; T1 names none."""
 
     # Pressure (Pa), gain of each taxel (share), dead taxels (share).
     pressure: float = 400.0

@@ -15,11 +15,12 @@ from scenes.evidence.modes import ModeSettings, distinct_modes
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.synthesis import library
+from touch.answers import LocalizeSettings
 from touch.arrays.costs import ArrayProblem
 from touch.arrays.ranking import RankingSettings, pattern_costs
 from touch.arrays.rows import array_contacts, array_rows
 from touch.arrays.searches import localize_arrays
-from touch.localization import LocalizeSettings, find_candidates
+from touch.multistart import find_candidates
 
 Array = NDArray[np.float64]
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.benchmarks.camera.optical_cameras import optical_cameras
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Report, Spread, Table
 from scenes.errors import InputError
 from scenes.files.ply import write_ply
@@ -38,7 +39,7 @@ def run(settings: BenchSettings) -> Report:
     """All tables of this file, and the sheet."""
     trials = settings.count(*TRIALS)
     report = Report("scenes", "synthetic captures", f"{trials} captures a cell of occlusion", settings.seed)
-    for part in (_speed, _lattices, _symmetries, _occlusion):
+    for part in (_speed, optical_cameras, _lattices, _symmetries, _occlusion):
         before = len(report.tables)
         part(report, settings)
         for table in report.tables[before:]:

@@ -17,7 +17,7 @@ from scenes.synthesis import library
 from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
 from vision.look.mask import object_mask
-from vision.look.segments import SegmentationSettings
+from vision.look.points import CROP_MARGIN
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -58,7 +58,7 @@ class Way:
     def mask(self, frame: Frame, model: ObjectModel) -> Mask:
         """The object's pixels by this way."""
         seen = replace(frame, mask=None, contacts=frame.contacts if self.contacts else NOTHING)
-        return object_mask(seen, model, frame.prior if self.start else None, colour=self.colour)
+        return object_mask(seen, model, start=frame.prior if self.start else None, colour=self.colour)
 
 
 WAYS = (
@@ -77,7 +77,7 @@ def usual_crop(frame: Frame, model: ObjectModel) -> Mask:
     centre = frame.prior[:3, :3] @ model.centroid + frame.prior[:3, 3]
     rays = frame.camera.rays()
     near = np.linalg.norm(rays * frame.depth[..., None] - centre, axis=2)
-    return np.asarray((frame.depth > 0) & (near < model.radius + SegmentationSettings().crop_margin))
+    return np.asarray((frame.depth > 0) & (near < model.radius + CROP_MARGIN))
 
 
 def scores(found: Mask, frame: Frame) -> tuple[float, float, float]:

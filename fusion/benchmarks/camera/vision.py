@@ -21,8 +21,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fusion.benchmarks.camera import frames as vision_frames
+from fusion.benchmarks.families.table import chosen
 from fusion.benchmarks.printing.charts import Chart
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Quantile, Rate, Report, Table
+from fusion.benchmarks.strata import add_strata, cells_of, collect
 
 if TYPE_CHECKING:
     from fusion.truth.errors import Judge
@@ -41,6 +43,8 @@ DEMANDS = {
 }
 # Methods that take seconds, and half a minute to prepare an object: on the first frame of a cell only, none in a hurry.
 SLOW = ("ppf",)
+# Frames of an object at each hidden share of a family.
+FAMILY_TRIALS = 1
 # Resamplings of a bootstrap interval.
 RESAMPLED = 2000
 
@@ -65,6 +69,11 @@ def run(settings: BenchSettings) -> Report:
     """Tables with and without a start, the settings of the peers, demands, and time against error."""
     from scenes.synthesis.hands import five_finger_hand
 
+    if settings.family is not None:
+        report = Report("vision", "Registration of what the camera sees, by family", "", settings.seed)
+        report.trials = f"{settings.count(FAMILY_TRIALS, quick=1)} frames of an object at each hidden share"
+        _families(report, settings)
+        return report
     makers = vision_frames.objects(settings.objects or (("drill",) if settings.quick else None))
     count = settings.count(4, quick=1)
     report = Report(
@@ -91,12 +100,22 @@ def run(settings: BenchSettings) -> Report:
             report.tables.append(_table(found, preset, start))
             report.charts.append(_chart(found, preset, start))
             _claims(report, found, preset, start)
+    _families(report, replace(settings, objects=None))
     report.tables.append(_settings_table())
     from vision.published import registration as baselines
 
     if "small_gicp" not in baselines.available():
         report.tables[-1].note = "small_gicp is not installed (pip install 'palpate[peers]') and was left out."
     return report
+
+
+def _families(report: Report, settings: BenchSettings) -> None:
+    """Vision alone, ICP beside, on frames of the families, with a start and without."""
+    trials = settings.count(FAMILY_TRIALS, quick=1)
+    cells, missing = cells_of(chosen(settings.family), trials, settings)
+    alone = ("icp", "vision")
+    answers = collect([replace(cell, with_start=alone, without_start=alone) for cell in cells], settings)
+    add_strata(report, answers, missing, settings)
 
 
 class _Bench:
@@ -128,7 +147,7 @@ class _Bench:
     def trial(self, name: str, method: str, frame: Frame, judge: Judge) -> Trial:
         """One method on one frame, from its prior when it has one."""
         from fusion.estimation.estimate import estimate
-        from fusion.estimation.stages import EstimateSettings, look
+        from vision.look.look import object_points
         from vision.published import registration as baselines
 
         truth = frame.camera_from_object_truth
@@ -139,7 +158,7 @@ class _Bench:
             pose, covariance, verdict = answer.pose, answer.covariance, answer.verdict
             looking = sum(stage.ms for stage in answer.trace if stage.name == "look")
         else:
-            points = look(frame, judge.model, frame.prior, EstimateSettings())[0].pixels.points
+            points = object_points(frame, judge.model, frame.prior)
             looking = 1e3 * (time.perf_counter() - wall)
             pose = baselines.register(method, points, judge.model, frame.prior, self.seed)
             covariance, verdict = None, ""
@@ -244,11 +263,11 @@ def _claims(
 def _settings_table() -> Table:
     from dataclasses import asdict
 
-    from vision.published.icp import IcpSettings
+    from vision.published.icp import CloudIcpSettings
     from vision.published.registration import BaselineSettings
 
     table = Table("Settings of the peers", [Column("setting"), Column("value")])
-    for name, value in {**asdict(BaselineSettings()), "icp from a start": asdict(IcpSettings())}.items():
+    for name, value in {**asdict(BaselineSettings()), "icp from a start": asdict(CloudIcpSettings())}.items():
         parts = {f"{name}: {k}": v for k, v in value.items()} if isinstance(value, dict) else {name: value}
         for part, content in parts.items():
             table.add(part.replace("_", " "), str(content))

@@ -14,7 +14,8 @@ from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Rate
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from touch.localization import Localization, localize
+from touch.answers import Localization
+from touch.localization import localize
 from touch.published import memory_unscented_particle_filter as unscented
 from touch.published.recursion import StoppingRule, localize_online
 

@@ -61,7 +61,7 @@ def _levenberg_marquardt(
 
 
 def _analytic(model: ObjectModel, contacts: Contacts, start: Array, w_n: float, seed: int) -> tuple[Array, int]:
-    from touch.localization import refine_contacts
+    from touch.multistart import refine_contacts
 
     found = refine_contacts(model, contacts, start[None], use_normals=w_n > 0)
     return found.poses[0], int(found.iterations[0])
@@ -86,7 +86,7 @@ REFINERS: dict[str, Refiner] = {
 
 def _table_31(report: Report, settings: BenchSettings, count: int) -> None:
     """Four exact contacts, starts up to 15 degrees and 1.4 cm away; T1 table 3.1 has centimetres and seconds."""
-    from touch.published.trials import regions_about
+    from touch.published.costs import regions_about
 
     columns = [Column("method"), Column("w_n", 0), Column("shape"), Column("iterations", 1)]
     columns += [Column("MDTS cm", 3), Column("MATN °", 2), Column("RME cm", 3), Column("MAE °", 2)]
@@ -243,7 +243,7 @@ def bound_ratios(errors: Array, bounds: Array) -> tuple[float, float]:
 
 def _basin(report: Report, settings: BenchSettings) -> None:
     """Success of single-start refinements against the start's error, five contacts at 0.9 mm and 5 degrees."""
-    from touch.localization import refine_contacts
+    from touch.multistart import refine_contacts
 
     count = settings.count(100, 3)
     model = library.make(COMPLEX)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Rate, Report, Spread, Table
 from scenes.geometry import poses as se3
-from touch.wrenches.fingertips import SoftLayer, tip_contacts
+from touch.wrenches.fingertips import SoftSkin, tip_contacts
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ NOISES = (0.0, 0.003, 0.01, 0.03, 0.1)
 ARM = 0.003
 PRESS = (1.0, 3.0)
 # N/m: 1 N indents a thin rubber layer by an eighth of a millimetre.
-SOFT = SoftLayer(8000.0, 0.002)
+SOFT = SoftSkin(8000.0, 0.002)
 
 
 def surfaces() -> dict[str, dict[str, dict[str, Any]]]:
@@ -39,7 +39,7 @@ def surfaces() -> dict[str, dict[str, dict[str, Any]]]:
     }
 
 
-def presses(kind: str, count: int, rng: np.random.Generator, soft: SoftLayer | None) -> tuple[Array, Array, Array]:
+def presses(kind: str, count: int, rng: np.random.Generator, soft: SoftSkin | None) -> tuple[Array, Array, Array]:
     """Contact points, forces and torques of presses with friction up to 0.5 and a little torsion."""
     u = se3.random_unit_vectors(count, rng)
     if kind == "cylinder":

@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fusion.benchmarks.frames.occlusion import OBJECTS, Scene, frames_of
+from fusion.benchmarks.families.making import frames_of
+from fusion.benchmarks.families.table import FAMILIES, TUNED_OBJECTS
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Quantile, Rate, Report, Table
 from fusion.estimation.answer import Estimate
 from fusion.truth.errors import Errors
@@ -33,7 +34,7 @@ class _Found:
 def run(settings: BenchSettings) -> Report:
     """One table a scene and planner; the start is 16 degrees and 33 mm off."""
     trials = settings.count(10, quick=1)
-    objects = settings.objects or tuple(settings.some(OBJECTS, 1))
+    objects = settings.objects or tuple(settings.some(TUNED_OBJECTS, 1))
     report = Report(
         "skipping",
         "Time and error with everything done, and with what a scene does not need left out",
@@ -95,7 +96,7 @@ def _scene(
     """Every frame through every planner, in turn."""
     from fusion.estimation.estimate import estimate
     from fusion.estimation.search import PlanSettings
-    from fusion.estimation.stages import EstimateSettings
+    from fusion.estimation.settings import EstimateSettings
     from fusion.truth.errors import Judge
     from scenes.synthesis import library
 
@@ -106,12 +107,14 @@ def _scene(
     for name in settings.progress(objects, len(objects), f"{noise}, {hidden:.0%}"):
         model = library.make(name)
         judge = Judge(model)
-        for i, frame in enumerate(frames_of(name, Scene(noise, "hand", ""), hidden, trials, settings.seed)):
+        for i, made in enumerate(frames_of(FAMILIES[noise], hidden, trials, settings.seed, (name,))):
+            frame, truth = made.frame, made.frame.camera_from_object_truth
+            assert truth is not None
             for method, (how, tolerance) in ways.items():
                 if i == 0:  # compiles and loads before anything is timed
                     estimate(frame, model, tolerance=tolerance, settings=how)
                 answer = estimate(frame, model, tolerance=tolerance, seed=settings.seed, settings=how)
-                error = judge.errors(answer.pose, frame.camera_from_object_truth, answer.covariance)
+                error = judge.errors(answer.pose, truth, answer.covariance)
                 found[method].answers.append(answer)
                 found[method].errors.append(error)
     return found

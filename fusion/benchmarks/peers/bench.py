@@ -8,8 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from math import isnan
 from typing import Any
 
+from fusion.benchmarks.families.making import why_not
+from fusion.benchmarks.families.table import FAMILIES
+from fusion.benchmarks.families.table import chosen as chosen_families
 from fusion.benchmarks.peers import arrays as peers_arrays
 from fusion.benchmarks.peers import clouds as peers_clouds
 from fusion.benchmarks.peers import contacts as peers_contacts
@@ -21,15 +25,20 @@ from fusion.benchmarks.peers.pareto import Point
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Report, Table
 from scenes.errors import InputError
 
+# Families of the fronts under occlusion when none are asked for.
+USUAL = ("clean", "lab", "workshop")
 # Names that ours go by.
 OURS = ("palpate", "fused", "rows, then pressures (ours)")
 
 
 def run(settings: BenchSettings) -> Report:
-    """The fronts of vision (with and without a start), global, local, arrays, filters and occlusion (clean and lab)."""
+    """The fronts of vision (with and without a start), global, local, arrays, filters and occlusion (by family)."""
     report = Report("peers", "Time against error, each method at several budgets", "", settings.seed)
-    trials = [_vision(report, settings), _contacts(report, settings), _arrays(report, settings)]
-    trials += [_filters(report, settings), _occlusion(report, settings)]
+    trials = []
+    if settings.family is None:  # the other fronts have no frames of families
+        trials += [_vision(report, settings), _contacts(report, settings), _arrays(report, settings)]
+        trials.append(_filters(report, settings))
+    trials.append(_occlusion(report, settings))
     report.trials = ", ".join(trials)
     report.tables.append(_settings_table())
     return report
@@ -94,12 +103,21 @@ def _filters(report: Report, settings: BenchSettings) -> str:
 
 def _occlusion(report: Report, settings: BenchSettings) -> str:
     count = 0
-    for noise in ("clean", "lab"):
-        frames = peers_occlusion.cases(noise, settings.count(1, quick=1), settings.seed, settings.quick)
+    families = [FAMILIES[name] for name in USUAL] if settings.family is None else chosen_families(settings.family)
+    for family in families:
+        if why_not(family):
+            report.tables.append(Table(f"Occlusion: {family.name}", [Column("method"), Column("why not")]))
+            report.tables[-1].add("all", why_not(family))
+            continue
+        frames = peers_occlusion.cases(family, settings.count(1, quick=1), settings.seed, settings.quick)
+        if not frames:
+            continue
         chosen = peers_occlusion.peers(settings.quick)
-        points = peers_occlusion.front(chosen, frames, settings.seed, settings.progress, f"occlusion, {noise}")
-        bound = peers_occlusion.bound_mm(frames) if noise == "clean" else None
-        title = f"Occlusion: a hand hides 80 %, a start 16° and 33 mm off, {noise}"
+        points = peers_occlusion.front(chosen, frames, settings.seed, settings.progress, f"occlusion, {family.name}")
+        bound = peers_occlusion.bound_mm(frames) if family.name == "clean" else None
+        share = peers_occlusion.hidden(family)
+        much = "as recorded" if isnan(share) else f"{share:.0%} hidden"
+        title = f"Occlusion: {family.name}, {much}, a start 16° and 33 mm off"
         _add(report, settings, title, points, "ADD-S < 5 mm", bound)
         count += len(frames)
     return f"{count} frames"
@@ -133,11 +151,11 @@ def _absent(table: Table, name: str, how: str) -> None:
 
 def _settings_table() -> Table:
     from touch.published.direct import BoxSettings
-    from vision.published.icp import IcpSettings
+    from vision.published.icp import CloudIcpSettings
     from vision.published.registration import BaselineSettings
 
     table = Table("Settings of the peers, but for the budget swept", [Column("setting"), Column("value")])
-    parts: dict[str, Any] = {"icp": IcpSettings(), "baselines": BaselineSettings(), "scipy": BoxSettings()}
+    parts: dict[str, Any] = {"icp": CloudIcpSettings(), "baselines": BaselineSettings(), "scipy": BoxSettings()}
     for part, values in parts.items():
         for name, value in asdict(values).items():
             table.add(f"{part}: {name.replace('_', ' ')}", str(value))

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.benchmarks.peers.pareto import Method, Point, least_error, measure, swept
+from fusion.estimation.settings import EstimateSettings
 from scenes._open3d import open3d
 from scenes.evidence import table as evidence
 from scenes.evidence.align import terms
@@ -25,7 +26,7 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
 from scenes.synthesis import library
 from vision.published import registration as baselines
-from vision.published.icp import IcpSettings, icp
+from vision.published.icp import CloudIcpSettings, icp
 from vision.published.registration import BaselineSettings
 
 Array = NDArray[np.float64]
@@ -62,13 +63,13 @@ def views(count: int, seed: int) -> Iterator[View]:
 
 def _view(model: ObjectModel, hidden: float, rng: np.random.Generator) -> View:
     from scenes.geometry.rendering import Renderer
-    from scenes.synthesis.noise.presets import observe_depth, preset
+    from scenes.synthesis.noise.presets import observe_depth
 
     middle = np.array([*rng.uniform(-0.05, 0.05, 2), rng.uniform(0.5, 0.8)])
     rotation = se3.random_rotations(1, rng)[0]
     truth = se3.make_pose(rotation, middle - rotation @ model.centroid)
     seen = Renderer({"object": (model.vertices, model.faces)}).render(CAMERA, {"object": truth})
-    depth = observe_depth(seen, CAMERA, preset("clean").depth, rng)
+    depth = observe_depth(seen, CAMERA, "clean", rng)
     mask = (depth > 0) & seen.mask("object")
     v, u = np.nonzero(mask)
     along = np.stack([u, v], axis=1) @ se3.random_unit_vectors(1, rng)[0, :2]
@@ -101,9 +102,15 @@ def _peer(name: str, budget: str, register: Register, most: int | None = None) -
     return Method(name, budget, lambda view, seed: register(view.frame, view.points, view.model, seed), most)
 
 
+def with_effort(pixels: int, starts: int) -> EstimateSettings:
+    """An estimate of so many object pixels and starts around a prior."""
+    usual = EstimateSettings()
+    rows = replace(usual.look.rows, most=pixels)
+    return replace(usual, look=replace(usual.look, rows=rows), proposals=replace(usual.proposals, starts_near=starts))
+
+
 def _ours(with_start: bool) -> Iterator[Peer]:
     from fusion.estimation.estimate import estimate
-    from fusion.estimation.stages import EstimateSettings
 
     def register(settings: EstimateSettings) -> Register:
         def run(frame: Frame, points: Array, model: ObjectModel, seed: int) -> Array:
@@ -114,15 +121,15 @@ def _ours(with_start: bool) -> Iterator[Peer]:
 
     for pixels, starts in BUDGETS:
         budget = f"{pixels} pixels, {starts} starts" if with_start else f"{pixels} pixels"
-        yield _peer("palpate", budget, register(EstimateSettings(pixels=pixels, starts_near=starts)))
+        yield _peer("palpate", budget, register(with_effort(pixels, starts)))
 
 
 def _icp() -> Iterator[Peer]:
-    def register(settings: IcpSettings) -> Register:
+    def register(settings: CloudIcpSettings) -> Register:
         return lambda frame, points, model, seed: icp(points, model, _start(frame), settings).pose
 
     for most in (100, 300, 1000, 2000, 8000):
-        yield _peer("Open3D ICP", f"{most} points", register(IcpSettings(most_points=most)))
+        yield _peer("Open3D ICP", f"{most} points", register(CloudIcpSettings(most_points=most)))
 
 
 def _start(frame: Frame) -> Array:
@@ -146,7 +153,7 @@ def open3d_gicp(points: Array, model: ObjectModel, start: Array, most: int = 200
     source = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(picked))
     source.estimate_covariances()
     pose = se3.inverse(start)
-    for distance in IcpSettings().distances:
+    for distance in CloudIcpSettings().distances:
         found = registration.registration_generalized_icp(
             source,
             _target(model, samples),
@@ -221,7 +228,7 @@ def bound_mm(shown: Sequence[View]) -> float:
 
     The Gauss-Newton information at the truth of every pixel by itself, with the camera's independent noise.
     """
-    from vision.look.pixels import DepthModel
+    from scenes.recordings.beliefs import DepthModel
 
     found = []
     for view in shown:

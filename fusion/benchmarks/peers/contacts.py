@@ -31,7 +31,9 @@ from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
 from scenes.synthesis import library
-from touch.localization import LocalizeSettings, localize, refine_contacts
+from touch.answers import LocalizeSettings
+from touch.localization import localize
+from touch.multistart import refine_contacts
 from touch.published.direct import BoxSettings, objective
 
 Array = NDArray[np.float64]

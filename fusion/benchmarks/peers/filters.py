@@ -18,7 +18,8 @@ from fusion.benchmarks.contacts.sets import SETS, read_set
 from fusion.benchmarks.peers.pareto import Method, Point, measure, swept
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from touch.localization import Localization, LocalizeSettings, localize
+from touch.answers import Localization, LocalizeSettings
+from touch.localization import localize
 
 Array = NDArray[np.float64]
 Search = Callable[[ObjectModel, Contacts, int], Localization]
@@ -96,7 +97,7 @@ def _others() -> Iterator[Peer]:
         )
     for name, run in (("particle filter", particle_filters.plain), ("annealed filter", particle_filters.annealed)):
         for particles in (500, 5000):
-            layers = particle_filters.ParticleSettings(particles=particles)
+            layers = particle_filters.ParticleFilterSettings(particles=particles)
             yield _peer(
                 name,
                 f"{particles} particles",
@@ -105,7 +106,7 @@ def _others() -> Iterator[Peer]:
                 ),
             )
     for steps in (10, 100):
-        closest = contact_icp.IcpSettings(iterations=steps)
+        closest = contact_icp.ContactIcpSettings(iterations=steps)
         yield _peer(
             "ICP of the contacts",
             f"{steps} steps",

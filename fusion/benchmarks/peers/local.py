@@ -20,7 +20,9 @@ from fusion.benchmarks.peers.contacts import NOISE, Case, Peer
 from fusion.benchmarks.peers.pareto import Method, swept
 from scenes.geometry.objects import ObjectModel
 from scenes.synthesis import library
-from touch.localization import LocalizeSettings, localize, refine_contacts
+from touch.answers import LocalizeSettings
+from touch.localization import localize
+from touch.multistart import refine_contacts
 
 Array = NDArray[np.float64]
 Refine = Callable[[ObjectModel, Trial, int], Array]
@@ -72,7 +74,7 @@ def _gradients() -> Iterator[Peer]:
         )[0]
 
     def closest(steps: int) -> Refine:
-        settings = contact_icp.IcpSettings(iterations=steps)
+        settings = contact_icp.ContactIcpSettings(iterations=steps)
         return lambda model, trial, seed: contact_icp.refine(model, trial.contacts.points, trial.start, settings)[0]
 
     for steps in (5, 20, 200):

@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.benchmarks.frames.occlusion import OBJECTS, Scene, frames_of
-from fusion.benchmarks.peers.clouds import BUDGETS, SUCCESS_MM, surface_bound_mm
+from fusion.benchmarks.families.making import frames_of, objects_of
+from fusion.benchmarks.families.table import Family
+from fusion.benchmarks.peers.clouds import BUDGETS, SUCCESS_MM, surface_bound_mm, with_effort
 from fusion.benchmarks.peers.pareto import Method, Point, measure, swept
 from scenes.evidence import table as evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
-from scenes.synthesis import library
-from vision.published.icp import IcpSettings, icp
+from vision.published.icp import CloudIcpSettings, icp
 
 Array = NDArray[np.float64]
 
@@ -42,14 +42,15 @@ class Case:
 Peer = Method[Case, Array]
 
 
-def cases(noise: str, count: int, seed: int, quick: bool = False) -> list[Case]:
+def hidden(family: Family) -> float:
+    """The family's hidden share nearest to HIDDEN; NaN of recordings."""
+    return min(family.levels, key=lambda level: abs(level - HIDDEN))
+
+
+def cases(family: Family, count: int, seed: int, quick: bool = False) -> list[Case]:
     """`count` frames of each object, where grasps can hide so much."""
-    scene = Scene(noise, "hand", "")
-    out = []
-    for name in OBJECTS[:2] if quick else OBJECTS:
-        model = library.make(name)
-        out += [Case(model, frame) for frame in frames_of(name, scene, HIDDEN, count, seed)]
-    return out
+    names = objects_of(family)[: 2 if quick else None]
+    return [Case(made.model, made.frame) for made in frames_of(family, hidden(family), count, seed, names)]
 
 
 def peers(quick: bool = False) -> Sequence[Peer]:
@@ -59,11 +60,10 @@ def peers(quick: bool = False) -> Sequence[Peer]:
 
 def _ours() -> Iterator[Peer]:
     from fusion.estimation.estimate import estimate
-    from fusion.estimation.stages import EstimateSettings
 
     for name, use in (("fused", ("vision", "touch")), ("vision", ("vision",)), ("touch", ("touch",))):
         for pixels, starts in BUDGETS:
-            settings = EstimateSettings(pixels=pixels, starts_near=starts)
+            settings = with_effort(pixels, starts)
             yield Method(
                 name,
                 f"{pixels} pixels, {starts} starts" if name != "touch" else f"{starts} starts",
@@ -75,7 +75,8 @@ def _ours() -> Iterator[Peer]:
 
 def _icp() -> Iterator[Peer]:
     from fusion.truth.compare import with_contacts
-    from vision.look.segments import crop_points, object_points
+    from vision.look.look import object_points
+    from vision.look.points import crop_points
 
     def cropped(case: Case, start: Array) -> Array:
         return crop_points(case.frame, case.model, start)
@@ -87,7 +88,7 @@ def _icp() -> Iterator[Peer]:
         return with_contacts(segmented(case, start), case.frame)
 
     def peer(name: str, points: Callable[[Case, Array], Array], most: int) -> Peer:
-        settings = IcpSettings(most_points=most)
+        settings = CloudIcpSettings(most_points=most)
 
         def solve(case: Case, seed: int) -> Array:
             assert case.frame.prior is not None
@@ -122,8 +123,8 @@ def bound_mm(done_on: Sequence[Case]) -> float:
     """Median distance (mm) between surfaces that no unbiased method on both senses can be below: Cramér-Rao, with
     independent noise of pixels and contacts. A bound for `clean`; `lab` has errors that all pixels share.
     """
-    from vision.look.pixels import DepthModel
-    from vision.look.segments import all_points
+    from scenes.recordings.beliefs import DepthModel
+    from vision.look.points import all_points
 
     found = []
     for case in done_on:

@@ -52,6 +52,9 @@ def settings_key(settings: BenchSettings) -> dict[str, Any]:
         "seed": settings.seed,
         "quick": settings.quick,
         "objects": None if settings.objects is None else list(settings.objects),
+        "family": settings.family,
+        "data": None if settings.data is None else str(settings.data),
+        "bop": None if settings.bop is None else str(settings.bop),
     }
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.geometry.cameras import Camera
-from vision.look.pixels import DepthModel
+from scenes.recordings.beliefs import DepthModel
 
 Array = NDArray[np.float64]
 

@@ -15,6 +15,7 @@ import numpy as np
 from scenes.evidence.kernels import cost_terms
 from scenes.evidence.prior_kernels import prior_terms
 from scenes.evidence.row_kernels import robust
+from scenes.evidence.table import FACING, GATE_ABOVE, GATE_BELOW, OFFSET
 from scenes.geometry.lattice import distance_at, seen_distance_at
 from scenes.geometry.rotation_kernels import exp_times
 
@@ -68,15 +69,15 @@ def vision_rows(
         qy = rotation[0, 1] * yx + rotation[1, 1] * yy + rotation[2, 1] * yz + centroid[1]
         qz = rotation[0, 2] * yx + rotation[1, 2] * yy + rotation[2, 2] * yz + centroid[2]
         nx, ny, nz = rows[n, 3], rows[n, 4], rows[n, 5]
-        if rows[n, 12] > 0.0:
+        if rows[n, FACING] > 0.0:
             vx = rotation[0, 0] * nx + rotation[1, 0] * ny + rotation[2, 0] * nz
             vy = rotation[0, 1] * nx + rotation[1, 1] * ny + rotation[2, 1] * nz
             vz = rotation[0, 2] * nx + rotation[1, 2] * ny + rotation[2, 2] * nz
             d, ox, oy, oz = seen_distance_at(values, origin, spacing, qx, qy, qz, vx, vy, vz)
         else:
             d, ox, oy, oz = distance_at(values, origin, spacing, qx, qy, qz)
-        d -= rows[n, 11]
-        gate, floor = (rows[n, 9], floors[n, 0]) if d > 0.0 else (rows[n, 10], floors[n, 1])
+        d -= rows[n, OFFSET]
+        gate, floor = (rows[n, GATE_ABOVE], floors[n, 0]) if d > 0.0 else (rows[n, GATE_BELOW], floors[n, 1])
         if gate == 0.0:
             continue
         gx = rotation[0, 0] * ox + rotation[0, 1] * oy + rotation[0, 2] * oz

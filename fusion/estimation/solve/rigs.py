@@ -7,34 +7,37 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.solve.joint import JointProblem, JointResult
+from fusion.estimation.solve.joint import JointResult, solve
+from fusion.estimation.solve.problem import JointProblem
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 
 Array = NDArray[np.float64]
 
 
-def solve_modes(problem: JointProblem, starts: list[Array]) -> list[JointResult]:
-    """Solve from each start; how large the shared errors are is averaged over at the first start.
+def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[JointResult]:
+    """Solve each problem from its start, at least one; how large shared errors are is averaged over at the first.
 
     A rig weighs exp(log evidence) times how usual it is. The first answer is the rigs' weighted mean and mixture
     covariance, so that not knowing the rig is part of its uncertainty; other modes use the best. Where that is one
     whose pixels count more, all are solved with these.
     """
-    settings = problem.settings
-    tried = [problem.solve(starts[0], settings.rigs[0].level)]
+    problem, settings = problems[0], problems[0].settings
+    pairs = list(zip(problems, starts))[: settings.modes]
+    if not problem.ties_depth:
+        return [solve(one, start, 1.0) for one, start in pairs]
+    tried = [solve(problem, starts[0], settings.rigs[0].level)]
     for rig in settings.rigs[1:]:
-        tried.append(problem.solve(tried[-1].pose, rig.level))
+        tried.append(solve(problem, tried[-1].pose, rig.level))
     score = np.array([t.log_evidence + np.log(rig.share) for t, rig in zip(tried, settings.rigs)])
     weights = np.exp(score - score.max())
     best = int(np.argmax(score))
     rig = settings.rigs[best]
     if rig.weight > settings.least_weight:
-        return [
-            problem.solve(start, rig.level, rig.weight) for start in [tried[best].pose, *starts[1 : settings.modes]]
-        ]
+        first = solve(problem, tried[best].pose, rig.level, rig.weight)
+        return [first, *(solve(one, start, rig.level, rig.weight) for one, start in pairs[1:])]
     first = _averaged(problem.model, tried, weights / weights.sum(), tried[best])
-    return [first, *(problem.solve(start, rig.level) for start in starts[1 : settings.modes])]
+    return [first, *(solve(one, start, rig.level) for one, start in pairs[1:])]
 
 
 def _averaged(model: ObjectModel, tried: list[JointResult], weights: Array, best: JointResult) -> JointResult:

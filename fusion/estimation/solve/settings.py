@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Rig:
-    """A size of shared errors that may be the case.
+    """A size of shared errors that may be the case. Tuned on generated captures.
 
     level: factor on what calibration, depth scale and bias are believed to be off by. share: how usual it is. weight:
     of a pixel. Neighbours share what nothing here describes: fingers whose joints are off, flying pixels, the side of
@@ -22,7 +22,7 @@ class Rig:
 
 @dataclass(frozen=True)
 class JointSettings:
-    """The joint solution."""
+    """The joint solution. Tuned on generated captures."""
 
     # Gauss-Newton steps: the start is the minimum of a system that differs by millimetres.
     steps: int = 8
@@ -42,8 +42,12 @@ class JointSettings:
     # Independent error of the hand's surface (m): joint errors move whole links; and how many of its pixels share it.
     hand_sigma: float = 0.001
     hand_sharing: float = 6.0
-    # What a mesh and its lattice leave out of a real object, metres.
-    model_sigma: float = 0.0004
+    # Contacts that hold an object in place: three points. With so many, depth's scale and bias are solved for.
+    tying_contacts: int = 3
+    # Side (px) of the blocks of the image within which pixels may share errors that no belief describes, and the fewest
+    # blocks that tell how much they scatter.
+    block: float = 16.0
+    least_blocks: int = 6
     # Least cosine of the incidence of a pixel: cameras read nothing of surfaces steeper than 80 degrees.
     least_cosine: float = 0.17
 

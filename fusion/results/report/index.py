@@ -9,8 +9,8 @@ from typing import Any
 from urllib.parse import quote
 
 from fusion.results.batch import Outcome
-from fusion.results.batch_files import median
 from fusion.results.report.files import asset, page, replace_file
+from fusion.results.summary import median
 
 # Name, kind for sorting, whether a small screen goes without.
 HEADS = (

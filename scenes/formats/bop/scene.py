@@ -17,16 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError
-from scenes.files import bop, images
+from scenes.files import images
 from scenes.files.ply import write_ply
 from scenes.files.problems import refuse
 from scenes.formats.conversion import Converted, Dropped, at_least_one, located, new_folder
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
+from scenes.recordings import bop
 from scenes.recordings.captures import Capture, write_capture
 from scenes.recordings.frames import Frame
-from scenes.recordings.manifest import Settings, read_model
+from scenes.recordings.manifest import Manifest, read_model
 
 Array = NDArray[np.float64]
 
@@ -94,13 +95,43 @@ def convert(folder: Path, out: Path, choice: Choice | None = None, model: Object
     return Converted((written,), len(kept), dropped)
 
 
+def objects(folder: Path) -> list[int]:
+    """Numbers of the objects whose poses the scene's ground truth knows; none without one."""
+    return _known(_optional(folder / "scene_gt.json"))
+
+
+def read(folder: Path, choice: Choice, most: int) -> tuple[ObjectModel, list[Frame]]:
+    """The chosen object's mesh, and up to `most` of the images that show it, evenly picked, without writing a capture.
+
+    Of several instances in an image the first is taken unless one is chosen. Raises PalpateError for broken files.
+    """
+    cameras = bop.read_frames(folder / "scene_camera.json", refuse)
+    truths = _optional(folder / "scene_gt.json")
+    object_id = _object_id(folder, truths, choice.object_id)
+    wanted = choice.instance or 0
+    rows = {number: _row(folder, number, entry, object_id, wanted) for number, entry in truths.items()}
+    seen = sorted(number for number, row in rows.items() if row is not None and number in cameras)
+    dropped, found = Dropped(), []
+    for at in sorted(set(np.linspace(0, len(seen) - 1, min(most, len(seen))).astype(int))):
+        number = seen[at]
+        entry = _camera(folder, number, cameras[number])
+        frame = _frame(folder, number, entry, rows[number], truths[number], False, dropped)
+        if frame is not None:
+            found.append(frame)
+    return _model(folder, object_id, choice.models), found
+
+
 def _optional(path: Path) -> dict[int, Any]:
     return bop.read_frames(path, refuse) if path.is_file() else {}
 
 
-def _object_id(folder: Path, truths: dict[int, Any], asked: int | None) -> int:
+def _known(truths: dict[int, Any]) -> list[int]:
     rows = [row for entry in truths.values() if isinstance(entry, list) for row in entry if isinstance(row, dict)]
-    known = sorted({row["obj_id"] for row in rows if isinstance(row.get("obj_id"), int)})
+    return sorted({row["obj_id"] for row in rows if isinstance(row.get("obj_id"), int)})
+
+
+def _object_id(folder: Path, truths: dict[int, Any], asked: int | None) -> int:
+    known = _known(truths)
     listed = ", ".join(map(str, known))
     if asked is not None:
         if known and asked not in known:
@@ -138,7 +169,7 @@ def _model(folder: Path, object_id: int, models: Path | None) -> ObjectModel:
     for place in [models] if models is not None else list(_model_folders(folder)):
         if (place / f"{name}.ply").is_file():
             return read_model(
-                place.parent, Settings(object_id, f"{place.name}/{name}.ply", "mm", name, None, "camera", {})
+                place.parent, Manifest(object_id, f"{place.name}/{name}.ply", "mm", name, None, "camera", {})
             )
     where = models if models is not None else "a folder models beside the data set's scenes"
     raise CaptureError(f"{folder}: expected {name}.ply in {where}, found none: say --models DIR or --object MESH")
@@ -187,7 +218,7 @@ def _frame(
     return Frame(
         index=number,
         where=f"{folder}, frame {number}",
-        camera=images.camera(entry, seen[0].shape),
+        camera=bop.camera(entry, seen[0].shape),
         camera_from_world=world,
         depth=depth,
         rgb=rgb,
@@ -228,9 +259,9 @@ def export(capture: Capture, out: Path) -> Converted:
     hand knows, for which BOP has no place. Raises CaptureError when no frame has a camera.
     """
     cameras = _optional(capture.path / "scene_camera.json")
-    number = capture.settings.notes.get("scene_id", 0)
+    number = capture.manifest.notes.get("scene_id", 0)
     scene = Path(SPLIT) / f"{number if isinstance(number, int) and number >= 0 else 0:06d}"
-    object_id, model = capture.settings.object_id, capture.model
+    object_id, model = capture.manifest.object_id, capture.model
     dropped = Dropped()
     truths, infos, kept = {}, {}, {}
     renderer = Renderer({"object": (model.vertices, model.faces)})

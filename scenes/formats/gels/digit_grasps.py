@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError
-from scenes.files import bop, images
+from scenes.files import images
 from scenes.files.off import read_off
 from scenes.formats.conversion import Converted, located
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings import bop
 from scenes.recordings.captures import write_capture
 from scenes.recordings.frames import Contacts, Frame, GelImage
 from scenes.robot.digit import HOUSING, digit_gel, model_from_sensor

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError
-from scenes.files import bop
 from scenes.files.images import LARGEST_COUNT
 from scenes.formats.conversion import Dropped
 from scenes.formats.ros.bag import Bag, stamp_ns
 from scenes.formats.ros.images import decode_depth, decode_mask, decode_rgb
 from scenes.formats.ros.topics import TopicMap
+from scenes.recordings import bop
 from scenes.recordings.frames import Frame
 
 IMAGES = ("depth", "rgb", "mask")

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError
-from scenes.files import bop
 from scenes.formats.conversion import Converted, Dropped, at_least_one
 from scenes.formats.ros.bag import Bag, frame_id, open_bag, stamp_ns
 from scenes.formats.ros.pixels import IMAGES, Plan, Scale, whole_frames
@@ -33,6 +32,7 @@ from scenes.formats.ros.topics import Topic, TopicMap
 from scenes.formats.ros.transforms import TransformTree
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings import bop
 from scenes.recordings.captures import write_capture
 from scenes.recordings.frames import Contacts, Frame
 from scenes.robot.hands import Hand

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError
-from scenes.files import bop
 from scenes.files.problems import refuse
 from scenes.geometry import poses
 from scenes.geometry.objects import METRES_PER_UNIT
+from scenes.recordings import bop
 
 Array = NDArray[np.float64]
 

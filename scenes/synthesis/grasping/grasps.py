@@ -34,8 +34,8 @@ SPEEDS = ((1.0, 0.35, 0.15), (1.0, 1.0, 1.0), (0.45, 1.0, 1.0), (1.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True)
-class GraspSettings:
-    """How hard to look, and what counts."""
+class GraspSearchSettings:
+    """How hard to look, and what counts. Values by judgement."""
 
     # Placements closed at once, and how often to draw again before giving up.
     batch: int = 14
@@ -47,7 +47,7 @@ class GraspSettings:
     fine_spacing: float = 0.003
     # Grasps closed exactly in each round, the most promising first.
     finalists: int = 5
-    # Friction for the force-closure test (rubber on plastic).
+    # Friction coefficient (no unit) for the force-closure test: rubber on plastic.
     friction: float = 0.6
     # Thumb or palm must push against some fingertip: cosine between their contact normals at most this (over 107
     # degrees), or the hand only leans on the object, as on the edge of a crate.
@@ -72,7 +72,7 @@ class Grasp:
 
 
 def plan_grasp(
-    hand: Hand, model: ObjectModel, seed: int = 0, kind: str = "power", settings: GraspSettings | None = None
+    hand: Hand, model: ObjectModel, seed: int = 0, kind: str = "power", settings: GraspSearchSettings | None = None
 ) -> Grasp:
     """A random grasp of the object; the same seed gives the same grasp.
 
@@ -81,7 +81,7 @@ def plan_grasp(
     tips need sensors with a surface. Raises InputError for another kind, a hand without such tips, or an object that
     the hand cannot hold.
     """
-    settings = settings or GraspSettings()
+    settings = settings or GraspSearchSettings()
     if kind not in KINDS:
         raise InputError(f"grasp: expected kind {', '.join(KINDS)}, got {kind!r}")
     sensors = _sensors_of(hand, kind)
@@ -137,7 +137,7 @@ def _promising(
     sensors: tuple[str, ...],
     least: int,
     rng: np.random.Generator,
-    settings: GraspSettings,
+    settings: GraspSearchSettings,
 ) -> list[tuple[Array, Array, Array, Array]]:
     """Close every placement in every way at once; pose, start, speeds, end of those worth closing exactly."""
     hand, fingers = coarse.hand, coarse.fingers
@@ -190,7 +190,7 @@ def _finish(
     touching: dict[str, tuple[Array, Array]],
     kind: str,
     thumb: str,
-    settings: GraspSettings,
+    settings: GraspSearchSettings,
 ) -> Grasp | None:
     """Contacts of the touching tips, moved from the object frame to the hand's; None when the hand only leans on."""
     points = np.array([point for point, _ in touching.values()])

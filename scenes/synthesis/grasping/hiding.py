@@ -13,7 +13,9 @@ from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
 from scenes.robot.hands import Hand
 from scenes.synthesis.grasping.grasps import Grasp, plan_grasp
+from scenes.synthesis.grasping.gripping import is_gripper, plan_grip
 from scenes.synthesis.settings import SynthesisSettings
+from scenes.synthesis.staging.mounts import hand_mesh
 from scenes.synthesis.views import find_view
 
 Array = NDArray[np.float64]
@@ -29,19 +31,19 @@ def place(
     rng: np.random.Generator,
     renderer: Renderer,
     settings: SynthesisSettings,
+    mounted: bool = False,
 ) -> tuple[Grasp, Array]:
     """A grasp and camera_from_hand (4, 4) at which the hand hides the asked share of the object's own pixels.
 
-    renderer: holds the mesh "object"; gets the hand's. Raises InputError when nothing tried hides as much, with the
-    range that was reached.
+    renderer: holds the mesh "object"; gets the hand's, with the parts that its model lacks when mounted. Raises
+    InputError when nothing tried hides as much, with the range that was reached.
     """
     reached: list[float] = []
     held: list[Grasp] = []
     refusal: InputError | None = None
 
     def look(grasp: Grasp, foreground: float, climbs: int) -> Array | None:
-        vertices, faces, _ = hand.mesh(grasp.joints)
-        renderer.add("hand", vertices, faces)
+        renderer.add("hand", *hand_mesh(hand, grasp.joints, mounted))
         scene = {"object": grasp.hand_from_object, "hand": np.eye(4)}
         target = poses.apply(grasp.hand_from_object, model.centroid[None])[0]
         views = replace(settings.views, foreground=foreground, climbs=climbs)
@@ -55,7 +57,9 @@ def place(
         # Whole-hand grasps touch with most fingers; those of few fingers hide less
         kind = "tripod" if occlusion < FEW_FINGERS_BELOW and attempt >= settings.grasps // 2 else "power"
         try:
-            held.append(plan_grasp(hand, model, seed=int(rng.integers(2**31)), kind=kind))
+            drawn = int(rng.integers(2**31))
+            grip = is_gripper(hand)
+            held.append(plan_grip(hand, model, drawn) if grip else plan_grasp(hand, model, drawn, kind))
         except InputError as error:
             refusal = error
             continue

@@ -23,7 +23,7 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class PlacementSettings:
-    """Ranges of what is drawn at random."""
+    """Ranges of what is drawn at random. Values by judgement, for the five-finger hand."""
 
     # Edge of the object's part towards the wrist, along the fingers (m): just in front of the lifted thumb; a thin
     # part's middle goes at least to the hollow of the palm.

@@ -30,7 +30,9 @@ PRINCIPLES = ("structured light", "time of flight", "stereo")
 
 @dataclass(frozen=True)
 class DepthNoise:
-    """Every error of a depth image; each part is off at 0. Defaults: a structured-light camera without bias."""
+    """Every error of a depth image; each part is off at 0. Defaults: a structured-light camera without bias. Papers
+    in the module's docstring.
+    """
 
     # How depth is measured, which decides the axial formula: one of PRINCIPLES.
     principle: str = "structured light"
@@ -144,7 +146,7 @@ def observed(
         shift = rng.normal(size=(2, *shape))
         depth = np.zeros(shape)
         ids = np.ascontiguousarray(rendering.ids)
-        kernels.look(truth, ids, shift, incidence, settings.lateral, LARGEST_INCIDENCE, depth)
+        kernels.read_depth(truth, ids, shift, incidence, settings.lateral, LARGEST_INCIDENCE, depth)
         seen &= depth > 0
     if settings.multipath > 0:
         from scenes.synthesis.noise.multipath import multipath_error

@@ -27,7 +27,7 @@ def incidence(fx, fy, cx, cy, u0, v0, ids, normals, out):  # type: ignore[no-unt
 
 
 @numba.njit(cache=True, nogil=True)
-def look(truth, ids, shift, angle, lateral, largest, out):  # type: ignore[no-untyped-def]
+def read_depth(truth, ids, shift, angle, lateral, largest, out):  # type: ignore[no-untyped-def]
     """Fill out (h, w): depth where each pixel looks, moved by shift (2, h, w) times its lateral sigma (see
     `depth_noise.lateral_sigma`). Inverse depth, which is linear in the image on a plane, is interpolated within one
     instance; across instances or steps the nearest pixel is read.

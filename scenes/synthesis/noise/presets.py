@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.errors import unknown
+from scenes.errors import InputError, unknown
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.geometry.rendering import Rendering
@@ -28,6 +28,9 @@ from scenes.synthesis.noise.depth import (
     quantised,
     smooth_field,
 )
+from scenes.synthesis.optics.known_cameras import KNOWN_CAMERAS
+from scenes.synthesis.optics.settings import OpticalCamera
+from scenes.synthesis.optics.units import CameraUnit, draw_unit
 
 __all__ = [
     "PRESETS",
@@ -90,7 +93,7 @@ class TouchNoise:
 
 @dataclass(frozen=True)
 class RobotNoise:
-    """Errors of the robot's knowledge of itself."""
+    """Errors of the robot's knowledge of itself. 0 is off; the presets have values by judgement."""
 
     # camera_from_robot calibration: standard deviation per axis, rotation (rad) and translation (m).
     camera_rotation: float = 0.0
@@ -104,8 +107,10 @@ class RobotNoise:
 class NoisePreset:
     """All errors of a recording."""
 
+    # As `--noise` has it; the errors of depth, of touch, and of the robot's knowledge of itself.
     name: str
-    depth: DepthNoise = field(default_factory=DepthNoise)
+    # Errors by formulas, or a camera imitated from its optics.
+    depth: DepthNoise | OpticalCamera = field(default_factory=DepthNoise)
     touch: TouchNoise = field(default_factory=TouchNoise)
     robot: RobotNoise = field(default_factory=RobotNoise)
 
@@ -113,6 +118,43 @@ class NoisePreset:
 # A fingertip force/torque sensor of 12 mm after taring: offsets of 20 mN and 0.1 N mm, drifting by a tenth of that.
 _LAB_TOUCH = TouchNoise(force_offset=0.02, torque_offset=1e-4, force_drift=0.002, torque_drift=1e-5, taxel=400.0)
 _LAB_ROBOT = RobotNoise(float(np.deg2rad(0.3)), 0.002, float(np.deg2rad(0.3)))
+# Robots and fingertips beside the cameras imitated from their optics: other sizes than the lab's, so that nothing tuned
+# on the lab knows them. Fingertips are worn or crudely made, robots calibrated well or badly; chosen, not measured.
+_WORN_TOUCH = TouchNoise(
+    point=0.0007,
+    normal=float(np.deg2rad(8.0)),
+    offset=0.0008,
+    wrench=0.03,
+    shape=0.0004,
+    force_offset=0.035,
+    torque_offset=2.2e-4,
+    force_drift=0.003,
+    torque_drift=4e-5,
+    taxel=700.0,
+    dead=0.03,
+)
+_WELL_CALIBRATED = RobotNoise(float(np.deg2rad(0.17)), 0.0012, float(np.deg2rad(0.45)))
+_CRUDE_TOUCH = TouchNoise(
+    point=0.0013,
+    normal=float(np.deg2rad(3.5)),
+    offset=0.0002,
+    wrench=0.006,
+    shape=0.0007,
+    force_offset=0.012,
+    torque_offset=0.6e-4,
+    force_drift=0.001,
+    torque_drift=2e-5,
+    taxel=250.0,
+)
+_BADLY_CALIBRATED = RobotNoise(float(np.deg2rad(0.42)), 0.0031, float(np.deg2rad(0.12)))
+_RIGS = {
+    "d435": (_WORN_TOUCH, _WELL_CALIBRATED),
+    "d455": (_CRUDE_TOUCH, _BADLY_CALIBRATED),
+    "xtion": (_WORN_TOUCH, _BADLY_CALIBRATED),
+    "azure-kinect": (_CRUDE_TOUCH, _WELL_CALIBRATED),
+    "l515": (_WORN_TOUCH, _BADLY_CALIBRATED),
+}
+
 _NO_DEPTH_NOISE = DepthNoise(axial=0, lateral=0, disparity_step=0, grazing_start=np.pi / 2, grazing_end=np.pi / 2)
 
 PRESETS: dict[str, NoisePreset] = {
@@ -181,6 +223,7 @@ PRESETS: dict[str, NoisePreset] = {
             _LAB_TOUCH,
             _LAB_ROBOT,
         ),
+        *(NoisePreset(name, camera, *_RIGS[name]) for name, camera in KNOWN_CAMERAS.items()),
     )
 }
 
@@ -201,19 +244,26 @@ def observe_depth(
     rng: np.random.Generator,
     errors: DepthErrors | None = None,
 ) -> Depth:
-    """As `depth_noise.observed`, for the settings of a preset too."""
-    return observed(rendering, camera, noise if isinstance(noise, DepthNoise) else preset(noise).depth, rng, errors)
+    """As `depth_noise.observed`, for the settings of a preset too.
+
+    Raises InputError for a camera imitated from its optics: that one photographs a scene
+    (`scenes.synthesis.optics.take`), as what its second eye and its projector see is not in the rendering.
+    """
+    settings = noise if isinstance(noise, DepthNoise) else preset(noise).depth
+    if not isinstance(settings, DepthNoise):
+        raise InputError(f"depth noise: expected formulas, got the camera {settings.name!r}, which photographs a scene")
+    return observed(rendering, camera, settings, rng, errors)
 
 
 @dataclass(frozen=True)
 class LastingErrors:
     """What is wrong in the same way in every frame of a recording: one camera, one calibration, the same fingers.
 
-    depth: see DepthErrors. camera_from_robot (4, 4), see camera_from_robot_error. joints: name -> rad. tip: offset of
-    all contacts (m), tips: of each sensor's (m). wrenches: sensor -> (6,) offset of force and torque (N, N m).
+    depth: see DepthErrors, CameraUnit. camera_from_robot (4, 4), see camera_from_robot_error. joints: name -> rad. tip:
+    offset of all contacts (m), tips: of each sensor's (m). wrenches: sensor -> (6,) offset of force, torque (N, N m).
     """
 
-    depth: DepthErrors
+    depth: DepthErrors | CameraUnit
     camera_from_robot: Array
     joints: dict[str, float]
     tip: float
@@ -232,8 +282,9 @@ def draw_lasting_errors(
 ) -> LastingErrors:
     """One recording's draw, for these joints and touch sensors."""
     step = np.repeat([noise.touch.force_offset, noise.touch.torque_offset], 3)
+    depth = noise.depth
     return LastingErrors(
-        draw_depth_errors(camera, noise.depth, rng),
+        draw_depth_errors(camera, depth, rng) if isinstance(depth, DepthNoise) else draw_unit(rng),
         camera_from_robot_error(noise.robot, rng),
         observe_joints(dict.fromkeys(joints, 0.0), noise.robot, rng),
         noise.touch.offset * rng.normal(),

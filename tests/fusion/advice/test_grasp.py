@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fusion.advice.grasp import GraspMap, GraspSettings, assess, sample_poses
+from fusion.advice.grasp import GraspAdviceSettings, GraspMap, assess, sample_poses
 from fusion.cli.main import main
 from fusion.estimation.answer import ContactResidual, Estimate, Mode
 from fusion.results.files import capture_of, find_result, read_result
@@ -21,7 +21,7 @@ from touch.grasp_quality import WrenchSettings, grasp_quality
 
 TIGHT = np.diag([1e-3**2] * 3 + [1e-4**2] * 3)
 POSE = poses.exp([0.3, -0.4, 0.2, 0.05, -0.02, 0.6])
-FEW = GraspSettings(samples=12, places=0)
+FEW = GraspAdviceSettings(samples=12, places=0)
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +81,7 @@ def test_samples_follow_modes_and_covariance(box):
 
 def test_a_finger_where_the_map_says_has_that_effect(box):
     frame, answer, points, normals = held(box)
-    found = assess(box, answer, frame, settings=GraspSettings(samples=0, places=60))
+    found = assess(box, answer, frame, settings=GraspAdviceSettings(samples=0, places=60))
     assert found.places
     gains = [place.gain for place in found.places]
     assert gains == sorted(gains, reverse=True)
@@ -110,7 +110,7 @@ def test_no_finger_fits_inside_a_mug_wall_or_where_the_hand_is(hand, lab_frame, 
         "ok",
         hand_from_object=poses.inverse(camera_from_hand) @ truth,
     )
-    found = assess(drill, answer, lab_frame, settings=GraspSettings(samples=4, places=80))
+    found = assess(drill, answer, lab_frame, settings=GraspAdviceSettings(samples=4, places=80))
     surface = poses.apply(poses.inverse(truth) @ camera_from_hand, hand.points_on_surface(lab_frame.joints))
     for point, normal, gain in zip(found.map.points, found.map.normals, found.map.gain):
         near = np.linalg.norm(surface - (point + 0.008 * normal), axis=1).min() < 0.008
@@ -128,7 +128,7 @@ def test_contacts_that_do_not_belong_are_left_out(box):
 
 def test_nothing_felt_is_an_answer(box):
     _, answer, _, _ = held(box)
-    found = assess(box, answer, Frame(0), settings=GraspSettings(samples=5, places=20))
+    found = assess(box, answer, Frame(0), settings=GraspAdviceSettings(samples=5, places=20))
     assert (found.quality.epsilon, found.quality.volume, found.closure_probability) == (0.0, 0.0, 0.0)
     assert found.quality.why == "nothing touches the object"
     json.dumps(found.to_json(), allow_nan=False)
@@ -146,7 +146,7 @@ def test_shades_of_the_map():
 
 def test_the_report_shows_it(box):
     frame, answer, _, _ = held(box)
-    grasp = assess(box, answer, frame, settings=GraspSettings(samples=4, places=30))
+    grasp = assess(box, answer, frame, settings=GraspAdviceSettings(samples=4, places=30))
     page = report_data("name", [frame], box, [answer], grasps=[grasp])
     entry = page["frames"][0]["grasp"]
     assert entry["verdict"] == grasp.quality.verdict

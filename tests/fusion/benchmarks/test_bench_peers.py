@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from fusion.benchmarks.contacts import trials as contact_trials
+from fusion.benchmarks.families.table import FAMILIES
 from fusion.benchmarks.peers import arrays as peers_arrays
 from fusion.benchmarks.peers import bench as peers
 from fusion.benchmarks.peers import clouds as peers_clouds
@@ -97,7 +98,7 @@ def test_filters_are_judged_above_the_least_that_any_reached():
 
 
 def test_senses_and_icp_on_a_frame():
-    frames = peers_occlusion.cases("clean", 1, 0, quick=True)[:1]
+    frames = peers_occlusion.cases(FAMILIES["clean"], 1, 0, quick=True)[:1]
     chosen = [peer for peer in smallest(peers_occlusion.peers()) if peer.name in ("fused", "ICP with contacts")]
     points = peers_occlusion.front(chosen, frames, 0, same, "")
     assert len(points) == 2

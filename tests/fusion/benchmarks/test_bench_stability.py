@@ -52,6 +52,12 @@ def test_what_breaks_is_told_and_the_others_go_on(monkeypatch):
     assert len(stability.run(BenchSettings(quick=True)).tables[0].rows) == 2
 
 
+def test_an_installation_without_the_sources_says_where_the_cases_are(monkeypatch, tmp_path):
+    monkeypatch.setattr(stability, "FOLDER", tmp_path)
+    with pytest.raises(InputError, match="they come with the sources"):
+        stability.run(BenchSettings())
+
+
 def test_the_judges_judge():
     assert at_most([1.0, -2.0], 1.5, "x") == 1.0
     for wrong in ([2.0], [math.nan]):

@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import refused
-from test_compare import plain_view
+from made_frames import plain_view
 
 from fusion.cli.main import main
 from fusion.cli.options import length_and_angle, share
 from fusion.cli.parser import build_parser
-from scenes.files.bop import read_poses
 from scenes.files.off import read_off, write_off
 from scenes.files.ply import write_ply
 from scenes.geometry import poses
+from scenes.recordings.bop import read_poses
 from scenes.recordings.captures import read_capture, write_capture
 from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis.hands import five_finger_hand
@@ -86,7 +86,7 @@ def test_priors(capture, tmp_path, capsys):
     base = ["estimate", str(capture), "--no-report", "--out", str(tmp_path / "o"), "--use", "touch"]
     for text in ("none", "gt", "gt+5mm,3deg", str(capture / "prior.json")):
         assert main([*base, "--prior", text]) in (0, 1)
-    from fusion.cli.options import prior_setter
+    from fusion.results.runs import prior_setter
 
     frame = prior_setter("gt+33mm,16deg", 4)(read_capture(capture)[1], model)
     delta = poses.difference(frame.prior, truth, model.centroid)
@@ -165,7 +165,7 @@ def test_synth_makes_what_validate_likes(tmp_path, capsys):
     argv = ["synth", str(tmp_path / "s"), "--object", "box", "--hand", "none", "--occlusion", "30%", "--noise", "clean"]
     assert main(argv) == 0
     assert main(["validate", str(tmp_path / "s")]) == 0
-    assert read_capture(tmp_path / "s").settings.notes["noise"] == "clean"
+    assert read_capture(tmp_path / "s").manifest.notes["noise"] == "clean"
 
 
 def test_convert_there_and_back(tmp_path):

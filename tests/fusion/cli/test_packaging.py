@@ -24,8 +24,10 @@ def test_the_wheel_holds_pages_and_typing_marks(tmp_path):
     wheel = next(tmp_path.glob("palpate-*.whl"))
     names = set(zipfile.ZipFile(wheel).namelist())
     assert {f"{room}/py.typed" for room in ("scenes", "vision", "touch", "fusion")} <= names
-    assets = {path.name for path in (ROOT / "fusion" / "report").iterdir() if path.suffix in (".js", ".css", ".html")}
-    assert {f"fusion/report/{name}" for name in assets} <= names
+    report = ROOT / "fusion" / "results" / "report"
+    pages = [path for path in report.iterdir() if path.suffix in (".js", ".css", ".html")]
+    assert pages
+    assert {path.relative_to(ROOT).as_posix() for path in pages} <= names
     assert not [name for name in names if name.startswith("tests/")]
 
 

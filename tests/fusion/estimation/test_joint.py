@@ -8,8 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion.estimation.solve.joint import FIXED, POSE, SCALE, XI, JointProblem, JointSettings
+from fusion.estimation.solve.joint import solve
+from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import solve_modes
+from fusion.estimation.solve.settings import JointSettings
+from fusion.estimation.solve.system import FIXED, POSE, SCALE, XI, System
 from scenes.evidence import table as evidence
 from scenes.evidence.align import Prior, terms
 from scenes.evidence.row_kernels import loss_floor
@@ -17,10 +20,10 @@ from scenes.evidence.row_kernels import robust as compiled_robust
 from scenes.evidence.table import NO_GATE, TOUCH, VISION
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
+from scenes.recordings.beliefs import Beliefs, DepthModel
 from touch.contacts import feel
-from vision.look.hand import CalibrationModel
-from vision.look.pixels import DepthModel
-from vision.look.segments import SegmentationSettings, free_space_rows, segment, surface_rows
+from vision.look.look import look
+from vision.look.looked import RowSettings
 
 CAMERA = Camera(570.0, 570.0, 319.5, 239.5, 640, 480)
 
@@ -60,9 +63,7 @@ def made_problem(drill, rng, camera=CAMERA, prior=True, hand=None, noise=0.001):
     believed = Prior.isotropic(poses.perturb(pose, 0.01 * rng.normal(size=6), drill.centroid), 0.2, 0.02)
     # the widening of normals at bent places is a weight that is not differentiated: off, derivatives are exact
     exact = JointSettings(bend=0.0)
-    problem = JointProblem(
-        drill, seen, felt, believed if prior else None, hand, DepthModel(), CalibrationModel(), camera, settings=exact
-    )
+    problem = JointProblem(drill, seen, felt, believed if prior else None, hand, Beliefs(), camera, settings=exact)
     return problem, pose
 
 
@@ -76,14 +77,14 @@ def away_from_kinks(model, table, pose, share=0.01):
     return table.take(good)
 
 
-def numeric_gradient(problem, pose, unknown, steps):
+def numeric_gradient(system, pose, unknown, steps):
     out = np.zeros(len(unknown))
     for i in range(len(unknown)):
         pair = []
         for sign in (1, -1):
             shifted = unknown + sign * steps[i] * np.eye(len(unknown))[i]
             delta, shifted[POSE] = shifted[POSE].copy(), 0.0
-            pair.append(problem._system(poses.perturb(pose, delta, problem.model.centroid), shifted)[0])
+            pair.append(system.terms(poses.perturb(pose, delta, system.problem.model.centroid), shifted)[0])
         out[i] = (pair[0] - pair[1]) / (2 * steps[i])
     return out
 
@@ -99,10 +100,10 @@ def steps_of(problem, unknown):
 def test_the_gradient_is_that_of_the_cost(drill, seed, camera):
     rng = np.random.default_rng(seed)
     problem, pose = made_problem(drill, rng, camera)
-    problem.solve(pose, 1.0)  # sets the whitening of a level
-    unknown = np.zeros(FIXED + len(problem._bias))
-    _, gradient, normal = problem._system(pose, unknown)
-    numeric = numeric_gradient(problem, pose, unknown, steps_of(problem, unknown))
+    system = System(problem, pose, 1.0, problem.settings.least_weight)
+    unknown = np.zeros(FIXED + len(problem.bias))
+    _, gradient, normal = system.terms(pose, unknown)
+    numeric = numeric_gradient(system, pose, unknown, steps_of(problem, unknown))
     scale = np.sqrt(np.diag(normal)) + 1e-6
     assert np.abs((gradient - numeric) / scale).max() < 2e-3 * np.abs(gradient / scale).max()
     assert np.allclose(normal, normal.T, rtol=1e-9, atol=1e-9 * np.abs(normal).max())
@@ -114,14 +115,14 @@ def test_the_gradient_is_that_of_the_cost(drill, seed, camera):
 def test_the_kernels_agree_with_their_twins(drill, seed, camera):
     rng = np.random.default_rng(seed)
     problem, pose = made_problem(drill, rng, camera)
-    problem.solve(pose, 1.0)
-    unknown = np.zeros(FIXED + len(problem._bias))
+    system = System(problem, pose, 1.0, problem.settings.least_weight)
+    unknown = np.zeros(FIXED + len(problem.bias))
     unknown[SCALE], unknown[FIXED:], unknown[XI] = 0.01, 0.3 * rng.normal(size=len(unknown) - FIXED), 0.2
     pose = poses.perturb(pose, 0.02 * rng.normal(size=6), drill.centroid)
     for mine, twin in (
-        (problem._vision(pose, unknown), joint_twin.vision(problem, pose, unknown)),
-        (problem._touch(pose, unknown), joint_twin.touch(problem, pose, unknown)),
-        (problem._believed(pose), terms(drill, evidence.empty(), pose, problem.prior)),
+        (system.vision(pose, unknown), joint_twin.vision(system, pose, unknown)),
+        (system.touch(pose, unknown), joint_twin.touch(system, pose, unknown)),
+        (system.believed(pose), terms(drill, evidence.empty(), pose, problem.prior)),
     ):
         for one, other in zip(mine, twin):
             np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-9 * np.abs(other).max())
@@ -131,11 +132,11 @@ def test_the_kernels_agree_with_their_twins(drill, seed, camera):
 def test_the_gradient_holds_away_from_zero_corrections(drill, seed):
     rng = np.random.default_rng(seed)
     problem, pose = made_problem(drill, rng)
-    problem.solve(pose, 1.0)
-    unknown = np.zeros(FIXED + len(problem._bias))
+    system = System(problem, pose, 1.0, problem.settings.least_weight)
+    unknown = np.zeros(FIXED + len(problem.bias))
     unknown[SCALE], unknown[FIXED:], unknown[XI] = 0.01, 0.01 * rng.normal(size=len(unknown) - FIXED), 0.02
-    _, gradient, normal = problem._system(pose, unknown)
-    numeric = numeric_gradient(problem, pose, unknown, steps_of(problem, unknown))
+    _, gradient, normal = system.terms(pose, unknown)
+    numeric = numeric_gradient(system, pose, unknown, steps_of(problem, unknown))
     scale = np.sqrt(np.diag(normal)) + 1e-6
     assert np.abs((gradient - numeric) / scale).max() < 2e-2 * np.abs(gradient / scale).max()
 
@@ -143,39 +144,36 @@ def test_the_gradient_holds_away_from_zero_corrections(drill, seed):
 def test_the_hands_block_is_that_of_its_pixels(exact_frame, drill):
     """Quadratic in the corrections: gradient and value against the residuals written out."""
     problem, _ = frame_problem(exact_frame, drill)
-    problem.solve(exact_frame.camera_from_object_truth, 1.0)
+    system = System(problem, exact_frame.camera_from_object_truth, 1.0, problem.settings.least_weight)
     rng = np.random.default_rng(0)
-    unknown = 0.3 * rng.normal(size=FIXED + len(problem._bias))
-    cost, gradient, normal = problem._hand_terms(unknown)
+    unknown = 0.3 * rng.normal(size=FIXED + len(problem.bias))
+    cost, gradient, normal = system.hand_terms(unknown)
     view = problem.hand
-    xi = problem._white_xi @ unknown[XI]
+    xi = system.white_xi @ unknown[XI]
     ray = view.points / view.points[:, 2:]
     moved = (
-        -problem._white[SCALE] * unknown[SCALE] * view.points
-        - (problem._bias.basis(view.points) @ (problem._white[FIXED:] * unknown[FIXED:]))[:, None] * ray
+        -system.white[SCALE] * unknown[SCALE] * view.points
+        - (problem.bias.basis(view.points) @ (system.white[FIXED:] * unknown[FIXED:]))[:, None] * ray
     )
     turn = (xi - view.xi)[:3]
     shift = np.cross(turn, view.points - view.centre) + (xi - view.xi)[3:]
     residual = view.residual + np.sum(view.directions * (moved - shift), axis=1)
-    assert cost == pytest.approx(0.5 * float(problem._hand_weight @ residual**2), rel=1e-9)
+    assert cost == pytest.approx(0.5 * float(problem.hand_weight @ residual**2), rel=1e-9)
     assert np.allclose(normal, normal.T)
     step = 1e-5
     for i in rng.choice(len(gradient), 6, replace=False):
         shifted = unknown.copy()
         shifted[6 + i] += step
-        up = problem._hand_terms(shifted)[0]
+        up = system.hand_terms(shifted)[0]
         shifted[6 + i] -= 2 * step
-        assert gradient[i] == pytest.approx((up - problem._hand_terms(shifted)[0]) / (2 * step), rel=1e-5, abs=1e-5)
+        assert gradient[i] == pytest.approx((up - system.hand_terms(shifted)[0]) / (2 * step), rel=1e-5, abs=1e-5)
 
 
 def frame_problem(frame, model):
-    looked = segment(frame, model, frame.prior)
-    settings = SegmentationSettings()
-    seen = evidence.stack(surface_rows(looked, 400, settings, DepthModel()), free_space_rows(looked, settings))
-    felt = feel(frame, 4.0, looked.region)
-    problem = JointProblem(
-        model, seen, felt.rows, None, looked.hand_view, DepthModel(), CalibrationModel(), frame.camera
-    )
+    looked = look(frame, model, start=frame.prior)
+    seen = looked.rows(DepthModel(), RowSettings(most=400))
+    felt = feel(frame, np.eye(4), region=looked.region)
+    problem = JointProblem(model, seen, felt.rows, None, looked.hand, Beliefs(), frame.camera)
     return problem, felt
 
 
@@ -195,17 +193,18 @@ def test_known_shared_errors_are_found_from_exact_data(exact_frame, drill, seed)
     truth = frame.camera_from_object_truth
     start = poses.perturb(truth, [0.01, -0.01, 0.01, 0.001, 0.001, -0.001], drill.centroid)
     # at the believed size of the shared errors, which is the size they were drawn with
-    result = problem.solve(problem.solve(start, 1.0).pose, 1.0)
-    unknown = np.zeros(FIXED + len(problem._bias))
-    unknown[XI] = np.linalg.solve(problem._white_xi, result.xi)
-    unknown[SCALE] = result.scale / problem._white[SCALE]
-    normal = problem._system(result.pose, unknown)[2]
+    result = solve(problem, solve(problem, start, 1.0).pose, 1.0)
+    unknown = np.zeros(FIXED + len(problem.bias))
+    system = System(problem, result.pose, 1.0, problem.settings.least_weight)
+    unknown[XI] = np.linalg.solve(system.white_xi, result.xi)
+    unknown[SCALE] = result.scale / system.white[SCALE]
+    normal = system.terms(result.pose, unknown)[2]
     covariance = np.linalg.inv(normal + 1e-9 * np.diag(np.diag(normal)))
-    xi_covariance = problem._white_xi @ covariance[XI, XI] @ problem._white_xi.T
+    xi_covariance = system.white_xi @ covariance[XI, XI] @ system.white_xi.T
     wanted = poses.difference(poses.inverse(error), np.eye(4), result.centre)
     off = result.xi - wanted
     assert off @ np.linalg.solve(xi_covariance, off) < 25.0  # six degrees of freedom: beyond 99.9 %
-    assert abs(result.scale - scale) < 4 * problem._white[SCALE] * np.sqrt(covariance[SCALE, SCALE])
+    assert abs(result.scale - scale) < 4 * system.white[SCALE] * np.sqrt(covariance[SCALE, SCALE])
     delta = poses.difference(result.pose, truth, drill.centroid)
     assert delta @ np.linalg.solve(result.covariance, delta) < 25.0
     assert np.linalg.norm(delta[3:]) < 0.004
@@ -216,14 +215,15 @@ def test_known_shared_errors_are_found_from_exact_data(exact_frame, drill, seed)
 def test_solving_lowers_the_cost_and_keeps_the_pose_rigid(drill, rng):
     problem, pose = made_problem(drill, rng)
     start = poses.perturb(pose, [0.05, -0.03, 0.02, 0.004, 0.003, -0.004], drill.centroid)
-    result = problem.solve(start, 1.0)
-    unknown = np.zeros(FIXED + len(problem._bias))
-    assert result.cost < problem._system(start, unknown)[0]
+    result = solve(problem, start, 1.0)
+    unknown = np.zeros(FIXED + len(problem.bias))
+    system = System(problem, start, 1.0, problem.settings.least_weight)
+    assert result.cost < system.terms(start, unknown)[0]
     poses.check_pose(result.pose)
     assert np.linalg.norm(poses.difference(result.pose, pose, drill.centroid)[3:]) < 0.003
     assert np.linalg.eigvalsh(result.covariance).min() > 0
     assert np.isfinite(result.log_evidence)
-    again = problem.solve(start, 1.0)
+    again = solve(problem, start, 1.0)
     assert np.array_equal(again.pose, result.pose)
 
 
@@ -237,7 +237,7 @@ def test_little_evidence_is_solved_too(drill, rng, kind):
         seen = evidence.empty()
     else:
         seen, felt = seen.take([0]), evidence.empty()
-    sparse = JointProblem(drill, seen, felt, None, None, DepthModel(), CalibrationModel(), CAMERA)
+    sparse = JointProblem(drill, seen, felt, None, None, Beliefs(), CAMERA)
     result = solve_modes(sparse, [pose])[0]
     assert np.isfinite(result.pose).all()
     assert np.isfinite(result.covariance).all()
@@ -250,10 +250,10 @@ def test_the_level_of_shared_errors_follows_the_data(drill):
     # these pixels share nothing
     own = replace(problem.settings, rigs=tuple(replace(rig, weight=1.0) for rig in problem.settings.rigs))
     seen, felt = problem.seen, problem.felt
-    together = JointProblem(drill, seen, felt, None, None, DepthModel(), CalibrationModel(), CAMERA, settings=own)
+    together = JointProblem(drill, seen, felt, None, None, Beliefs(), CAMERA, settings=own)
     agree = solve_modes(together, [pose])[0]
     off = problem.seen.moved(poses.make_pose(None, [0.0, 0.0, 0.006]))
-    apart = JointProblem(drill, off, felt, None, None, DepthModel(), CalibrationModel(), CAMERA, settings=own)
+    apart = JointProblem(drill, off, felt, None, None, Beliefs(), CAMERA, settings=own)
     disagree = solve_modes(apart, [pose])[0]
     assert agree.level < disagree.level
     assert {rig.level for rig in own.rigs} >= {agree.level, disagree.level}
@@ -263,6 +263,6 @@ def test_where_nothing_is_shared_pixels_count_more(drill):
     """The covariance is that of the rig which the frame was taken for: pixels that agree exactly are trusted."""
     problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-5)
     calm = solve_modes(problem, [pose])[0]
-    usual = problem.solve(pose, 1.0)
+    usual = solve(problem, pose, 1.0)
     assert calm.level < usual.level
     assert np.trace(calm.covariance[3:, 3:]) < 0.5 * np.trace(usual.covariance[3:, 3:])

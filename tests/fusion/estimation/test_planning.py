@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from fusion.estimation.proposals import ProposalSettings, search_stages
 from fusion.estimation.search import PlanSettings, find_modes, valley_steps, worth_solving
-from fusion.estimation.stages import search_stages
 from scenes.evidence import table as evidence
 from scenes.evidence.align import Prior
 from scenes.evidence.modes import Mode, ModeSettings
@@ -14,7 +14,7 @@ from scenes.evidence.table import TOUCH, VISION
 from scenes.geometry import poses
 from scenes.synthesis import library
 
-STAGES = search_stages(0.01, True)
+STAGES = search_stages(0.01, ProposalSettings().near)
 
 
 def scene(model, noise=0.001, seed=0, pixels=300):

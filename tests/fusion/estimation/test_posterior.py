@@ -2,15 +2,27 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import ContactResidual, Mode
+from fusion.estimation.estimate import estimate
+from fusion.estimation.settings import EstimateSettings
+from fusion.estimation.tolerance import is_within, with_shared_errors
 from fusion.estimation.trace import Trace
 from scenes.evidence import table as evidence
+from scenes.evidence.align import Prior
 from scenes.evidence.table import VISION
 from scenes.geometry import poses
+from scenes.geometry.objects import ObjectModel
+from scenes.geometry.symmetries import Axis, Symmetries
+from scenes.recordings.beliefs import DepthModel
 from scenes.recordings.frames import Contacts
 from scenes.synthesis import library
+from touch.answers import verdict_of
+from touch.localization import localize
+from vision.visibility import Visibility
 
 SHARP = np.diag([1e-6] * 3 + [1e-8] * 3)
 
@@ -69,6 +81,115 @@ def test_open_directions_are_named_in_the_objects_axes():
     assert posterior.unobservable(model, np.eye(4), wide) == ("translation along x",)
     assert posterior.unobservable(model, np.eye(4), SHARP) == ()
     assert posterior.unobservable(library.make("bottle"), np.eye(4), SHARP) == ("rotation about z",)
+
+
+def in_other_axes(model, turn, shift):
+    """The same thing, its mesh turned (3, 3) and moved (3,) in its file."""
+    axes = tuple(Axis(turn @ a.point + shift, turn @ a.direction) for a in model.symmetries.axes)
+    moved = poses.make_pose(turn, shift)
+    discrete = moved @ model.symmetries.discrete @ poses.inverse(moved)
+    vertices = model.vertices @ turn.T + shift
+    return ObjectModel.from_mesh(vertices, model.faces, model.name, Symmetries(discrete, axes))
+
+
+SEEN = Visibility(0.9, 0.1, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("name", ["bottle", "cylinder"])
+@given(seed=st.integers(0, 2**32 - 1), off=st.floats(0.0, 0.05))
+@settings(max_examples=25, deadline=None)
+def test_a_symmetric_object_is_as_sure_in_any_axes(name, seed, off):
+    """A turn about its own axis is no doubt, whatever the axis is called and a few degrees off an eigenvector."""
+    rng = np.random.default_rng(seed)
+    declared = library.make(name)
+    turn = poses.random_rotations(1, rng)[0]
+    model = in_other_axes(declared, turn, rng.normal(size=3) * 0.2)
+    pose = poses.make_pose(poses.random_rotations(1, rng)[0], rng.normal(size=3))
+    across = np.cross(model.symmetries.axes[0].direction, rng.normal(size=3))
+    free = model.symmetries.axes[0].direction + off * across / np.linalg.norm(across)
+    free = pose[:3, :3] @ free
+    covariance = SHARP.copy()
+    covariance[:3, :3] += np.outer(free, free)
+    sure = Mode(pose, 1.0, 0.0, covariance)
+    assert posterior.verdict(model, (sure,), (), 0.9, SEEN)[0] == "ok"
+    assert verdict_of((sure,), model) == "ok"
+    assert len(posterior.unobservable(model, pose, covariance)) == 1
+    tipped = pose[:3, :3] @ across / np.linalg.norm(across)
+    doubtful = Mode(pose, 1.0, 0.0, covariance + 0.5**2 * np.pad(np.outer(tipped, tipped), (0, 3)))
+    assert posterior.verdict(model, (doubtful,), (), 0.9, SEEN)[0] == "ambiguous"
+    assert verdict_of((doubtful,), model) == "ambiguous"
+
+
+def test_a_turn_about_an_axis_beside_the_centroid_moves_nothing_either():
+    """A body of revolution whose centroid is off its axis: the turn carries the centroid around the axis."""
+    box = library.make("box")
+    axis = Axis(box.centroid + np.array([0.05, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+    model = ObjectModel.from_mesh(box.vertices, box.faces, "off", Symmetries(axes=(axis,)))
+    lever = np.concatenate([axis.direction, np.cross(axis.direction, model.centroid - axis.point)])
+    covariance = SHARP + np.outer(lever, lever)
+    assert posterior.verdict(model, (mode(covariance),), (), 0.9, SEEN)[0] == "ok"
+    assert posterior.verdict(box, (mode(covariance),), (), 0.9, SEEN)[0] == "ambiguous"
+
+
+def test_a_ball_may_be_anywhere_that_nothing_was_felt():
+    """One contact and a prior of 2 cm: where the ball is across the contact is unknown, however it may turn."""
+    ball = library.make("sphere")
+    touched = Contacts([[0.0, 0.0, ball.radius]], None, 1e-3)
+    found = localize(ball, touched, seed=0, prior=Prior.isotropic(np.eye(4), 0.3, 0.02))
+    widest = np.sqrt(np.linalg.eigvalsh(found.covariance[3:, 3:])[-1])
+    assert widest > posterior.VerdictSettings().unknown_distance
+    assert posterior.verdict(ball, found.modes, (), np.nan, SEEN)[0] == "ambiguous"
+    assert found.verdict == "ambiguous"
+    said = posterior.unobservable(ball, found.pose, found.covariance)
+    assert sum(word.startswith("translation") for word in said) == 2
+    assert {f"rotation about {axis}" for axis in "xyz"} <= set(said)
+    assert posterior.verdict(ball, (mode(),), (), 0.9, SEEN)[0] == "ok"
+
+
+def moved_origin(model, shift):
+    return in_other_axes(model, np.eye(3), np.asarray(shift))
+
+
+@pytest.mark.parametrize("shift", [[0.5, 0.0, 0.0], [0.0, -0.3, 0.4]])
+def test_shared_errors_lie_along_the_ray_to_the_object_not_to_its_files_origin(lab_frame, shift):
+    model = library.make("drill")
+    pose = lab_frame.camera_from_object_truth
+    elsewhere = moved_origin(model, shift)
+    shifted = pose @ poses.make_pose(np.eye(3), -np.asarray(shift))
+    depth = DepthModel()
+    (here,), (there,) = (
+        with_shared_errors(m, (Mode(p, 1.0, 0.0, SHARP),), lab_frame, depth)
+        for m, p in ((model, pose), (elsewhere, shifted))
+    )
+    assert np.allclose(here.covariance, there.covariance, atol=1e-12)
+    middle = poses.apply(pose, model.centroid[None])[0]
+    ray = middle / np.linalg.norm(middle)
+    added = here.covariance[3:, 3:] - SHARP[3:, 3:]
+    assert ray @ added @ ray == pytest.approx(depth.bias_sigma**2 + (depth.scale_sigma * np.linalg.norm(middle)) ** 2)
+
+
+def test_a_tolerance_asks_nothing_about_turns_that_change_nothing():
+    covariance = SHARP + np.diag([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    wide = (mode(covariance),)
+    assert is_within(library.make("bottle"), wide, (0.001, 0.02), EstimateSettings())
+    assert not is_within(library.make("drill"), wide, (0.001, 0.02), EstimateSettings())
+
+
+def test_an_estimate_does_not_know_where_a_files_origin_is(lab_frame):
+    """The same object, half a metre from its file's origin: the same answer, and as sure."""
+    declared = library.make("drill")
+    shift = np.array([0.3, -0.4, 0.0])
+    prior = poses.displaced(lab_frame.camera_from_object_truth, 0.1, 0.01, declared.centroid, np.random.default_rng(0))
+    here = estimate(lab_frame, declared, prior, tolerance=(0.02, 0.2))
+    there = estimate(
+        lab_frame, moved_origin(declared, shift), prior @ poses.make_pose(np.eye(3), -shift), tolerance=(0.02, 0.2)
+    )
+    back = there.pose @ poses.make_pose(np.eye(3), shift)
+    delta = poses.difference(back, here.pose, declared.centroid)
+    # another lattice, laid elsewhere over the same surface
+    sigma = np.sqrt(np.diag(here.covariance))
+    assert np.all(np.abs(delta) < 0.5 * sigma)
+    assert np.sqrt(np.diag(there.covariance)) == pytest.approx(sigma, rel=0.1)
 
 
 def residual(outlier):

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from test_compare import plain_view
+from made_frames import plain_view
 
 from fusion.cli.main import main
 from fusion.results.batch import (
@@ -27,7 +27,8 @@ from fusion.results.batch import (
     finished,
     run_jobs,
 )
-from fusion.results.batch_files import summary_of, write_all
+from fusion.results.batch_files import write_all
+from fusion.results.summary import summary_of
 from scenes.errors import InputError
 from scenes.recordings.captures import write_capture
 from scenes.synthesis.library import make

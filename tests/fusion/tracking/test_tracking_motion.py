@@ -15,9 +15,9 @@ from fusion.tracking.motion import (
     grasp_transpose,
 )
 from scenes.geometry import poses
+from scenes.recordings.beliefs import CalibrationModel
 from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis import library
-from vision.look.hand import CalibrationModel
 
 SEEDS = st.integers(0, 2**31)
 

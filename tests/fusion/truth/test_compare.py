@@ -8,20 +8,17 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from made_frames import plain_view
 
-from fusion.estimation.stages import numb
 from fusion.results.plots import check_suffix, draw, write_plot
 from fusion.truth import compare as comparing
 from fusion.truth.compare import METHODS, Row, check_methods, compare, compare_frame, summarise
 from fusion.truth.errors import Agreement, Errors, Judge, json_number
 from fusion.truth.evaluate import evaluate
 from scenes.errors import CaptureError, InputError
-from scenes.files.bop import PoseRow
 from scenes.geometry import poses
-from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Renderer
+from scenes.recordings.bop import PoseRow
 from scenes.recordings.captures import read_capture, write_capture
-from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis.library import make
 
 
@@ -175,4 +172,4 @@ def test_contacts_join_the_cloud_at_their_share(exact_frame):
     # any part of them holds about that share, too
     known = {tuple(point) for point in felt}
     assert sum(tuple(point) in known for point in both[:300]) in range(15, 50)
-    assert comparing.with_contacts(cloud, numb(exact_frame)) is cloud
+    assert comparing.with_contacts(cloud, exact_frame.without_touch()) is cloud

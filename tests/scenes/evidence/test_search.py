@@ -5,8 +5,16 @@ import pytest
 
 from scenes.errors import InputError
 from scenes.evidence import table as evidence
-from scenes.evidence.align import Alignment
-from scenes.evidence.search import SearchStage, distinct_first, rotation_grid, search, starts_around, thin
+from scenes.evidence.align import Alignment, Prior
+from scenes.evidence.search import (
+    SearchStage,
+    distinct_first,
+    rotation_grid,
+    search,
+    starts_around,
+    starts_of_prior,
+    thin,
+)
 from scenes.evidence.table import TOUCH, VISION, WEIGHT
 from scenes.geometry import poses
 from scenes.synthesis import library
@@ -69,6 +77,46 @@ def test_starts_around_a_prior(rng):
     assert np.allclose(starts[0], mean, atol=1e-12)
     assert np.allclose(delta[1:, :3].std(axis=0), 0.1, rtol=0.06)
     assert np.allclose(delta[1:, 3:].std(axis=0), 0.02, rtol=0.06)
+
+
+def correlated_prior(rng, pose, thin=1e4):
+    """About 20 mm and 10 degrees a direction, but for one mix of both that is known `thin` times as well."""
+    unit = np.repeat([np.deg2rad(10.0), 0.02], 3)
+    basis, _ = np.linalg.qr(rng.normal(size=(6, 6)))
+    precision = (basis * np.array([thin, 1, 1, 1, 1, 1])) @ basis.T
+    return Prior(pose, precision / unit / unit[:, None])
+
+
+def test_draws_of_a_correlated_prior_are_as_wide_as_it_is(rng):
+    model = library.make("drill")
+    mean = poses.make_poses(poses.random_rotations(1, rng), rng.normal(size=(1, 3)))[0]
+    prior = correlated_prior(rng, mean)
+    covariance = np.linalg.inv(prior.information)
+    starts = starts_of_prior(model, prior, 6000, np.deg2rad(60.0), 1.0, rng)
+    delta = poses.difference(starts, mean, model.centroid)[1:]
+    assert np.allclose(starts[0], mean, atol=1e-12)
+    assert np.allclose(delta.std(axis=0), np.sqrt(np.diag(covariance)), rtol=0.06)
+    # 1 / diag(information) took the widths that remain when all else is known
+    assert np.sqrt(1 / np.diag(prior.information)).max() < 0.7 * np.sqrt(np.diag(covariance)).max()
+    white = delta @ np.linalg.cholesky(prior.information)
+    assert np.allclose(white.T @ white / len(white), np.eye(6), atol=0.1)
+
+
+def test_draws_of_an_isotropic_prior_stay_the_same(rng):
+    model = library.make("drill")
+    seeded = [np.random.default_rng(3) for _ in range(2)]
+    before = starts_around(model, np.eye(4), 0.1, 0.02, 50, seeded[0])
+    after = starts_of_prior(model, Prior.isotropic(np.eye(4), 0.1, 0.02), 50, 1.0, 1.0, seeded[1])
+    assert np.allclose(before, after, atol=1e-12)
+
+
+@pytest.mark.parametrize("information", [np.zeros((6, 6)), np.diag([0.0, 0.0, 1e4, 1e-9, 1e6, 0.0])])
+def test_a_prior_that_knows_nothing_is_drawn_as_wide_as_told(rng, information):
+    model = library.make("drill")
+    starts = starts_of_prior(model, Prior(np.eye(4), information), 4000, 0.3, 0.1, rng)
+    delta = poses.difference(starts, np.eye(4), model.centroid)[1:]
+    expected = np.minimum(1 / np.sqrt(np.maximum(np.diag(information), 1e-12)), np.repeat([0.3, 0.1], 3))
+    assert np.allclose(delta.std(axis=0), expected, rtol=0.1)
 
 
 def test_the_search_finds_the_pose_and_repeats(rng):

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from commands import refused, run
-from test_captures import CAMERA, some_frame
+from made_frames import CAMERA, plain_view, some_frame
 
 from scenes.files.ply import write_ply
 from scenes.geometry import poses
@@ -93,9 +93,9 @@ def test_the_chosen_instance(data, tmp_path, instance):
     assert said == {"written": [str(out)], "frames": 2, "dropped": [], "remarks": []}
     capture = read_capture(out)
     assert capture.frame_ids == data.numbers
-    assert capture.settings.object_id == 5
-    assert capture.settings.notes["scene_id"] == 48
-    assert capture.settings.notes["visible_fraction"] == {str(n): (11 + instance) / 16 for n in data.numbers}
+    assert capture.manifest.object_id == 5
+    assert capture.manifest.notes["scene_id"] == 48
+    assert capture.manifest.notes["visible_fraction"] == {str(n): (11 + instance) / 16 for n in data.numbers}
     for frame in capture:
         row = frame.index, 11 + instance
         counts = cv2.imread(str(out / "depth" / f"{frame.index:06d}.png"), cv2.IMREAD_UNCHANGED)
@@ -140,7 +140,7 @@ def test_grey_images_models_elsewhere_and_scenes_without_truth(data, tmp_path):
     assert np.array_equal(frame.rgb[:, :, 0], frame.rgb[:, :, 2])
     mesh = data.root / "cad" / "obj_000002.ply"
     assert run("convert", data.scene, tmp_path / "d", "--object-id", 9, "--object", mesh, "--unit", "mm") == 0
-    assert read_capture(tmp_path / "d").settings.object_id == 9
+    assert read_capture(tmp_path / "d").manifest.object_id == 9
 
 
 def test_what_is_dropped(data, tmp_path, capsys):
@@ -226,7 +226,7 @@ def test_there_and_back_is_the_same(tmp_path, world, masks):
         assert not masks or np.array_equal(one.mask, other.mask)
         np.testing.assert_allclose(one.camera_from_object_truth, other.camera_from_object_truth, atol=1e-12)
         np.testing.assert_allclose(one.camera_from_world, other.camera_from_world, atol=1e-12)
-    assert (a.world, a.settings.object_id, b.settings.object_id) == (b.world, 13, 13)
+    assert (a.world, a.manifest.object_id, b.manifest.object_id) == (b.world, 13, 13)
     triangles = [m.vertices[m.faces] for m in (a.model, b.model)]
     np.testing.assert_allclose(*triangles, atol=1e-12)
     np.testing.assert_allclose(a.model.symmetries.axes[0].direction, b.model.symmetries.axes[0].direction)
@@ -245,8 +245,6 @@ def assert_close(first, second) -> None:
 
 
 def test_export_counts_what_bop_has_no_place_for_and_describes_what_is_seen(tmp_path, capsys):
-    from test_compare import plain_view
-
     frame = plain_view()
     half = np.zeros(frame.depth.shape, bool)
     half[:, : half.shape[1] // 2] = True

@@ -12,14 +12,14 @@ import docs_commands
 import numpy as np
 import pytest
 from bags import HEIGHT, SECOND, START, WIDTH, Messages
-from test_compare import plain_view
-from test_formats_folders import images, sequence
+from image_folders import images, sequence
+from made_frames import plain_view
 
 from fusion.cli.main import main
-from scenes.files.bop import read_poses
 from scenes.files.off import write_off
 from scenes.files.ply import write_ply
 from scenes.geometry import poses
+from scenes.recordings.bop import read_poses
 from scenes.recordings.captures import read_capture, write_capture
 from scenes.recordings.validation import validate
 from scenes.synthesis.hands import five_finger_hand
@@ -126,7 +126,7 @@ def test_every_command_of_the_page_works(place, monkeypatch, capsys):
         capture = read_capture(place / "captures" / name)
         assert len(capture) > 0
         assert [p for p in validate(capture.path) if "sizes that agree" not in p.message] == []
-    assert read_capture(place / "captures/can").settings.object_id == 5
+    assert read_capture(place / "captures/can").manifest.object_id == 5
     rows = read_poses(place / "out/drill/poses.csv")
     assert [(row.scene_id, row.im_id, row.obj_id) for row in rows] == [(48, 0, 15), (48, 3, 15)]
     counts = json.loads((place / "out/counts.json").read_text())

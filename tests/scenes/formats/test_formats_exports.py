@@ -11,12 +11,12 @@ import trimesh
 from commands import refused, run
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_compare import plain_view
+from made_frames import plain_view
 
 from scenes.errors import CaptureError
-from scenes.files.bop import PoseRow, write_poses
 from scenes.formats.tum import read_tum, write_tum
 from scenes.geometry import poses
+from scenes.recordings.bop import PoseRow, write_poses
 from scenes.recordings.captures import write_capture
 from scenes.synthesis.library import make
 

@@ -8,32 +8,11 @@ import cv2
 import numpy as np
 import pytest
 from commands import refused, run
+from image_folders import SIZE, K, images, sequence
 
-from scenes.geometry import poses
-from scenes.recordings.captures import read_capture
 from scenes.files.off import write_off
+from scenes.recordings.captures import read_capture
 from scenes.synthesis.library import make
-
-SIZE = (48, 64)
-K = np.array([[80.0, 0, 31.5], [0, 82.0, 23.5], [0, 0, 1]])
-
-
-def sequence(folder, names, poses_named=False, masks=None):
-    """A YCBInEOAT sequence; returns its counts and truths."""
-    rng = np.random.default_rng(0)
-    for part in ("rgb", "depth", "annotated_poses", *([masks] if masks else [])):
-        (folder / part).mkdir(parents=True)
-    np.savetxt(folder / "cam_K.txt", K)
-    counts, truths = [], []
-    for i, name in enumerate(names):
-        counts.append(rng.integers(0, 3000, SIZE).astype(np.uint16))
-        truths.append(poses.make_pose(poses.random_rotations(1, rng)[0], [0.0, 0.1, 0.6]))
-        cv2.imwrite(str(folder / "depth" / f"{name}.png"), counts[-1])
-        cv2.imwrite(str(folder / "rgb" / f"{name}.png"), np.full((*SIZE, 3), i, np.uint8))
-        np.savetxt(folder / "annotated_poses" / f"{name if poses_named else f'{i:07d}'}.txt", truths[-1])
-        if masks:
-            cv2.imwrite(str(folder / masks / f"{name}.png"), np.where(counts[-1] > 1500, 255, 0).astype(np.uint8))
-    return counts, truths
 
 
 @pytest.mark.parametrize("masks", [None, "gt_mask", "masks"])
@@ -44,7 +23,7 @@ def test_ycbineoat(tmp_path, masks, named):
     assert run("convert", tmp_path / "s", tmp_path / "c", "--object", "box") == 0
     capture = read_capture(tmp_path / "c")
     assert capture.frame_ids == (0, 1, 2)
-    assert capture.settings.notes["stamps_ns"] == {str(i): int(name) for i, name in enumerate(names)}
+    assert capture.manifest.notes["stamps_ns"] == {str(i): int(name) for i, name in enumerate(names)}
     for i, frame in enumerate(capture):
         assert np.array_equal(np.rint(frame.depth * 1e3), counts[i])
         assert int(frame.rgb[0, 0, 0]) == i
@@ -76,14 +55,6 @@ def test_malformed_sequences(tmp_path, capsys):
     (folder / "cam_K.txt").write_text("1 2 3")
     assert "cam_K.txt: expected 9 finite numbers" in refused(capsys, *argv)
     assert not (tmp_path / "c").exists()
-
-
-def images(folder, names=("a", "b", "c")):
-    (folder / "depth").mkdir(parents=True)
-    (folder / "rgb").mkdir()
-    for i, name in enumerate(names):
-        cv2.imwrite(str(folder / "depth" / f"{name}.png"), np.full(SIZE, 400 + i, np.uint16))
-        cv2.imwrite(str(folder / "rgb" / f"{name}.png"), np.full((*SIZE, 3), i, np.uint8))
 
 
 def test_a_folder_of_images(tmp_path, capsys):
@@ -154,7 +125,7 @@ def test_tacman_sets(tacman, tmp_path, capsys):
     assert run("convert", ini, out, "--json", tmp_path / "j.json") == 0
     capture = read_capture(out)
     assert (len(capture[0].contacts), capture.world, capture.model.name) == (15, "robot base", "box")
-    assert capture.settings.notes["settings"]["R"] == "(0.0001, 0.0001, 0.0001)"
+    assert capture.manifest.notes["settings"]["R"] == "(0.0001, 0.0001, 0.0001)"
     assert json.loads((tmp_path / "j.json").read_text())["dropped"] == [
         {"what": "contacts", "why": "beyond numMeas 15", "count": 5}
     ]
@@ -172,6 +143,33 @@ def test_tacman_sets(tacman, tmp_path, capsys):
     assert capture[0].contacts.has_normal.all()
     assert run("convert", ini.parent, tmp_path / "all", "--object", "box") == 0
     assert [path.name for path in (tmp_path / "all").iterdir()] == ["box"]
+
+
+def test_a_cloud_that_becomes_contacts_is_warned_of(tacman, tmp_path, capsys):
+    ini, points = tacman / "configurationFiles" / "box.ini", make("box").sample_surface(1140, 0)[0]
+    write_off(tacman / "measurements" / "cloud.off", points)
+    lines = "modelFile ../../models/box.off\nmeasurementsFile ../../measurements/cloud.off\n"
+    for number, (more, says) in enumerate(
+        (
+            (
+                "",
+                "all 1140 points become contacts, more than fingers feel: is it a cloud?; a cloud needs a fingersFile",
+            ),
+            ("numMeas 1000\n", "all 1000 points become contacts"),
+            ("fingersFile ../../measurements/cloud.off\n", "fingersFile and measurementsFile are both"),
+            ("numMeas 40\n", None),
+            ("fingersFile ../../measurements/fingers.off\n", None),
+        )
+    ):
+        ini.write_text(lines + more)
+        for source, out in ((ini, tmp_path / f"{number}"), (ini.parent, tmp_path / f"all{number}")):
+            assert run("convert", source, out, "--json", tmp_path / "j.json") == 0
+            remarks = json.loads((tmp_path / "j.json").read_text())["remarks"]
+            assert len(remarks) == (says is not None)
+            assert says is None or (says in remarks[0] and "box.ini" in remarks[0] and says in capsys.readouterr().out)
+    listed = tacman / "measurements" / "cloud.off"
+    assert run("convert", listed, tmp_path / "l", "--object", "box", "--json", tmp_path / "j.json") == 0
+    assert "cloud.off: all 1140 points" in json.loads((tmp_path / "j.json").read_text())["remarks"][0]
 
 
 def test_malformed_tacman_sets(tacman, tmp_path, capsys):

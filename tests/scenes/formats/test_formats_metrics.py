@@ -15,8 +15,8 @@ from bop_reference import DELTA, MODELS, SCENE, TAUS, reference, write_dataset
 from commands import run
 
 from fusion.truth import metrics
-from scenes.files.bop import read_poses
 from scenes.geometry.symmetries import Symmetries
+from scenes.recordings.bop import read_poses
 from scenes.recordings.captures import read_capture
 
 # millimetres, pixels, shares; "image object"

@@ -135,7 +135,7 @@ def check(scene: Scene, folder) -> None:
     capture = read_capture(folder)
     assert capture.frame_ids == (0, 1, 2, 3, 4)
     assert capture.world == "robot base"
-    assert capture.settings.notes["stamps_ns"] == {str(i): stamp for i, stamp in enumerate(scene.stamps)}
+    assert capture.manifest.notes["stamps_ns"] == {str(i): stamp for i, stamp in enumerate(scene.stamps)}
     assert [p for p in validate(folder) if "limits" not in p.message and "sizes that agree" not in p.message] == []
     for i, frame in enumerate(capture):
         assert np.array_equal(np.rint(frame.depth * 1e3).astype(int), scene.counts[i])

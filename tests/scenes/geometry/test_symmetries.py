@@ -110,3 +110,17 @@ def test_what_a_group_is():
     assert not cyclic(2).is_trivial
     assert GROUPS["cylinder"].poses(steps=10).shape == (20, 4, 4)
     assert np.allclose(GROUPS["cylinder"].poses(steps=10)[0], np.eye(4))
+
+
+BALL = Symmetries(axes=(Axis(np.array([0.01, 0.0, 0.02]), AXIS), Axis(np.array([0.01, 0.0, 0.02]), np.eye(3)[0])))
+
+
+@pytest.mark.parametrize("group", [Symmetries.none(), GROUPS["tilted cylinder"], BALL])
+@given(seed=seeds)
+def test_the_quotient_is_the_nearest_of_a_small_motion(group, seed):
+    rng = np.random.default_rng(seed)
+    pose, centre = draw_pose(rng), rng.normal(size=3) * 0.05
+    delta = 1e-4 * rng.normal(size=6)
+    nearest = group.nearest(poses.perturb(pose, delta, centre), pose)
+    left = group.quotient(pose[:3, :3], centre) @ delta
+    assert np.allclose(left, poses.difference(nearest, pose, centre), atol=1e-7)

@@ -5,17 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_compare import plain_view
+from made_frames import plain_view
 
 from fusion.cli.main import main
 from scenes.errors import InputError, MeshError
-from scenes.files.bop import PoseRow, write_poses
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
 from scenes.reconstruction.superquadrics import Superquadric, fit_superquadric
-from scenes.reconstruction.volume import ReconstructionSettings, View, reconstruct
+from scenes.reconstruction.volume import DepthView, ReconstructionSettings, reconstruct
+from scenes.recordings.bop import PoseRow, write_poses
 from scenes.recordings.captures import write_capture
 from scenes.synthesis import library
 
@@ -40,7 +40,7 @@ def views_from(model, directions):
         pose = poses.make_pose(rotation, np.array([0, 0, 0.4]) - rotation @ model.centroid)
         seen = renderer.render(CAMERA, {"object": pose})
         mask = seen.mask("object")
-        out.append(View(CAMERA, pose, np.where(mask, seen.depth, 2.0).astype(np.float32), mask))
+        out.append(DepthView(CAMERA, pose, np.where(mask, seen.depth, 2.0).astype(np.float32), mask))
     return out
 
 

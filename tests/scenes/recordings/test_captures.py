@@ -10,14 +10,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from made_frames import some_frame
 
 from scenes.errors import CaptureError, InputError, PalpateError
 from scenes.files.images import read_mask
 from scenes.files.ply import read_cloud, write_ply
-from scenes.geometry import poses
-from scenes.geometry.cameras import Camera
 from scenes.recordings.captures import read_capture, write_capture
-from scenes.recordings.frames import Contacts, EmptyRegions, Frame, Wrench
+from scenes.recordings.frames import Contacts, Frame
 from scenes.recordings.validation import validate
 from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.library import make
@@ -39,7 +38,7 @@ def test_round_trip(tmp_path, world, with_hand, unit):
     write_capture(tmp_path / "c", frames, model, hand, world, depth_scale=0.1, model_unit=unit, notes={"seed": 3})
     capture = read_capture(tmp_path / "c")
     assert (len(capture), capture.frame_ids, capture.world) == (2, (0, 7), world)
-    assert capture.settings.notes == {"seed": 3}
+    assert capture.manifest.notes == {"seed": 3}
     np.testing.assert_allclose(capture.model.vertices[capture.model.faces], model.vertices[model.faces], atol=1e-12)
     assert capture.model.name == "cylinder"
     assert len(capture.model.symmetries.discrete) == len(model.symmetries.discrete)

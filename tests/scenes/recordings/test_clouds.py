@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
-from vision.look.pixels import DepthModel, Pixels, Region, read_pixels
+from scenes.recordings.beliefs import DepthModel
+from vision.look.pixels import Pixels, Region, read_pixels
 
 CAMERA = Camera(570.0, 570.0, 319.5, 239.5, 640, 480)
 

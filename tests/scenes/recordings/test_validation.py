@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_captures import some_frame
+from made_frames import some_frame
 
 from scenes.errors import CaptureError
 from scenes.geometry import poses

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_noise import CAMERA, FRONTAL, OFF, plane, tilted, two_walls
+from made_depth import CAMERA, FRONTAL, OFF, plane, tilted, two_walls
 
 from scenes.errors import InputError
 from scenes.geometry.cameras import Camera

@@ -51,7 +51,7 @@ def test_slips_happen_inside_the_hand_and_fingers_stay_on_the_surface(tmp_path):
         tmp_path / "slip", MODEL, five_finger_hand(), 45, 0.4, ("point",), PRESETS["none"], 7, settings=SMALL,
         motion="slip",
     )  # fmt: skip
-    notes = capture.settings.notes["motion"]
+    notes = capture.manifest.notes["motion"]
     assert notes["kind"] == "slip"
     assert notes["slips"]
     frames = list(capture)

@@ -6,41 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_depth import CAMERA, FRONTAL, OFF, tilted, two_walls
 
 from scenes.errors import InputError
 from scenes.geometry import poses
-from scenes.geometry.cameras import Camera
 from scenes.geometry.rendering import Rendering
 from scenes.recordings.frames import Contacts
 from scenes.synthesis.noise import presets as noise
-
-CAMERA = Camera(570.0, 570.0, 159.5, 119.5, 320, 240)
-OFF = noise.PRESETS["none"].depth
-
-
-def plane(normal, distance, camera=CAMERA):
-    """What the camera sees of an infinite plane normal . x = -distance."""
-    normal = np.asarray(normal, dtype=float) / np.linalg.norm(normal)
-    depth = -distance / (camera.rays() @ normal)
-    shape = depth.shape
-    whole = (0, 0, camera.width, camera.height)
-    return Rendering(
-        depth.astype(np.float32), np.zeros(shape, np.int32), ("plane",), np.broadcast_to(normal, (*shape, 3)), whole
-    )
-
-
-def two_walls(near=0.6, far=1.0, column=160):
-    """A near wall on the right of a far one, both facing the camera."""
-    depth = np.where(np.arange(320) >= column, near, far)[None].repeat(240, 0).astype(np.float32)
-    ids = (np.arange(320) < column).astype(np.int32)[None].repeat(240, 0)
-    return Rendering(depth, ids, ("near", "far"), np.broadcast_to([0.0, 0.0, -1.0], (240, 320, 3)), (0, 0, 320, 240))
-
-
-FRONTAL = plane([0, 0, -1], 0.7)
-
-
-def tilted(angle):
-    return plane([np.sin(angle), 0, -np.cos(angle)], 0.6 * np.cos(angle))
 
 
 def test_no_noise_is_the_truth():
@@ -191,7 +163,9 @@ def test_pixels_without_a_surface_stay_empty_under_every_preset():
     normals = view.normals.copy()
     normals[:, :80] = 0
     empty = Rendering(depth, ids, view.names, normals, view.region)
-    for name in noise.PRESETS:
+    for name, preset in noise.PRESETS.items():
+        if not isinstance(preset.depth, noise.DepthNoise):
+            continue  # photographs scenes instead: test_optics
         seen = noise.observe_depth(empty, CAMERA, name, np.random.default_rng(1))
         assert (seen[:, :80] == 0).all()
         assert seen.dtype == np.float32

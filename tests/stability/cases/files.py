@@ -170,7 +170,12 @@ def read_damaged(names: list[str], count: int, seed: int = 0, keep: Path | None 
         done = subprocess.run(
             [sys.executable, "-c", PROGRAM, str(folder), "|".join(names), str(count), str(seed)],
             cwd=root,
-            env={**os.environ, "PYTHONPATH": str(root), "PALPATE_THREADS": "1", "PYTHONWARNINGS": "ignore"},
+            env={
+                **os.environ,
+                "PYTHONPATH": os.pathsep.join([str(root), str(root / "tests" / "stability")]),
+                "PALPATE_THREADS": "1",
+                "PYTHONWARNINGS": "ignore",
+            },
             capture_output=True,
             text=True,
             check=False,

@@ -23,7 +23,8 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis import library
 from scenes.synthesis.noise.presets import TouchNoise, observe_contacts
-from touch.localization import Localization, localize
+from touch.answers import Localization
+from touch.localization import localize
 from touch.recognition import identify
 
 Array = NDArray[np.float64]
@@ -206,7 +207,11 @@ def in_two_processes_and_on_other_threads() -> float:
     root = Path(__file__).resolve().parents[3]
     texts = []
     for threads in ("1", "1", "2", "3"):
-        environment = {**os.environ, "PYTHONPATH": str(root), "PALPATE_THREADS": threads}
+        environment = {
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join([str(root), str(root / "tests" / "stability")]),
+            "PALPATE_THREADS": threads,
+        }
         done = subprocess.run(
             [sys.executable, "-c", PROGRAM], cwd=root, env=environment, capture_output=True, text=True, check=False
         )

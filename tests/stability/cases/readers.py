@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from scenes.files import bop, images, off, ply, tables
+from scenes.files import images, off, ply, tables
 from scenes.files.problems import refuse
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings import bop
 from scenes.recordings.captures import contacts_of, read_capture, write_capture
 from scenes.recordings.frames import Contacts, EmptyRegions, Frame, Wrench
-from scenes.recordings.manifest import read_model, read_settings
+from scenes.recordings.manifest import read_manifest, read_model
 from scenes.recordings.validation import validate
 from scenes.robot.hands import Hand
 from scenes.robot.sensors import read_sensors, surface_hull
@@ -33,7 +34,7 @@ class Reader:
     read: Callable[[Path], Any]
 
 
-def _table(columns: tuple[tables.Column, ...]) -> Callable[[Path], Any]:
+def _table(columns: tuple[tables.CsvColumn, ...]) -> Callable[[Path], Any]:
     return lambda path: tables.read_table(path, columns, refuse)
 
 
@@ -45,7 +46,7 @@ def _contacts(path: Path) -> None:
 
 def _cameras(path: Path) -> None:
     for entry in bop.read_frames(path, refuse).values():
-        images.camera(bop.camera_entry(entry), None)
+        bop.camera(bop.camera_entry(entry), None)
 
 
 def _truths(path: Path) -> None:
@@ -82,14 +83,14 @@ def _every_frame(path: Path) -> None:
 
 
 READERS = (
-    Reader("capture.json", "capture/capture.json", lambda path: read_settings(path.parent, refuse)),
+    Reader("capture.json", "capture/capture.json", lambda path: read_manifest(path.parent, refuse)),
     Reader("scene_camera.json", "capture/scene_camera.json", _cameras),
     Reader("scene_gt.json", "capture/scene_gt.json", _truths),
     Reader("prior.json", "capture/prior.json", lambda path: bop.read_priors(path, refuse)),
     Reader(
         "models_info.json",
         "capture/models/models_info.json",
-        lambda path: read_model(path.parents[1], read_settings(path.parents[1], refuse)),
+        lambda path: read_model(path.parents[1], read_manifest(path.parents[1], refuse)),
     ),
     Reader("contacts.csv", "capture/contacts.csv", _contacts),
     Reader("joints.csv", "capture/joints.csv", _table(tables.JOINTS)),

@@ -9,22 +9,17 @@ metres.
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.evidence import table as tables
-from scenes.evidence.align import AlignSettings, Prior, align
-from scenes.evidence.modes import distinct_modes
-from scenes.evidence.table import Evidence
+from scenes.evidence.align import Prior
 from scenes.geometry import poses as se3
 from scenes.geometry.lattice import distance_at
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from touch.localization import Localization, contact_index, verdict_of
 
 Array = NDArray[np.float64]
 
@@ -108,7 +103,7 @@ def surface_cost(
 
 @dataclass(frozen=True)
 class RegionSettings:
-    """Neighbourhoods of T1 section 3.2.1."""
+    """Neighbourhoods of T1 section 3.2.1. Values by judgement: the thesis names none."""
 
     # Points of the object's cloud; the thesis speaks of thousands.
     cloud: int = 8000
@@ -180,28 +175,3 @@ def start_of(model: ObjectModel, contacts: Contacts, seed: int, prior: Prior | N
         return prior.pose
     rotation = se3.random_rotations(1, np.random.default_rng(seed))[0]
     return se3.make_pose(rotation, contacts.points.mean(axis=0) - rotation @ model.centroid)
-
-
-def conclude(
-    model: ObjectModel,
-    contacts: Contacts,
-    found: Array,
-    method: str,
-    begin: float,
-    prior: Prior | None = None,
-    extra: Evidence | None = None,
-) -> Localization:
-    """A Localization of poses (b, 4, 4) exactly as a method left them: modes, covariances and verdict from the
-    contacts' sigmas.
-    """
-    rows = tables.from_contacts(contacts)
-    if extra is not None:
-        rows = tables.stack(rows, extra)
-    judged = align(model, rows, found, prior, AlignSettings(iterations=0))
-    modes = distinct_modes(model, judged)
-    elapsed = time.perf_counter() - begin
-    pose = modes[0].pose
-    sigma = float(np.sqrt(np.mean(contacts.sigma_point**2)))
-    return Localization(
-        pose, modes, contact_index(model, contacts, pose), sigma, verdict_of(modes, model), elapsed, method
-    )

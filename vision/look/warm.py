@@ -15,24 +15,19 @@ from numpy.typing import NDArray
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.surface import Surface
+from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
-from vision.look.hand import (
-    CalibrationModel,
-    HandView,
-    HandViewSettings,
-    camera_from_hand,
-    fit_hand,
-    view_hand,
-)
-from vision.look.pixels import DepthModel, Pixels, Region, read_pixels
-from vision.look.segments import SegmentationSettings, Segments, segment
+from vision.look.hand import HandView, camera_from_hand, fit_hand, view_hand
+from vision.look.look import LookSettings, look
+from vision.look.looked import Looked, no_pixels, nothing_seen
+from vision.look.pixels import Pixels, Region, read_pixels
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class LookSettings:
-    """What is looked at near a predicted pose."""
+class WarmLookSettings:
+    """What is looked at near a predicted pose. Values by judgement, on generated sequences."""
 
     # Pixels farther than this from the predicted surface are not the object's (m): a frame's motion against the
     # prediction and the prediction's own error, two sigmas of either.
@@ -46,6 +41,8 @@ class LookSettings:
     most_aligned: int = 250
     # A hand pixel farther than this from the hand where it was last seen is something else (m), pass after pass.
     gates: tuple[float, ...] = (0.007, 0.005)
+    # Object pixels that become rows.
+    most_rows: int = 250
     # Free space: rays, and points a ray. Fewer than a first look needs: the pose is nearly known.
     free_rays: int = 60
     free_steps: int = 3
@@ -57,38 +54,33 @@ class Looker:
     def __init__(
         self,
         model: ObjectModel,
-        settings: LookSettings | None = None,
-        segmentation: SegmentationSettings | None = None,
-        depth: DepthModel | None = None,
-        calibration: CalibrationModel | None = None,
+        settings: WarmLookSettings | None = None,
+        first: LookSettings | None = None,
+        beliefs: Beliefs | None = None,
     ) -> None:
-        """The models are those of `vision.look.segments.segment`."""
+        """first: how a frame is looked at of which nothing is known, as for `vision.look.look`."""
         self.model = model
-        self.settings = settings or LookSettings()
-        self.segmentation = replace(
-            segmentation or SegmentationSettings(),
-            slack=self.settings.slack,
-            free_rays=self.settings.free_rays,
-            free_steps=self.settings.free_steps,
-        )
-        self.depth = depth or DepthModel()
-        self.calibration = calibration or CalibrationModel()
+        self.settings = settings or WarmLookSettings()
+        first = first or LookSettings()
+        s = self.settings
+        rows = replace(first.rows, most=s.most_rows, free_rays=s.free_rays, free_steps=s.free_steps)
+        self.first = replace(first, slack=s.slack, most_others=s.free_rays, rows=rows)
+        self.beliefs = beliefs or Beliefs()
         self.correction: Array | None = None
         self._surface: Surface | None = None
         self._vertices = np.zeros((0, 3))
         self._joints: tuple[tuple[str, float], ...] = ()
 
-    def look(self, frame: Frame, predicted: Array) -> Segments:
+    def look(self, frame: Frame, predicted: Array) -> Looked:
         """Sort the frame's pixels near `predicted` (4, 4) camera_from_object; clouds are cut out as they are."""
         if frame.depth is None or frame.camera is None:
-            return segment(frame, self.model, predicted, self.segmentation, self.depth, self.calibration)
+            return look(frame, self.model, self.beliefs, predicted, self.first)
         centre = predicted[:3, :3] @ self.model.centroid + predicted[:3, 3]
         region = Region(centre, self.model.radius + self.settings.slack)
         box = region.box(frame.camera)
         hand_view = self.view_hand(frame)
         if box is None:
-            nothing = _no_pixels()
-            return Segments(nothing, nothing, nothing, region, hand_view, {"region outside the image": 1})
+            return nothing_seen(region, "region outside the image", hand_view)
         pixels = read_pixels(frame.depth, frame.camera, box, self.settings.most)
         near = np.linalg.norm(pixels.points - centre, axis=1) < region.radius
         near[near] = self._near_surface(pixels.points[near], predicted)
@@ -98,10 +90,10 @@ class Looker:
         others = pixels.take(~near).thinned(self.settings.free_rays)
         of_hand = np.zeros(len(mine), dtype=bool)
         if hand_view is not None and len(mine):
-            of_hand = hand_view.nearer(mine.points, HandViewSettings().margin)
+            of_hand = hand_view.nearer(mine.points, self.first.hand.margin)
         told_apart = frame.mask is not None or hand_view is not None
         dropped = {"hand pixels": int(of_hand.sum())} if hand_view is not None else {}
-        return Segments(
+        return Looked(
             mine.take(~of_hand), mine.take(of_hand), others, region, hand_view, dropped, told_apart=told_apart
         )
 
@@ -118,11 +110,11 @@ class Looker:
             return None
         if self.correction is None:
             full = (0, 0, frame.camera.width, frame.camera.height)
-            wide = read_pixels(frame.depth, frame.camera, full, self.segmentation.most_hand)
-            found = view_hand(frame, wide, self.depth, self.calibration)
+            wide = read_pixels(frame.depth, frame.camera, full, self.first.most_hand)
+            found = view_hand(frame, wide, self.beliefs, self.first.hand)
         else:
             found = self._view_again(frame, measured, self._hand_surface(frame), self.correction)
-        if found is not None and len(found.points) >= HandViewSettings().fewest:
+        if found is not None and len(found.points) >= self.first.hand.fewest:
             self.correction = found.correct()
         return found
 
@@ -144,10 +136,10 @@ class Looker:
         points = pixels.points[keep][::step]
         centre = points.mean(axis=0) if len(points) else aligned[:3, 3]
         xi = se3.difference(correction, np.eye(4), centre)
-        if len(points) < HandViewSettings().fewest:
+        if len(points) < self.first.hand.fewest:
             return HandView(measured, aligned, centre, xi, points[:0], np.zeros(0), points[:0], surface)
         pixel, gates = pixels.area * step, self.settings.gates
-        return fit_hand(surface, measured, xi, centre, points, pixel, self.depth, self.calibration, gates)
+        return fit_hand(surface, measured, xi, centre, points, pixel, self.beliefs, gates)
 
     def _hand_pixels(self, frame: Frame, aligned: Array) -> Pixels:
         """Pixels of the box around the hand's mesh at `aligned` (4, 4) camera_from_hand."""
@@ -156,18 +148,14 @@ class Looker:
         corners = se3.apply(aligned, self._vertices)
         corners = corners[corners[:, 2] > 1e-3]
         if not len(corners):
-            return _no_pixels()
+            return no_pixels()
         uv, _ = frame.camera.project(corners)
         low = np.clip(np.floor(uv.min(axis=0)), 0, [frame.camera.width, frame.camera.height]).astype(int)
         high = np.clip(np.ceil(uv.max(axis=0)) + 1, 0, [frame.camera.width, frame.camera.height]).astype(int)
         if (high <= low).any():
-            return _no_pixels()
+            return no_pixels()
         box = (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
         pixels = read_pixels(frame.depth, frame.camera, box, 2 * self.settings.most_hand)
         centre, reach = corners.mean(axis=0), np.linalg.norm(corners - corners.mean(axis=0), axis=1).max()
         near = np.linalg.norm(pixels.points - centre, axis=1) < reach + self.settings.gates[0]
         return pixels.take(near).thinned(self.settings.most_hand)
-
-
-def _no_pixels() -> Pixels:
-    return Pixels(np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3)), 1.0)

@@ -18,13 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError
+from scenes.files.images import MM
 from scenes.files.problems import Problem, Report
 from scenes.geometry import poses
+from scenes.geometry.cameras import Camera
 from scenes.geometry.symmetries import Axis, Symmetries
 
 Array = NDArray[np.float64]
 
-MM = 1e-3
 POSES_HEADER = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
 
 
@@ -130,6 +131,17 @@ def camera_entry(entry: Any) -> SceneCamera:
         width, height = numbers([entry["width"], entry["height"]], 2, "width, height")
         size = (int(width), int(height))
     return SceneCamera(matrix, scale, world, size)
+
+
+def camera(entry: SceneCamera, shape: tuple[int, ...] | None) -> Camera:
+    """The pinhole camera of images of `shape` (h, w); without an image the size is the entry's, or twice the centre."""
+    if shape is not None:
+        height, width = shape[:2]
+    elif entry.size is not None:
+        width, height = entry.size
+    else:
+        width, height = (max(1, round(2 * float(c) + 1)) for c in entry.matrix[:2, 2])
+    return Camera.from_matrix(entry.matrix, width, height)
 
 
 def camera_json(camera: SceneCamera) -> dict[str, Any]:

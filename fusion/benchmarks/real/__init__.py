@@ -1,0 +1,1 @@
+"""Recorded frames: no simulator of ours stands behind their errors."""

@@ -1,0 +1,38 @@
+"""What the caller asked for, checked: senses, a prior, a tolerance, a budget."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation.settings import EstimateSettings
+from scenes.errors import InputError
+from scenes.evidence.align import Prior
+from scenes.geometry import poses as se3
+
+Array = NDArray[np.float64]
+
+
+def check_senses(use: Iterable[str]) -> frozenset[str]:
+    """The senses asked for; raises InputError for none or unknown ones."""
+    senses = frozenset([use] if isinstance(use, str) else use)
+    if not senses or senses - {"vision", "touch"}:
+        raise InputError(f"use: expected vision, touch or both, got {', '.join(sorted(senses)) or 'nothing'}")
+    return senses
+
+
+def check_limits(tolerance: tuple[float, float] | None, budget_ms: float | None) -> None:
+    """Raises InputError for a tolerance that is not two positive numbers (m, rad) or a budget below 0 ms."""
+    if tolerance is not None and (len(tolerance) != 2 or not all(np.isfinite(t) and t > 0 for t in tolerance)):
+        raise InputError(f"tolerance: expected metres and radians above 0, got {tolerance}")
+    if budget_ms is not None and not budget_ms >= 0:
+        raise InputError(f"budget: expected milliseconds from 0, got {budget_ms}")
+
+
+def as_prior(prior: Array | Prior | None, settings: EstimateSettings) -> Prior | None:
+    """A Gaussian on the pose from what the caller gave."""
+    if prior is None or isinstance(prior, Prior):
+        return prior
+    return Prior.isotropic(se3.check_pose(prior, "prior"), settings.prior_angle, settings.prior_distance)

@@ -1,0 +1,140 @@
+"""Every sense proposes, all judge: one pool of poses, ranked by what the whole frame says of each. Camera frame,
+metres.
+
+A search over all rows at once is pulled onto whatever fills the image; the pose that every contact explains may never
+be tried. So touch alone, and a plain descent from the start, propose beside it. What ranks them is not how many pixels
+a pose covers but what must be seen of it (vision.predicted), with what is felt and what was believed before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.evidence import table as tables
+from scenes.evidence.align import Alignment, AlignSettings, Prior, align, costs
+from scenes.evidence.modes import Mode, ModeSettings, distinct_modes
+from scenes.evidence.search import SearchStage, leaders, search, thin
+from scenes.evidence.table import GATE_ABOVE, Evidence
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.beliefs import DepthModel
+from vision.look.looked import Looked, RowSettings, free_space_rows, surface_rows
+from vision.predicted import Predictor
+from vision.sight import Sight
+from vision.starts import StartSettings, seen_starts
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PoolSettings:
+    """How many poses compete, and how they are fitted to what is seen of them. Tuned on generated captures."""
+
+    # Poses that touch alone proposes.
+    by_touch: int = 8
+    # Starts near a prior from which pixels alone are descended to, the prior's own pose first; blurs (m) of the passes,
+    # as ICP's shrinking gates; steps of each, and rows.
+    descents: int = 48
+    descent: tuple[float, ...] = (0.02, 0.01, 0.005, 0.002)
+    descent_steps: int = 6
+    descent_rows: int = 160
+    # Poses, the best first, that are fitted to the pixels inside their own outlines; how often; the fewest such pixels.
+    fitted: int = 6
+    rounds: int = 3
+    least_pixels: int = 25
+    # Poses nearer to each other than this share of the distance at which modes are one go on as one.
+    together: float = 0.5
+
+
+@dataclass(frozen=True)
+class Pool:
+    """What is known of the frame beyond poses: rows of touch as they are believed now, and a prior; `predictor` says
+    what must be seen, `sight` quickly what is seen past. looked and depth: what pixels are worth as rows.
+    """
+
+    model: ObjectModel
+    felt: Evidence
+    prior: Prior | None
+    predictor: Predictor
+    sight: Sight
+    looked: Looked
+    depth: DepthModel
+    rows: RowSettings
+    modes: ModeSettings
+    settings: PoolSettings
+
+    def costs(self, candidates: Array) -> Array:
+        """(n,) nats of poses (n, 4, 4), up to a constant: touch, prior, and the predicted image."""
+        return costs(self.model, self.felt, candidates, self.prior) + self.predictor.costs(candidates)
+
+    def proposed(self, starts: Array, stages: tuple[SearchStage, ...], seen: Evidence, start: Array | None) -> Array:
+        """(n, 4, 4) poses that touch alone, and a descent from the start, propose beside a search over all rows."""
+        s, parts = self.settings, []
+        if (self.felt.rows[:, GATE_ABOVE] > 0).any():
+            felt = search(self.model, self.felt, starts, stages, self.prior)
+            best, _ = leaders(self.model, felt.poses, s.together * self.modes.merge_share * self.model.radius)
+            parts.append(felt.poses[best[: s.by_touch]])
+        on = seen.take(seen.rows[:, GATE_ABOVE] > 0)
+        if start is not None and len(on):
+            few, poses = thin(on, s.descent_rows), np.concatenate([start[None], starts[: s.descents - 1]])
+            for blur in s.descent:
+                how = AlignSettings(blur=blur, iterations=s.descent_steps)
+                poses = align(self.model, few, poses, None, how).poses
+            parts.append(poses)
+        return np.concatenate(parts) if parts else np.zeros((0, 4, 4))
+
+    def of_pieces(self, passes: tuple[SearchStage, ...], rng: np.random.Generator, seen: StartSettings) -> Array:
+        """(n, 4, 4) poses that each connected piece of the image proposes by itself: for every piece a search in which
+        the whole predicted image ranks.
+        """
+        found = [np.zeros((0, 4, 4))]
+
+        def rank(poses: Array, blur: float) -> Array:
+            return self.sight.costs(poses, blur)
+
+        for piece in self.looked.pieces:
+            rows = surface_rows(replace(self.looked, pixels=piece, told_apart=True), self.depth, self.rows)
+            starts = seen_starts(self.model, piece.points, rows, rank, rng, seen)
+            if len(starts):
+                found.append(search(self.model, rows, starts, passes, self.prior, rank=rank).poses)
+        return np.concatenate(found)
+
+    def evidence(self, pose: Array) -> Evidence:
+        """Vision's rows if the object is at pose (4, 4): pixels inside its outline, and what was seen to be free."""
+        pixels = self.predictor.seen_pixels(pose)
+        free = tables.stack(free_space_rows(self.looked, self.rows), self.predictor.empty_rows(pose))
+        if len(pixels) < self.settings.least_pixels:
+            return free
+        mine = replace(self.looked, pixels=pixels, told_apart=True)
+        return tables.stack(surface_rows(mine, self.depth, self.rows), free)
+
+    def compete(self, candidates: Array) -> tuple[Mode, ...]:
+        """The best of poses (n, 4, 4), n at least 1, each fitted to what is seen inside its own outline, as modes."""
+        s = self.settings
+        order = np.argsort(self.costs(candidates), kind="stable")
+        apart = s.together * self.modes.merge_share * self.model.radius
+        best, _ = leaders(self.model, candidates[order], apart)
+        fitted = [self._fitted(pose) for pose in candidates[order[best[: s.fitted]]]]
+        poses = np.array([pose for pose, _ in fitted])
+        hessians = np.array([hessian for _, hessian in fitted])
+        ranked = Alignment(poses, self.costs(poses), hessians, np.zeros(len(poses), dtype=np.int64))
+        return distinct_modes(self.model, ranked, self.modes)
+
+    def _fitted(self, pose: Array) -> tuple[Array, Array]:
+        """A pose after a few fits to the pixels that it predicts, and its Hessian; where it was if that is likelier."""
+        tried, hessian = pose, np.zeros((6, 6))
+        found: list[tuple[Array, Array]] = []
+        for _ in range(self.settings.rounds):
+            rows = tables.stack(self.evidence(tried), self.felt)
+            if not len(rows):
+                break
+            result = align(self.model, rows, tried[None], self.prior)
+            tried, hessian = result.poses[0], result.hessians[0]
+            found.append((tried, hessian))
+        if not found:
+            return pose, hessian
+        at = self.costs(np.array([pose, *(one for one, _ in found)]))
+        best = int(np.argmin(at[1:]))
+        return (pose, found[0][1]) if at[0] < at[1 + best] else found[best]

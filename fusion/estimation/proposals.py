@@ -1,0 +1,84 @@
+"""Where a search begins: poses drawn from the prior, from what is felt and from what is seen; and how it goes on.
+
+Camera frame, metres, radians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.evidence.align import Prior
+from scenes.evidence.search import SearchStage, starts_of_prior
+from scenes.evidence.table import Evidence
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.frames import Contacts
+from touch.multistart import contact_starts
+from vision.starts import StartSettings, seen_starts
+
+Array = NDArray[np.float64]
+
+# (blur in first blurs, blur of normals in rad, rows of evidence, steps, survivors) of each pass of a search.
+Passes = tuple[tuple[float, float, int, int, int], ...]
+
+
+@dataclass(frozen=True)
+class ProposalSettings:
+    """Starts and the passes of a search over them. All by judgement on generated captures of the first release."""
+
+    # Starts drawn around a prior, and from contacts without one.
+    starts_near: int = 320
+    starts_global: int = 4000
+    # A prior wider than this (rad) is drawn from as if it were so wide: farther turns are found from what is sensed.
+    widest_angle: float = float(np.pi / 3)
+    # First blur of the search as a share of the object's radius, and its limits in metres.
+    blur_share: float = 0.14
+    blur_limits: tuple[float, float] = (0.004, 0.015)
+    # Passes, coarse to fine: wide starts need more survivors than those around a prior, or than those of vision.starts,
+    # which were sifted (a few hundred that differ).
+    near: Passes = ((1.0, 0.5, 80, 4, 120), (1.0, 0.5, 80, 5, 40), (1 / 3, 0.25, 160, 10, 20))
+    sifted: Passes = ((1.2, 0.5, 60, 5, 100), (0.7, 0.4, 80, 8, 40), (1 / 3, 0.2, 160, 10, 16))
+    wide: Passes = ((3.0, 0.8, 40, 0, 500), (2.0, 0.6, 40, 4, 160), (1.0, 0.4, 60, 8, 60), (1 / 3, 0.2, 160, 10, 20))
+    # Starts behind pixels: of all that is seen, and of one piece of the image.
+    seen: StartSettings = field(default_factory=StartSettings)
+    of_piece: StartSettings = field(
+        default_factory=lambda: StartSettings(pairs=50, even=200, keep_pairs=60, keep_even=30, oriented=80)
+    )
+
+    def blur(self, model: ObjectModel) -> float:
+        """First blur (m) of a search for this object."""
+        return float(np.clip(self.blur_share * model.radius, *self.blur_limits))
+
+
+def search_stages(blur: float, passes: Passes) -> tuple[SearchStage, ...]:
+    """The passes with their blurs in metres."""
+    return tuple(
+        SearchStage(blur / 3 if share == 1 / 3 else share * blur, angle, rows, steps, keep)
+        for share, angle, rows, steps, keep in passes
+    )
+
+
+def starts_of(
+    model: ObjectModel,
+    prior: Prior | None,
+    pixels: Array,
+    contacts: Contacts,
+    rows: Evidence,
+    rank: Callable[[Array, float], Array],
+    settings: ProposalSettings,
+    rng: np.random.Generator,
+) -> Array:
+    """Starts (n, 4, 4): draws from the prior, or from contacts and pixels when there is none. rows, with what
+    rank(poses, blur) adds, tell which of the pixels' are promising.
+    """
+    if prior is not None:
+        return starts_of_prior(model, prior, settings.starts_near, settings.widest_angle, model.diameter, rng)
+    parts = []
+    if len(contacts):
+        parts.append(contact_starts(model, contacts, settings.starts_global // (2 if len(pixels) else 1), rng))
+    if len(pixels):
+        parts.append(seen_starts(model, pixels, rows, rank, rng, settings.seen))
+    return np.concatenate(parts)

@@ -1,0 +1,95 @@
+"""Which of several joint solutions is the likeliest, by all that was sensed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation.pool import Pool
+from fusion.estimation.settings import EstimateSettings
+from fusion.estimation.solve.joint import JointResult
+from scenes.evidence import align as alignment
+from scenes.evidence.align import Alignment
+from scenes.evidence.modes import Mode, distinct_modes
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.frames import Frame
+from touch.arrays.ranking import pattern_costs
+from touch.arrays.readings import readings_of
+from touch.arrays.rows import taxel_rows
+from vision.sight import Sight
+
+Array = NDArray[np.float64]
+
+
+def ranked(
+    frame: Frame, pool: Pool, solved: list[JointResult], sight: Sight, settings: EstimateSettings
+) -> tuple[int, tuple[Mode, ...]]:
+    """Index of the best of the solutions, and the modes they make: poses and covariances of the joint solution,
+    weights by Laplace's method. frame: with the touch that may be used.
+    """
+    poses = np.array([s.pose for s in solved])
+    if pool.predictor.sees:
+        # each was solved with the pixels inside its own outline: what all must show is compared instead
+        costs = np.array([s.cost - s.pixel_cost for s in solved]) + pool.predictor.costs(
+            np.array([s.as_seen for s in solved])
+        )
+    else:
+        costs = comparable(solved, settings) + sight.costs(poses)
+    costs = costs + beyond_rows(frame, pool.model, solved, settings)
+    return int(np.argmin(costs)), rejudged(pool.model, solved, costs, settings)
+
+
+def guarded(
+    pool: Pool, solved: list[JointResult], starts: list[Array], settings: EstimateSettings
+) -> list[JointResult]:
+    """The solutions; where what must be seen of the object speaks against one more than against its start (4, 4), that
+    start, as wide as the two are apart: calibration, scale and bias may explain anything but the picture.
+    """
+    if not pool.predictor.sees:
+        return solved
+    after = pool.predictor.costs(np.array([s.as_seen for s in solved]))
+    before = pool.predictor.costs(np.array(starts[: len(solved)]))
+    out = []
+    for one, start, worse in zip(solved, starts, after - before):
+        if worse <= settings.most_worse:
+            out.append(one)
+            continue
+        apart = se3.difference(one.pose, start, pool.model.centroid)
+        out.append(replace(one, pose=start, as_seen=start, covariance=one.covariance + np.outer(apart, apart)))
+    return out
+
+
+def comparable(solved: list[JointResult], settings: EstimateSettings) -> Array:
+    """Costs (k,) of joint solutions as far as they tell minima apart: pixels' count less (see pixel_temperature)."""
+    shared = 1.0 - 1.0 / settings.pixel_temperature
+    return np.array([s.cost - shared * s.pixel_cost for s in solved])
+
+
+def rejudged(
+    model: ObjectModel, solved: list[JointResult], costs: Array, settings: EstimateSettings
+) -> tuple[Mode, ...]:
+    """The modes after the joint solution: its poses and covariances, and costs (k,); weights by Laplace's method."""
+    # what the solution believed of its own accord (System.width) is believed again by distinct_modes: taken out here
+    weak = np.repeat([1.0, model.radius], 3) ** -2.0
+    hessians = np.array([np.linalg.inv(s.covariance) - np.diag(weak) for s in solved])
+    poses = np.array([s.pose for s in solved])
+    return distinct_modes(
+        model, Alignment(poses, costs, hessians, np.zeros(len(solved), dtype=np.int64)), settings.modes
+    )
+
+
+def beyond_rows(frame: Frame, model: ObjectModel, solved: list[JointResult], settings: EstimateSettings) -> Array:
+    """What to add to the costs (k,) of several solutions for what taxel arrays say beyond rows of evidence: the shape
+    and the pressures of their patterns, in place of their taxels' rows.
+    """
+    readings = readings_of(frame) if settings.patterns is not None and len(solved) > 1 else []
+    out = np.zeros(len(solved))
+    for k, one in enumerate(solved if readings else ()):
+        correction = one.correct()
+        moved = [reading.moved(correction) for reading in readings]
+        rows = alignment.costs(model, taxel_rows(moved), one.pose[None])
+        out[k] = (pattern_costs(model, moved, one.pose[None], settings.patterns) - rows)[0]
+    return out

@@ -1,0 +1,119 @@
+"""The joint problem of one frame: its rows, what is believed of its sensors, and what can be laid out once.
+
+Camera frame, metres, radians.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation.solve.depth_bias import DepthBias
+from fusion.estimation.solve.settings import JointSettings
+from scenes.evidence import row_kernels
+from scenes.evidence.align import Prior, lattice_of, prior_of
+from scenes.evidence.table import FACING, GATE_ABOVE, SIGMA, Evidence
+from scenes.geometry import poses as se3
+from scenes.geometry.cameras import Camera
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.beliefs import Beliefs
+from scenes.recordings.frames import Frame
+from vision.look.hand import HandView
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class JointProblem:
+    """Everything but the pose: rows, beliefs and what can be computed once per frame.
+
+    seen: vision rows as measured; felt: touch rows as the robot reports them. camera None: the rows are a cloud without
+    pixels, its bias stays in the rows' sigmas. has_robot False: touch and vision were recorded in one frame.
+    """
+
+    model: ObjectModel
+    seen: Evidence
+    felt: Evidence
+    prior: Prior | None
+    hand: HandView | None
+    beliefs: Beliefs
+    camera: Camera | None
+    has_robot: bool = True
+    settings: JointSettings = field(default_factory=JointSettings)
+
+    @staticmethod
+    def of(
+        model: ObjectModel,
+        frame: Frame,
+        seen: Evidence,
+        felt: Evidence,
+        prior: Prior | None,
+        hand: HandView | None,
+        beliefs: Beliefs,
+        settings: JointSettings,
+    ) -> JointProblem:
+        """From a frame's evidence. A cloud and its contacts were recorded in one frame: no calibration between them."""
+        has_image = frame.depth is not None
+        return JointProblem(
+            model,
+            seen,
+            felt,
+            prior,
+            hand,
+            beliefs,
+            frame.camera if has_image else None,
+            has_robot=has_image,
+            settings=settings,
+        )
+
+    def __post_init__(self) -> None:
+        """Lay the inducing pixels and the hand's constant block."""
+        # without touch, too: the hand's pixels have the object's depth errors, and its shape is known
+        self.hand = self.hand if self.has_robot and self.hand is not None and len(self.hand.points) else None
+        hand_points = self.hand.points if self.hand is not None else np.zeros((0, 3))
+        depth = self.beliefs.depth
+        seen = self.seen.points if self.camera is not None and len(self.seen) else np.zeros((0, 3))
+        reach = np.concatenate([seen, hand_points]) if len(seen) else seen
+        self.bias = DepthBias.over(self.camera, reach, depth, self.settings.spacing, self.settings.most_inducing)
+        self.seen_basis = self.bias.basis(self.seen.points)
+        rows = self.seen.rows
+        self.on = rows[:, GATE_ABOVE] > 0
+        self.is_pixel = (rows[:, FACING] > 0) & (self.camera is not None)
+        self.sigma = rows[:, SIGMA].copy()
+        if self.camera is not None:
+            independent = depth.independent_sigma(rows[:, 2])
+            self.sigma = np.where(self.on, np.hypot(independent, self.beliefs.mesh_sigma), self.sigma)
+        self._lay_hand(hand_points)
+        count = len(rows)
+        self.lattice = lattice_of(self.model)
+        self.floors = row_kernels.loss_floors(rows)
+        self.room = np.zeros(count, dtype=np.int64), np.zeros((count, 7)), *np.zeros((3, count))
+        self.felt_rows = row_kernels.prepare(np.ascontiguousarray(self.felt.rows), 0.0, 0.0)
+        self.prior_parts, self.no_prior = prior_of(self.model, self.prior), prior_of(self.model, None)
+
+    @property
+    def ties_depth(self) -> bool:
+        """Whether something of known shape and place says how wrong depth is: the hand in view, or contacts that hold
+        the object; a cloud's points are as they are.
+        """
+        touched = int((self.felt.rows[:, GATE_ABOVE] > 0).sum())
+        return self.hand is not None or self.camera is None or touched >= self.settings.tying_contacts
+
+    def _lay_hand(self, points: Array) -> None:
+        """The hand's pixels, linear in (xi, s, b): their constant part, for unit sigmas of s and b."""
+        if self.hand is None:
+            return
+        g = self.hand.directions
+        sigma = np.hypot(self.beliefs.depth.independent_sigma(points[:, 2]), self.settings.hand_sigma)
+        # All that agree count in full: weights that fall towards the gate would hide how large the bias is
+        self.hand_weight = 1.0 / sigma**2 / self.settings.hand_sharing
+        ray = points / points[:, 2:]
+        jac_xi = -np.concatenate([se3.cross(points - self.hand.centre, g), g], axis=1)
+        along = -np.sum(g * ray, axis=1)
+        jac_bias = along[:, None] * self.bias.basis(points)
+        jac = np.concatenate([jac_xi, (along * points[:, 2])[:, None], jac_bias], axis=1)
+        weighted = jac * self.hand_weight[:, None]
+        self.hand_normal = weighted.T @ jac
+        self.hand_gradient = weighted.T @ self.hand.residual

@@ -1,0 +1,221 @@
+"""The system of one solution: the joint problem whitened for one size of shared errors, about (delta, xi, s, b).
+
+Built once where a solution starts and not changed after: which way the surface faces each pixel, and what a pixel
+weighs, are held while it is solved. Camera frame, metres, radians.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation.solve import kernels as joint_kernels
+from fusion.estimation.solve.problem import JointProblem
+from scenes.evidence.table import FACING, NORMAL, WEIGHT
+from scenes.geometry import poses as se3
+from vision.look.hand import prior_information
+
+Array = NDArray[np.float64]
+
+POSE, XI, SCALE = slice(0, 6), slice(6, 12), 12
+FIXED = 13
+
+
+class System:
+    """Cost, gradient and Gauss-Newton matrix of a JointProblem about (delta, whitened xi, s, b)."""
+
+    def __init__(self, problem: JointProblem, pose: Array, level: float, weight: float) -> None:
+        """Pose (4, 4): where it is solved from. level: factor on what shared errors are believed to be; weight: of a
+        pixel.
+        """
+        self.problem = problem
+        self.size = FIXED + len(problem.bias)
+        # a cloud keeps the weights of its rows
+        rows = problem.seen.rows
+        self.weight = np.where(problem.on, weight, rows[:, WEIGHT]) if problem.camera is not None else rows[:, WEIGHT]
+        self.weight = np.ascontiguousarray(self.weight)
+        middle = pose[:3, :3] @ problem.model.centroid + pose[:3, 3]
+        self.centre = problem.hand.centre if problem.hand is not None else middle
+        # whitening: unknown = scale * whitened, prior of the whitened is the identity
+        self.white = np.ones(self.size)
+        # a cloud has no camera to turn about: the calibration is wrong where the hand is
+        lever = self.centre if problem.camera is not None else np.zeros(3)
+        covariance_xi = np.linalg.inv(prior_information(problem.beliefs.calibration, lever)) * level**2
+        self.white_xi = np.linalg.cholesky(covariance_xi) if problem.has_robot else 1e-9 * np.eye(6)
+        told = len(problem.seen) and problem.camera is not None
+        self.white[SCALE] = level * problem.beliefs.depth.scale_sigma if told else 1e-9
+        self.white[FIXED:] = level * problem.beliefs.depth.bias_sigma
+        self.seen_white = problem.seen_basis * self.white[FIXED:]
+        self.width = np.zeros(self.size)
+        self.width[POSE] = np.array([1.0] * 3 + [problem.model.radius] * 3) ** -2.0
+        self._hand_white = self._whitened_hand() if problem.hand is not None else None
+        self.normals, self.slope = self._facing(pose)
+        self._used = 0
+
+    def start(self) -> Array:
+        """The unknowns (size,) as first guessed: the calibration as the hand is seen."""
+        unknown = np.zeros(self.size)
+        if self.problem.hand is not None:
+            unknown[XI] = np.linalg.solve(self.white_xi, self.problem.hand.xi)
+        return unknown
+
+    def terms(self, pose: Array, unknown: Array) -> tuple[float, Array, Array]:
+        """Cost, gradient and Gauss-Newton matrix about (delta, whitened xi, s, b)."""
+        size = len(unknown)
+        normal, gradient = np.diag(np.concatenate([np.zeros(6), np.ones(size - 6)])), unknown.copy()
+        cost = 0.5 * float(unknown[6:] @ unknown[6:])
+        if len(self.problem.seen):
+            part, g, h = self.vision(pose, unknown)
+            cost += part
+            gradient += g
+            normal += h
+        if len(self.problem.felt):
+            part, g, h = self.touch(pose, unknown)
+            cost += part
+            gradient[:12] += g
+            normal[:12, :12] += h
+        if self.problem.hand is not None:
+            part, g, h = self.hand_terms(unknown)
+            cost += part
+            gradient[6:] += g
+            normal[6:, 6:] += h
+        if self.problem.prior is not None:
+            part, g, h = self.believed(pose)
+            cost += part
+            gradient[POSE] += g
+            normal[POSE, POSE] += h
+        return cost, gradient, normal
+
+    def _facing(self, pose: Array) -> tuple[Array, Array]:
+        """Which way (n, 3) the surface looks where each pixel meets it at `pose`, object frame, and how much more noise
+        (n,) a slope has there. What lies beside a pixel, and what the mesh leaves out, counts along the ray.
+        """
+        problem = self.problem
+        count = len(problem.seen)
+        if problem.camera is None or not count:
+            return np.zeros((count, 3)), np.ones(count)
+        rows = problem.seen.rows
+        rotation = pose[:3, :3]
+        middle = rotation @ problem.model.centroid + pose[:3, 3]
+        local = (problem.seen.points - middle) @ rotation + problem.model.centroid
+        _, g = problem.model.field.seen_distance_and_gradient(local, rows[:, NORMAL] @ rotation, rows[:, FACING] > 0)
+        normals = g / np.maximum(np.sqrt(np.einsum("ij,ij->i", g, g)), 1e-9)[:, None]
+        normals = np.where(problem.is_pixel[:, None], normals, 0.0)
+        cosine = -np.einsum("ij,ij->i", normals @ rotation.T, rows[:, NORMAL])
+        cosine = np.maximum(np.where(problem.is_pixel, cosine, 1.0), problem.settings.least_cosine)
+        noise = problem.beliefs.depth.sloping_sigma(rows[:, 2], cosine, problem.camera.fx)
+        slope = np.hypot(noise, problem.beliefs.mesh_sigma / cosine) / problem.sigma
+        return normals, np.where(problem.is_pixel, slope, 1.0)
+
+    def vision(self, pose: Array, unknown: Array) -> tuple[float, Array, Array]:
+        """Pixels and free space: their residuals by the kernel, their products by linear algebra."""
+        scale = float(self.white[SCALE])
+        index, jac_fixed, along, residual, information = self.problem.room
+        cost, k = joint_kernels.vision_rows(
+            self.problem.lattice,
+            self.problem.seen.rows,
+            self.problem.floors,
+            self.problem.is_pixel,
+            self.problem.sigma,
+            self.weight,
+            self.normals,
+            self.slope,
+            self.problem.settings.least_cosine,
+            self.problem.camera is not None,
+            np.ascontiguousarray(pose[:3, :3]),
+            pose[:3, :3] @ self.problem.model.centroid + pose[:3, 3],
+            scale * float(unknown[SCALE]),
+            self.seen_white @ unknown[FIXED:],
+            *self.problem.room,
+        )
+        self._used = k
+        jac = np.zeros((k, len(unknown)))
+        jac[:, POSE] = jac_fixed[:k, :6]
+        jac[:, SCALE] = jac_fixed[:k, 6] * scale
+        jac[:, FIXED:] = along[:k, None] * self.seen_white[index[:k]]
+        weighted = jac * information[:k, None]
+        return float(cost), weighted.T @ residual[:k], weighted.T @ jac
+
+    def excess_scatter(self) -> Array:
+        """(6, 6) by how much the pixels' pulls on the pose scatter more than their sigmas say, where `vision` last was.
+
+        Neighbours share errors that no belief describes. Pixels are put into blocks of the image; pulls summed over a
+        block, their outer products summed over blocks, are the scatter that there is (a cluster-robust covariance:
+        Liang and Zeger, Biometrika 73, 1986), and what exceeds the rows' own information counts.
+        """
+        problem = self.problem
+        index, jac, _, residual, information = problem.room
+        if problem.camera is None or not self._used:
+            return np.zeros((6, 6))
+        index, jac = index[: self._used], jac[: self._used, :6]
+        residual, information = residual[: self._used], information[: self._used]
+        uv, _ = problem.camera.project(problem.seen.points[index])
+        block = np.floor(uv / problem.settings.block).astype(np.int64)
+        _, group = np.unique(block, axis=0, return_inverse=True)
+        groups = int(group.max()) + 1
+        if groups < problem.settings.least_blocks:
+            return np.zeros((6, 6))
+        pulls = np.zeros((groups, 6))
+        np.add.at(pulls, group.ravel(), jac * (information * residual)[:, None])
+        scatter = pulls.T @ pulls * (groups / (groups - 3.0))
+        own = (jac * information[:, None]).T @ jac
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-300))
+        lower = np.linalg.cholesky(own * scale * scale[:, None] + 1e-6 * np.eye(6)) / scale[:, None]
+        white = np.linalg.solve(lower, np.linalg.solve(lower, scatter).T)
+        values, vectors = np.linalg.eigh(0.5 * (white + white.T))
+        root = lower @ vectors * np.sqrt(np.maximum(values - 1.0, 0.0))
+        return np.asarray(root @ root.T, dtype=np.float64)
+
+    def touch(self, pose: Array, unknown: Array) -> tuple[float, Array, Array]:
+        """Contacts and the space that links fill, as the robot reports them and xi moves them."""
+        middle = pose[:3, :3] @ self.problem.model.centroid + pose[:3, 3]
+        hessian, gradient = np.zeros((6, 6)), np.zeros(6)
+        cost = joint_kernels.touch_rows(
+            self.problem.lattice,
+            self.problem.felt_rows,
+            self.problem.settings.bend,
+            np.ascontiguousarray(pose[:3, :3]),
+            middle,
+            self.white_xi @ unknown[XI],
+            self.centre,
+            self.problem.no_prior,
+            hessian,
+            gradient,
+            np.zeros((10, 3)),
+        )
+        lever = np.eye(6)
+        lever[3:, :3] = -se3.skew(middle - self.centre)
+        chain = np.concatenate([np.eye(6), -lever @ self.white_xi], axis=1)
+        return float(cost), chain.T @ gradient, chain.T @ hessian @ chain
+
+    def believed(self, pose: Array) -> tuple[float, Array, Array]:
+        """The prior on the pose."""
+        hessian, gradient = np.zeros((6, 6)), np.zeros(6)
+        middle = pose[:3, :3] @ self.problem.model.centroid + pose[:3, 3]
+        rotation = np.ascontiguousarray(pose[:3, :3])
+        cost = joint_kernels.prior_row(rotation, middle, self.problem.prior_parts, hessian, gradient)
+        return float(cost), gradient, hessian
+
+    def hand_terms(self, unknown: Array) -> tuple[float, Array, Array]:
+        """The hand's pixels: quadratic in the unknowns, whitened once per level."""
+        assert self._hand_white is not None
+        cost, gradient, normal = self._hand_white
+        x = unknown[6:]
+        along = normal @ x
+        return cost + float(gradient @ x + 0.5 * x @ along), gradient + along, normal
+
+    def _whitened_hand(self) -> tuple[float, Array, Array]:
+        """Terms of the hand's pixels about x = 0 in the whitened unknowns (xi, s, b)."""
+        assert self.problem.hand is not None
+        scale = self.white[6:]
+        normal, gradient = self.problem.hand_normal.copy(), self.problem.hand_gradient.copy()
+        # linear about xi_seen: shift to xi = 0
+        step = self.problem.hand.xi
+        constant = 0.5 * float(self.problem.hand_weight @ self.problem.hand.residual**2)
+        constant += 0.5 * float(step @ normal[:6, :6] @ step) - float(gradient[:6] @ step)
+        gradient = gradient - normal[:, :6] @ step
+        normal[:6] = self.white_xi.T @ normal[:6]
+        normal[:, :6] = normal[:, :6] @ self.white_xi
+        gradient[:6] = self.white_xi.T @ gradient[:6]
+        normal *= scale * scale[:, None]
+        return constant, gradient * scale, normal

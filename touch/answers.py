@@ -1,0 +1,136 @@
+"""What every method that works on touch alone answers: a pose, its modes, how well it fits, how sure it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.evidence.modes import Mode
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.frames import Contacts
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LocalizeSettings:
+    """The multi-start search over contacts. Values tuned on generated contacts where no reason is named."""
+
+    # A prior narrower than this (rad, and share of the object's radius, per axis) is drawn from: how often, and the
+    # blurs (shares of the radius, rad), steps and survivors of the passes.
+    narrow_angle: float = 0.5
+    narrow_share: float = 0.7
+    draws: int = 60
+    draw_passes: tuple[tuple[float, float, int, int], ...] = ((0.07, 0.25, 8, 12),)
+    # With normals on at least this many contacts: poses hypothesised from pairs of them, the blurs they are ranked with
+    # (share of the radius, rad), and of those the ones refined, with their one pass as above.
+    least_normals: int = 3
+    hypotheses: int = 8000
+    rank_blur: tuple[float, float] = (0.07, 0.25)
+    ranked: int = 500
+    pair_pass: tuple[float, float, int, int] = (0.04, 0.15, 8, 120)
+    # They are shaken by this much (rad, and share of the radius), a fraction of the table's grid: other seeds then look
+    # at other places.
+    jitter: float = 0.03
+    # Row evaluations that ranking and refining may spend: with many contacts a few starts do.
+    budget_rank: int = 100_000
+    budget_ranked: int = 20_000
+    # Otherwise: starts everywhere; each costs about 10 microseconds with five contacts.
+    starts: int = 3000
+    # Blur of the first pass as a share of the object's radius: its basins are as wide as the object's features.
+    widest_blur: float = 0.25
+    # Blur on normals in the first pass, radians.
+    widest_blur_normal: float = 0.6
+    # Survivors of the passes.
+    keep: tuple[int, int, int] = (800, 250, 100)
+    # Row evaluations that the first pass may spend: with many contacts the starts are fewer, and each is led better.
+    budget_rows: int = 400_000
+    # Residuals this many times above the claimed sigma mean that the claim is wrong: the noise is then inferred.
+    surprise: float = 1.5
+    # Nor does what that many standard deviations of their mean size may be by chance, which is more for fewer contacts.
+    surprise_sigmas: float = 3.0
+    # Then some contacts may be false: as likely false as true at this many sigmas. At least this share of them, and
+    # this many, must agree with one pose to within three sigmas: six contacts can always be met.
+    false_gate: float = 4.0
+    agreeing_share: float = 0.5
+    agreeing_least: int = 8
+    # Inferred noise has an unknown shape: residuals beyond this many sigmas count linearly.
+    huber: float = 0.3
+    # Share of the posterior that the first mode must hold to be the answer, and standard deviations (rad, m) of its
+    # directions beyond which it is none: as in the verdict on both senses.
+    sure_share: float = 0.9
+    unknown_angle: float = float(np.deg2rad(20.0))
+    unknown_distance: float = 0.015
+    # Contacts finer than this share of the lattice's spacing are finished on the exact mesh.
+    exact_below: float = 0.2
+
+
+@dataclass(frozen=True)
+class Localization:
+    """pose (4, 4) contacts_frame_from_object of the first mode; modes; index: mean |distance| of all contacts to the
+    surface there (m, the measure of T2 section 4.4); sigma: noise of the contacts, claimed or inferred (m); verdict.
+    """
+
+    pose: Array
+    modes: tuple[Mode, ...]
+    index: float
+    sigma: float
+    verdict: str
+    time_s: float
+    method: str = "multistart"
+
+    @property
+    def covariance(self) -> Array:
+        """(6, 6) of the first mode."""
+        return self.modes[0].covariance
+
+
+def contact_index(model: ObjectModel, contacts: Contacts, pose: Array) -> float:
+    """Mean |distance| (m) of the contacts to the surface of the object at `pose`; T2 section 4.4."""
+    distance, _, _ = model.surface.closest(se3.apply(se3.inverse(pose), contacts.points))
+    return float(np.abs(distance).mean())
+
+
+def noise_at(model: ObjectModel, contacts: Contacts, pose: Array, covariance: Array) -> tuple[float, float]:
+    """Sigma (m) of the contacts' noise that their distances at a fitted `pose` speak of, and the degrees of freedom
+    that the fit left them.
+
+    covariance (6, 6) of the pose under the contacts' own sigmas, with all else that held it. A fit takes the leverage
+    h_i = j_i C j_i^T from the variance of residual i, so that E|r_i| = sigma sqrt(2 / pi) sqrt(1 - h_i): sums of these
+    suffer less from a few wild contacts than squares do.
+    """
+    distance, normal, _ = model.surface.closest(se3.apply(se3.inverse(pose), contacts.points))
+    outward = normal @ pose[:3, :3].T
+    lever = contacts.points - se3.apply(pose, model.centroid[None])
+    jacobian = np.concatenate([np.cross(outward, lever), -outward], axis=1) / contacts.sigma_point[:, None]
+    leverage = np.clip(np.einsum("ni,ij,nj->n", jacobian, covariance, jacobian), 0.0, 1.0)
+    # at most six parameters were fitted, whatever a covariance far from the contacts' optimum says
+    leverage *= min(1.0, 6.0 / max(float(leverage.sum()), 1e-9))
+    return float(noise_of(distance, leverage)), float(len(contacts) - leverage.sum())
+
+
+def noise_of(residuals: Array, leverage: Array) -> float:
+    """Sigma of Gaussian noise before a fit that took `leverage` (n,) of the variance of each of its residuals (n,)."""
+    expected = np.sqrt(2 / np.pi) * np.sqrt(np.maximum(1.0 - leverage, 0.0)).sum()
+    return float(np.abs(residuals).sum() / max(expected, 1e-9))
+
+
+def verdict_of(
+    modes: tuple[Mode, ...], model: ObjectModel | None = None, settings: LocalizeSettings | None = None
+) -> str:
+    """Ok when the first mode holds nearly all of the posterior, else ambiguous.
+
+    With a model, a mode so wide that it leaves a direction open is ambiguous too, but for the object's own symmetry.
+    """
+    settings = settings or LocalizeSettings()
+    if not modes or modes[0].weight < settings.sure_share:
+        return "ambiguous"
+    if model is None:
+        return "ok"
+    own = model.symmetries.quotient(modes[0].pose[:3, :3], model.centroid)
+    covariance = own @ modes[0].covariance @ own.T
+    widest = np.sqrt([max(np.linalg.eigvalsh(covariance[k : k + 3, k : k + 3])[-1], 0.0) for k in (0, 3)])
+    return "ok" if widest[0] < settings.unknown_angle and widest[1] < settings.unknown_distance else "ambiguous"

@@ -1,0 +1,83 @@
+"""Is what contacts leave over noise, or another shape? Evidence that a candidate is not what was touched.
+
+Contacts of the true object are off its surface by noise that each has of its own, and by what its mesh leaves out.
+Contacts of another object that resembles it are off by a smooth field over the surface: neighbours err together, and
+by millimetres. Both are Gaussian; their sizes are unknown and integrated out. Object frame, metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class MisfitSettings:
+    """What sizes of noise and of misfit are thought possible. Values by judgement where no source is named."""
+
+    # No finger is truer than this (m).
+    least_noise: float = 0.1e-3
+    # What a mesh leaves out of its own object (m): scans of products agree to half a millimetre.
+    mesh_sigma: float = 0.5e-3
+    # How far another object of the same kind is off at least, and at most (m); equal weight per factor.
+    least_other: float = 0.5e-3
+    most_other: float = 30e-3
+    # Lengths over which a misfit stays the same, as shares of the object's diameter.
+    lengths: tuple[float, ...] = (0.05, 0.15)
+    # A residual of more than this many sigmas, sigma from their median, is trusted as much less: it may be false.
+    cut: float = 3.0
+    # Sizes tried of the misfit, and of the noise.
+    steps: tuple[int, int] = (24, 16)
+
+
+def log_odds_of_another(
+    points: Array,
+    normals: Array,
+    residuals: Array,
+    diameter: float,
+    noise: tuple[float, float],
+    settings: MisfitSettings | None = None,
+) -> float:
+    """Log Bayes factor (nats) that contacts were made on another object rather than on this one.
+
+    points (n, 3) of the contacts relative to the object's centroid, outward normals (n, 3) of its surface there,
+    residuals (n,) signed distances at the fitted pose; diameter (m); noise: least and most sigma (m) of a contact. What
+    the six freedoms of the pose could have fitted tells nothing and is projected out: few contacts give 0.
+    """
+    settings = settings or MisfitSettings()
+    median = float(np.median(np.abs(residuals)))
+    limit = settings.cut * max(1.48 * median, noise[0])
+    # a wild contact is as noisy as it is off: alone it tells nothing, many together do
+    trust = np.minimum(1.0, limit / np.maximum(np.abs(residuals), limit))
+    jacobian = np.concatenate([np.cross(normals, points) / diameter, -normals], axis=1) * trust[:, None]
+    left, values, _ = np.linalg.svd(jacobian, full_matrices=True)
+    free = left[:, int((values > 1e-6 * values[0]).sum()) :]
+    if free.shape[1] < 1:
+        return 0.0
+    rest = free.T @ (trust * residuals)
+    free = free * trust[:, None]
+    apart = np.sum((points[:, None] - points[None]) ** 2, axis=2)
+    sizes = np.geomspace(0.1 * settings.mesh_sigma, settings.most_other, settings.steps[0])
+    sigmas = np.geomspace(noise[0], max(noise[1], 1.001 * noise[0]), settings.steps[1])
+    likelihood = np.stack(
+        [_likelihood(free, rest, apart, share * diameter, sizes, sigmas) for share in settings.lengths]
+    )
+    # equal weight per factor of the noise and of another's misfit; a half Gaussian on that of the own mesh
+    own = np.log(sizes) - 0.5 * (sizes / settings.mesh_sigma) ** 2
+    other = np.where(sizes >= settings.least_other, 0.0, -np.inf)
+    told = np.logaddexp.reduce(np.logaddexp.reduce(likelihood, axis=2), axis=0)
+    weighed = [np.logaddexp.reduce(told + w) - np.logaddexp.reduce(w) for w in (other, own)]
+    return float(weighed[0] - weighed[1])
+
+
+def _likelihood(free: Array, rest: Array, apart: Array, length: float, sizes: Array, sigmas: Array) -> Array:
+    """Log likelihood (sizes, sigmas) of residuals under a smooth field of each size and noise of each sigma."""
+    kernel = free.T @ np.exp(-0.5 * apart / length**2) @ free
+    values, vectors = np.linalg.eigh(0.5 * (kernel + kernel.T))
+    along = (vectors.T @ rest) ** 2
+    variance = sizes[:, None, None] ** 2 * np.maximum(values, 0.0) + sigmas[:, None] ** 2
+    return np.asarray(-0.5 * np.sum(np.log(variance) + along / variance, axis=2), dtype=np.float64)

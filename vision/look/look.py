@@ -1,0 +1,226 @@
+"""One look at a frame: the only way from pixels to what may be the object. Camera frame, metres.
+
+The hand is found first, because it is the one thing in view whose shape and place are known. Without a start and a mask
+the object's own pixels are then told from table, hand and clutter; else a ball around the start is enough.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.geometry.cameras import is_reading
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.beliefs import Beliefs
+from scenes.recordings.frames import Frame
+from vision.look.hand import HandView, HandViewSettings, view_hand
+from vision.look.looked import Looked, RowSettings, no_pixels, nothing_seen
+from vision.look.mask import MaskSettings, connected_pieces, find_plane, object_mask, on_plane
+from vision.look.pixels import Pixels, Region, read_pixels
+from vision.look.points import all_points
+from vision.look.regions import find_region, region_around
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class LookSettings:
+    """What is looked at and what is taken for the object. By judgement, on generated captures."""
+
+    # Room around the prior's ball in which the object is looked for, metres: T1's coarse starts are 33 mm off.
+    slack: float = 0.035
+    # Pixels read from the region's box (object, hand and background together), and of those inside the region the
+    # ones that are told apart from the hand: a closest-point query each.
+    most: int = 40_000
+    most_inside: int = 2500
+    # Pixels of the whole image among which the hand is looked for.
+    most_hand: int = 12_000
+    # Pixels outside the region that are kept: more than the rays of free space are not used.
+    most_others: int = 120
+    # Whether, without a start and a mask, table, hand and clutter are taken away first where a hand is seen.
+    tidy: bool = True
+    # Fewer pixels than this are no object but what a mask left over.
+    least_masked: int = 60
+    # A plane that most readings lie on is table or wall, not the object, where it goes on for so many diameters of the
+    # object (between its 5th and 95th percentiles).
+    plane_extent: float = 1.5
+    # Pieces of the image where nothing tells the object from other things: pixels along each axis from one that is
+    # looked at to the next, the most of them, the most pixels of each, and the least share of what the object shows on
+    # average that one must have.
+    piece_step: int = 3
+    most_pieces: int = 10
+    most_in_piece: int = 1200
+    piece_share: float = 0.1
+    hand: HandViewSettings = field(default_factory=HandViewSettings)
+    mask: MaskSettings = field(default_factory=MaskSettings)
+    rows: RowSettings = field(default_factory=RowSettings)
+
+
+def look(
+    frame: Frame,
+    model: ObjectModel,
+    beliefs: Beliefs | None = None,
+    start: Array | None = None,
+    settings: LookSettings | None = None,
+) -> Looked:
+    """Sort the frame's pixels into object, hand and others.
+
+    start (4, 4) camera_from_object, a coarse one, narrows the region. A frame without depth gives its cloud's points,
+    one whose region is outside the image no pixels.
+    """
+    settings, beliefs = settings or LookSettings(), beliefs or Beliefs()
+    region = find_region(frame, model, start, settings.slack, frame.mask)
+    if frame.depth is None or frame.camera is None:
+        return _cloud(frame, region, settings)
+    if _box(frame, region) is None:
+        return nothing_seen(region, "region outside the image")
+    hand = _find_hand(frame, beliefs, settings)
+    plane = _find_plane(frame, model, beliefs, settings) if frame.mask is None and hand is None else None
+    if frame.mask is None and hand is None:
+        known = None if plane is None else (plane, beliefs)
+        bare = _sorted(frame, region, None, None, settings, known)
+        return bare if start is not None else replace(bare, pieces=_find_pieces(frame, model, plane, beliefs, settings))
+    if not settings.tidy or start is not None or frame.mask is not None or hand is None or not len(hand.points):
+        return _sorted(frame, region, frame.mask, hand, settings)
+    mask = object_mask(frame, model, beliefs, settings=settings.mask, view=hand)
+    if int(mask.sum()) < settings.least_masked:
+        bare = _sorted(frame, region, None, hand, settings)
+        return replace(bare, how="; no piece of an object near the hand")
+    region = find_region(frame, model, None, settings.slack, mask)
+    return replace(_sorted(frame, region, mask, hand, settings), how="; table, hand and clutter taken away")
+
+
+def look_closer(
+    frame: Frame, model: ObjectModel, before: Looked, candidates: Array, beliefs: Beliefs, settings: LookSettings
+) -> Looked:
+    """The frame's pixels around candidates (n, 4, 4) camera_from_object, with hand and plane as `before` found them."""
+    region = region_around(model, candidates, settings.slack)
+    plane = None if before.plane is None else (before.plane, beliefs)
+    return replace(_sorted(frame, region, frame.mask, before.hand, settings, plane), pieces=before.pieces)
+
+
+def _box(frame: Frame, region: Region | None) -> tuple[int, int, int, int] | None:
+    """Pixels (u0, v0, u1, v1) that can see the region; None when it is outside the image."""
+    assert frame.camera is not None
+    return (0, 0, frame.camera.width, frame.camera.height) if region is None else region.box(frame.camera)
+
+
+def _find_plane(frame: Frame, model: ObjectModel, beliefs: Beliefs, settings: LookSettings) -> Array | None:
+    """(4,) the plane that most readings lie on, when it is too large to be the object's own face."""
+    assert frame.depth is not None
+    assert frame.camera is not None
+    plane = find_plane(frame, settings.mask, beliefs.depth)
+    if plane is None:
+        return None
+    full = (0, 0, frame.camera.width, frame.camera.height)
+    points = read_pixels(frame.depth, frame.camera, full, settings.mask.plane_points).points
+    points = points[on_plane(points, plane, beliefs.depth, settings.mask)]
+    extent = np.percentile(points, 95, axis=0) - np.percentile(points, 5, axis=0)
+    return plane if float(np.linalg.norm(extent)) > settings.plane_extent * model.diameter else None
+
+
+def _find_pieces(
+    frame: Frame, model: ObjectModel, plane: Array | None, beliefs: Beliefs, settings: LookSettings
+) -> tuple[Pixels, ...]:
+    """Connected surfaces off the plane, largest first, those that are not far too small to be the object's."""
+    assert frame.camera is not None
+    camera, step = frame.camera, settings.piece_step
+    v, u = np.mgrid[0 : camera.height : step, 0 : camera.width : step]
+    points, pieces = surfaces(frame, plane, beliefs, settings)
+    z = points[..., 2]
+    size = np.bincount(pieces[pieces >= 0], minlength=1)
+    out = []
+    for piece in np.argsort(-size, kind="stable")[: settings.most_pieces]:
+        own = pieces == piece
+        middle = float(np.median(z[own])) if size[piece] else 0.0
+        # the mean shadow of a convex body is a quarter of its surface (Cauchy)
+        shown = model.area / 4.0 * camera.fx * camera.fy / max(middle, 1e-3) ** 2 / step**2
+        if size[piece] < max(settings.least_masked / step**2, settings.piece_share * shown):
+            continue
+        pixels = Pixels(np.stack([u[own], v[own]], axis=1).astype(np.int64), points[own], float(step**2))
+        out.append(pixels.thinned(settings.most_in_piece))
+    return tuple(out)
+
+
+def surfaces(
+    frame: Frame, plane: Array | None, beliefs: Beliefs, settings: LookSettings
+) -> tuple[Array, NDArray[np.int64]]:
+    """Points (h, w, 3) at every settings.piece_step pixels, and the number of the connected surface that each is on,
+    from 0, largest or not; -1 where nothing is read, or on the plane (4,).
+    """
+    assert frame.depth is not None
+    assert frame.camera is not None
+    camera, step = frame.camera, settings.piece_step
+    v, u = np.mgrid[0 : camera.height : step, 0 : camera.width : step]
+    z = frame.depth[::step, ::step].astype(np.float64)
+    good = is_reading(z)
+    z = np.where(good, z, 0.0)
+    points = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=2)
+    if plane is not None:
+        good &= ~on_plane(points, plane, beliefs.depth, settings.mask)
+    return points, connected_pieces(z, good, settings.mask)
+
+
+def _find_hand(frame: Frame, beliefs: Beliefs, settings: LookSettings) -> HandView | None:
+    if frame.hand is None or frame.joints is None or frame.world_from_hand is None:
+        return None
+    assert frame.depth is not None
+    assert frame.camera is not None
+    full = (0, 0, frame.camera.width, frame.camera.height)
+    return view_hand(frame, read_pixels(frame.depth, frame.camera, full, settings.most_hand), beliefs, settings.hand)
+
+
+def _sorted(
+    frame: Frame,
+    region: Region | None,
+    mask: Mask | None,
+    hand: HandView | None,
+    settings: LookSettings,
+    plane: tuple[Array, Beliefs] | None = None,
+) -> Looked:
+    """The pixels of the region, thinned, by what they may show."""
+    assert frame.depth is not None
+    assert frame.camera is not None
+    box = _box(frame, region)
+    if box is None:
+        return nothing_seen(region, "region outside the image")
+    pixels = read_pixels(frame.depth, frame.camera, box, settings.most)
+    inside = np.ones(len(pixels), dtype=bool)
+    if region is not None:
+        inside = np.linalg.norm(pixels.points - region.centre, axis=1) < region.radius
+    if mask is not None:
+        inside &= mask[pixels.uv[:, 1], pixels.uv[:, 0]]
+    if plane is not None:
+        inside &= ~on_plane(pixels.points, plane[0], plane[1].depth, settings.mask)
+    others = pixels.take(~inside).thinned(settings.most_others)
+    mine = pixels.take(inside).thinned(settings.most_inside)
+    dropped: dict[str, int] = {}
+    near_hand = np.zeros(len(mine), dtype=bool)
+    if hand is not None and len(mine):
+        near_hand = hand.nearer(mine.points, settings.hand.margin)
+        dropped["hand pixels"] = int(near_hand.sum())
+    told_apart = mask is not None or hand is not None
+    found = None if plane is None else plane[0]
+    how = "; table or wall taken away" if plane is not None else ""
+    kept, of_hand = mine.take(~near_hand), mine.take(near_hand)
+    return Looked(kept, of_hand, others, region, hand, dropped, told_apart=told_apart, how=how, plane=found)
+
+
+def _cloud(frame: Frame, region: Region | None, settings: LookSettings) -> Looked:
+    """A cloud has no pixels: its points are taken as they are, thinned evenly."""
+    points = all_points(frame)
+    dropped = {}
+    if frame.cloud is not None and len(points) < len(frame.cloud):
+        dropped["cloud points not finite"] = len(frame.cloud) - len(points)
+    if region is not None:
+        points = points[np.linalg.norm(points - region.centre, axis=1) < region.radius]
+    cloud = Pixels(np.zeros((len(points), 2), dtype=np.int64), points, 1.0).thinned(settings.most_inside)
+    return Looked(cloud, no_pixels(), no_pixels(), region, None, dropped, is_cloud=True)
+
+
+def object_points(frame: Frame, model: ObjectModel, start: Array | None) -> Array:
+    """(n, 3) camera-frame points that a look leaves to the object: what other methods are given to be fair to them."""
+    return look(frame, model, start=start).pixels.points

@@ -1,0 +1,46 @@
+"""Where in a frame the object is looked for: a ball in the camera frame, metres."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.frames import Frame
+from vision.look.pixels import Region
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+def find_region(
+    frame: Frame, model: ObjectModel, start: Array | None, slack: float, mask: Mask | None = None
+) -> Region | None:
+    """Around the start (4, 4) camera_from_object, else the mask (h, w), the contacts, the hand's fingertips; None is
+    everywhere. slack: room (m) beyond the object's own size.
+    """
+    if start is not None:
+        return Region(start[:3, :3] @ model.centroid + start[:3, 3], model.radius + slack)
+    if mask is not None and frame.depth is not None and frame.camera is not None and mask.any():
+        points = frame.camera.back_project(frame.depth, mask)
+        if len(points):
+            return Region(np.median(points, axis=0), model.diameter + slack)
+    if len(frame.contacts):
+        middle = frame.contacts.moved(frame.camera_from_world).points.mean(axis=0)
+        return Region(middle, model.diameter + slack)
+    if frame.hand is not None and frame.joints is not None and frame.world_from_hand is not None:
+        sensors = frame.hand.hand_from_sensor(frame.joints)
+        if sensors:  # what a hand holds is among its fingertips
+            middle = np.mean([pose[:3, 3] for pose in sensors.values()], axis=0)
+            camera_from_hand = frame.camera_from_world @ frame.world_from_hand
+            centre = camera_from_hand[:3, :3] @ middle + camera_from_hand[:3, 3]
+            return Region(centre, model.diameter + slack)
+    return None
+
+
+def region_around(model: ObjectModel, candidates: Array, slack: float) -> Region:
+    """The ball that holds the object at each of the poses (n, 4, 4) camera_from_object, with `slack` metres more."""
+    middles = candidates[:, :3, :3] @ model.centroid + candidates[:, :3, 3]
+    centre = 0.5 * (middles.min(axis=0) + middles.max(axis=0))
+    reach = float(np.linalg.norm(middles - centre, axis=1).max())
+    return Region(centre, model.radius + slack + reach)
