@@ -295,13 +295,13 @@ def test_a_frame_feels_its_gels(hand):
     true = ball_depth(gel, 0.02, 0.0006, gel.width // 2, gel.height // 2)
     image = photograph_gel(gel, bridged(true, gel), np.random.default_rng(0))
     frame = Frame(0, "f", hand=held, joints=joints, world_from_hand=np.eye(4), gels={name: image})
-    felt = feel(frame, 4.0)
+    felt = feel(frame)
     assert felt.contacts.sensors == [name]
     at = (held.hand_from_sensor(joints)[name])[:3, 3]
     assert np.linalg.norm(felt.contacts.points[0] - at) < 0.003
     # a contact of the same sensor speaks for the gel: one touch is one contact
     spoken = replace(frame, contacts=Contacts(at[None], sensors=[name]))
-    assert len(feel(spoken, 4.0).contacts) == 1
+    assert len(feel(spoken).contacts) == 1
     with pytest.raises(CaptureError, match="need a hand, its joints and its pose"):
         patches_of(replace(frame, hand=None))
     with pytest.raises(CaptureError, match="expected a gel of the hand"):
