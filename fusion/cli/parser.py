@@ -10,6 +10,7 @@ from typing import NoReturn
 from fusion.cli import (
     batch,
     bench,
+    calibrate_gel,
     compare,
     completion,
     convert,
@@ -31,7 +32,7 @@ from scenes.errors import InputError, unknown
 
 COMMANDS = (
     *(demo, synth, validate, estimate, track, compare, evaluate, localize, identify),
-    *(grasp, model, batch, view, convert, bench, completion, doctor),
+    *(grasp, model, batch, view, convert, calibrate_gel, bench, completion, doctor),
 )
 
 
@@ -66,7 +67,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="versions of palpate and of what it stands on")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for module in COMMANDS:
-        name = module.__name__.rpartition(".")[2]
+        name = module.__name__.rpartition(".")[2].replace("_", "-")
         summary = (module.__doc__ or "").strip().splitlines()[0]
         command = commands.add_parser(name, help=summary, description=summary)
         module.add_arguments(command)

@@ -22,7 +22,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="five-finger",
         help="five-finger (default), gripper (two flat fingers), a URDF, or none: loose fingers",
     )
-    parser.add_argument("--touch", metavar="KINDS", type=names, default=("point",), help="point, wrench, array, empty")
+    parser.add_argument(
+        "--touch", metavar="KINDS", type=names, default=("point",), help="point, wrench, array, gel, empty"
+    )
     parser.add_argument("--taxels", metavar="LAYOUT", default="fingertip", help="fingertip (12, default), pad (3 x 8)")
     noises = (
         "none, clean, lab (default), harsh, lab-time-of-flight, lab-stereo;"
@@ -62,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         scene=args.scene,
         mesh_error=args.mesh_error,
     )
-    contacts = [max(len(frame.contacts), len(frame.wrenches), len(frame.tactile)) for frame in capture]
+    contacts = [max(len(frame.contacts), len(frame.wrenches), len(frame.tactile), len(frame.gels)) for frame in capture]
     asked = {"object": model.name, "occlusion": args.occlusion, "noise": args.noise, "seed": args.seed}
     write_json(args.json, {"capture": str(capture.path), "frames": len(capture), "contacts": contacts, **asked})
     felt = f"{min(contacts)}" if min(contacts) == max(contacts) else f"{min(contacts)} to {max(contacts)}"

@@ -101,6 +101,38 @@ def write_depth(path: Path, depth: NDArray[Any], depth_scale: float) -> None:
     _write(path, counts.astype(np.uint16))
 
 
+def read_counts(path: Path) -> NDArray[np.uint16]:
+    """(h, w) uint16 as they are. Raises CaptureError when the image is not 16 bit with one channel."""
+    image = _read(path)
+    if image.dtype != np.uint16 or image.ndim != 2:
+        channels = 1 if image.ndim == 2 else image.shape[2]
+        got = f"{8 * image.dtype.itemsize} bit, {channels} channel{'s'[: channels > 1]}"
+        raise CaptureError(f"expected an image of 16 bit, 1 channel, got {got}")
+    return np.asarray(image, dtype=np.uint16)
+
+
+def write_counts(path: Path, counts: NDArray[Any]) -> None:
+    """Write (h, w) whole numbers of 0 to 65535. Raises CaptureError for others."""
+    if not np.isfinite(counts).all() or counts.min(initial=0) < 0 or counts.max(initial=0) > LARGEST_COUNT:
+        raise CaptureError(f"{path}: expected numbers from 0 to {LARGEST_COUNT}")
+    _write(path, np.rint(counts).astype(np.uint16))
+
+
+def read_gel_image(path: Path) -> NDArray[np.uint16] | NDArray[np.uint8]:
+    """A gel's image: (h, w) uint16 micrometres of indentation, or (h, w, 3) uint8 colours, red first.
+
+    Raises CaptureError for anything else.
+    """
+    image = _read(path)
+    if image.dtype == np.uint16 and image.ndim == 2:
+        return np.asarray(image, dtype=np.uint16)
+    if image.dtype == np.uint8 and image.ndim == 3:
+        return np.ascontiguousarray(image[:, :, 2::-1])
+    channels = 1 if image.ndim == 2 else image.shape[2]
+    got = f"{8 * image.dtype.itemsize} bit, {channels} channel{'s'[: channels > 1]}"
+    raise CaptureError(f"expected a gel's image of 8 bit in colour, or of 16 bit in micrometres, got {got}")
+
+
 def read_rgb(path: Path) -> NDArray[np.uint8]:
     """(h, w, 3) uint8, red first; grey images are repeated, alpha is dropped. Raises CaptureError when not 8 bit."""
     image = _read(path)

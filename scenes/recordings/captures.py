@@ -23,9 +23,10 @@ from scenes.files.problems import Problem, Report, refuse
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings import bop
-from scenes.recordings.frames import Contacts, EmptyRegions, Frame, Wrench
+from scenes.recordings.frames import Contacts, EmptyRegions, Frame, GelImage, Wrench
 from scenes.recordings.manifest import read_manifest, read_model
 from scenes.recordings.writing import write_capture
+from scenes.robot.gels import image_problem
 from scenes.robot.hands import Hand
 
 __all__ = ["Capture", "read_capture", "write_capture"]
@@ -64,7 +65,8 @@ class Capture:
         self._cameras = self._by_frame("scene_camera.json")
         self._truths = self._by_frame("scene_gt.json")
         self._priors = self._by_frame("prior.json")
-        self._tactile = self._tactile_files()
+        self._tactile = self._tactile_files(".csv")
+        self._gels = self._tactile_files(".png")
         self.frame_ids = self._find_frames()
         self._check_strays()
         _log.info("%s: %s, %d of its frames", self.path, self.manifest.name, len(self.frame_ids))
@@ -144,6 +146,7 @@ class Capture:
             no_contact=self._no_contact(number),
             wrenches=self._wrenches(number),
             tactile=self._taxels(number),
+            gels=self._gel_images(number),
             prior=self._attempt("prior.json", number, lambda: self._prior(number)),
             camera_from_object_truth=truth[0] if truth else None,
         )
@@ -174,17 +177,17 @@ class Capture:
         files = (self.path / folder).glob(f"*{suffix}") if (self.path / folder).is_dir() else ()
         return {int(path.stem) for path in files if path.stem.isdecimal()}
 
-    def _tactile_files(self) -> dict[str, set[int]]:
+    def _tactile_files(self, suffix: str) -> dict[str, set[int]]:
         root = self.path / "tactile"
         sensors = sorted(path.name for path in root.iterdir() if path.is_dir()) if root.is_dir() else []
-        return {sensor: self._numbered(f"tactile/{sensor}", ".csv") for sensor in sensors}
+        return {sensor: self._numbered(f"tactile/{sensor}", suffix) for sensor in sensors}
 
     def _find_frames(self) -> tuple[int, ...]:
         seen = set(self._cameras) | self._numbered("clouds", ".ply")
         seen |= self._numbered("depth", ".png") | self._numbered("rgb", ".png")
         if not seen:  # touch alone: the frames are those that feel something
             seen = {int(frame) for table in self._tables.values() for frame in table.frames()}
-            seen = seen.union(*self._tactile.values())
+            seen = seen.union(*self._tactile.values(), *self._gels.values())
         if not seen:
             message = "expected frames (scene_camera.json, depth/, clouds/ or contacts.csv), found none"
             self.report(Problem(str(self.path), None, message))
@@ -195,7 +198,7 @@ class Capture:
         known = set(self.frame_ids)
         spoken = {name: set(map(int, np.unique(table.frames()))) for name, table in self._tables.items()}
         spoken |= {"scene_gt.json": set(self._truths), "prior.json": set(self._priors)}
-        spoken |= {f"tactile/{sensor}": frames for sensor, frames in self._tactile.items()}
+        spoken |= {f"tactile/{sensor}": self._gels[sensor] | frames for sensor, frames in self._tactile.items()}
         for name, frames in spoken.items():
             for frame in sorted(frames - known):
                 self.report(Problem(self._file(name), frame, f"expected a frame of {_span(self.frame_ids)}"))
@@ -321,6 +324,30 @@ class Capture:
             pressure[taxel[inside]] = rows.numbers["pressure"][inside] if len(rows) else ()
             readings[sensor] = pressure
         return readings
+
+    def _gel_images(self, number: int) -> dict[str, GelImage]:
+        """What each gel saw: micrometres of indentation or colours, as the hand's sensor says it can."""
+        out: dict[str, GelImage] = {}
+        for name in (name for name, frames in self._gels.items() if number in frames):
+            file = f"tactile/{name}/{number:06d}.png"
+            hand = self._attempt("capture.json", None, lambda: self.hand)
+            if hand is None:
+                continue
+            sensor = hand.sensors.get(name)
+            if sensor is None or sensor.gel is None:
+                known = ", ".join(s.name for s in hand.sensors.values() if s.gel is not None) or "none"
+                message = f"expected a gel of hand {hand.name!r} ({known}), got {name!r}"
+                self.report(Problem(self._file(file), number, message))
+                continue
+            image = self._image_file(file, number, images.read_gel_image)
+            if image is None:
+                continue
+            problem = image_problem(image, sensor.gel)
+            if problem is not None:
+                self.report(Problem(self._file(file), number, problem))
+                continue
+            out[name] = image
+        return out
 
     def _taxel_count(self, sensor: str, path: Path, number: int) -> int | None:
         hand = self._attempt("capture.json", None, lambda: self.hand)

@@ -133,6 +133,22 @@ def pressures(value: object, where: str) -> dict[str, Array]:
     return out
 
 
+def gel_images(value: object, where: str) -> dict[str, NDArray[np.uint16] | NDArray[np.uint8]]:
+    """Images by sensor name: (h, w) uint16 micrometres of indentation, or (h, w, 3) uint8 colours, red first."""
+    if not isinstance(value, Mapping):
+        raise InputError(f"{where}: gels: expected images by sensor name, got {_kind(value)}")
+    out = {}
+    for name, given in value.items():
+        image = _array(given, f"{where}: gels {name!r}", "a gel's image")
+        colours = image.ndim == 3 and image.shape[2] == 3 and image.dtype == np.uint8
+        if not colours and not (image.ndim == 2 and image.dtype == np.uint16):
+            found = f"{image.dtype} of shape {image.shape}"
+            expected = "uint16 micrometres of shape (h, w), or uint8 colours of shape (h, w, 3)"
+            raise InputError(f"{where}: gels {name!r}: expected {expected}, got {found}")
+        out[str(name)] = image
+    return out
+
+
 def same_size(sizes: Mapping[str, tuple[int, int]], where: str) -> None:
     """Raise InputError unless all (width, height) of an instant's images and its camera are one."""
     (first, expected), *others = sizes.items()

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from scenes.robot.hands import Hand
 
 Array = NDArray[np.float64]
+# What a gel saw: (h, w) uint16 micrometres of indentation, or (h, w, 3) uint8 colours, red first.
+GelImage = NDArray[np.uint16] | NDArray[np.uint8]
 
 # What a contact is worth when the recording does not say (T1 section 4.3: 0.9 mm and 5 degrees).
 DEFAULT_SIGMA_POINT = 0.9e-3
@@ -191,6 +193,7 @@ class Frame:
     camera: intrinsics, None when there is no camera. camera_from_world (4, 4).
     depth (h, w) float32 metres along z, 0 = no reading. rgb (h, w, 3) uint8. mask (h, w) bool, the object's pixels.
     cloud (n, 3) world frame. joints: name -> radians or metres. world_from_hand (4, 4).
+    tactile: pressures (k,) Pa of each array. gels: the image of each gel.
     camera_from_object_truth and prior (4, 4): ground truth and coarse start, when the recording has them;
     hand_from_object_truth (4, 4): where a simulated hand really holds it.
     beliefs: what the recording says its sensors are worth; None says nothing.
@@ -218,6 +221,7 @@ class Frame:
     no_contact: EmptyRegions | None = None
     wrenches: tuple[Wrench, ...] = ()
     tactile: dict[str, Array] = field(default_factory=dict)
+    gels: dict[str, GelImage] = field(default_factory=dict)
     prior: Array | None = None
     camera_from_object_truth: Array | None = None
     hand_from_object_truth: Array | None = None
@@ -247,6 +251,7 @@ class Frame:
             put(name, checks.rigid, where, name)
         put("joints", checks.joint_positions, where)
         put("tactile", checks.pressures, where)
+        put("gels", checks.gel_images, where)
         if self.camera is not None or self.depth is not None:
             checks.instance(self.camera, Camera, where, "camera", "Camera.from_matrix(K, width, height)")
         sizes = {
@@ -285,7 +290,7 @@ class Frame:
 
     def without_touch(self) -> Frame:
         """The frame without what touch gave."""
-        return replace(self, contacts=Contacts(np.zeros((0, 3))), no_contact=None, wrenches=(), tactile={})
+        return replace(self, contacts=Contacts(np.zeros((0, 3))), no_contact=None, wrenches=(), tactile={}, gels={})
 
     def hand_from_object(self, pose: Array, correction: Array) -> Array | None:
         """(4, 4) of the object at pose (4, 4) camera_from_object, the camera-robot calibration corrected; None without

@@ -96,8 +96,8 @@ def _frame_problems(capture: Capture, frame: Frame) -> list[Problem]:
     if frame.depth is not None and not (frame.depth > 0).any():
         found.append(Problem(depth_file, frame.index, "expected depth readings, got an image of zeros"))
     sensed = (frame.depth is not None, frame.cloud is not None, len(frame.contacts) > 0, len(frame.wrenches) > 0)
-    if not any(sensed) and not frame.tactile:
-        expected = "expected a depth image, a cloud, contacts, wrenches or tactile arrays, found none"
+    if not any(sensed) and not frame.tactile and not frame.gels:
+        expected = "expected a depth image, a cloud, contacts, wrenches, tactile arrays or gels' images, found none"
         found.append(Problem(str(capture.path), frame.index, expected))
     if frame.hand is not None and frame.joints is not None:
         for joint, excess in frame.hand.limit_excess(frame.joints).items():

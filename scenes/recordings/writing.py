@@ -197,3 +197,9 @@ class _Recorder:
             path.parent.mkdir(parents=True, exist_ok=True)
             rows = [(taxel, float(p)) for taxel, p in enumerate(pressure) if np.isfinite(p)]
             tables.write_table(path, tables.TACTILE, rows)
+        for sensor, image in frame.gels.items():
+            path = self.folder / "tactile" / sensor / f"{frame.index:06d}.png"
+            if image.ndim == 2:
+                images.write_counts(path, image)
+            else:
+                images.write_rgb(path, image.astype(np.uint8))

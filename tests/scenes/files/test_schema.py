@@ -145,6 +145,10 @@ def _changed(content, *path_and_value):
         ("topics", "/joints", "names", ["a"]),
         ("topics", "/touch", "points", None),
         ("topics", "/touch", "sensors", "x"),
+        ("topics", "/marker", {"role": "marker", "index": -1}),
+        ("intrinsics", {"fx": 500.0}),
+        ("static_frames", [{"parent": "a"}]),
+        ("marker", {"camera_from_tracker": 3}),
     ],
 )
 def test_maps_that_the_reader_refuses_are_refused(tmp_path, change):
@@ -175,6 +179,13 @@ GOOD = {"s": {"link": "a", "kind": "point", "link_from_sensor": np.eye(4).ravel(
         {"surface": {"sphere": {"radius": -1}}},
         {"surface": {"mesh": {"file": 3}}},
         {"soft_layer": 3},
+        {"kind": "gel"},
+        {"gel": 3},
+        {"gel": {"size": [20, 10]}},
+        {"gel": {"size": [20, 4], "mm_per_pixel": 0.1}},
+        {"gel": {"size": [20, 10], "mm_per_pixel": 0.1, "camera": {"cam_K": [1] * 9, "distance": 0.02}}},
+        {"gel": {"size": [20, 10], "mm_per_pixel": 0.1, "thickness": 1}},
+        {"gel": {"size": [20, 10], "mm_per_pixel": 0.1, "surface": "bent"}},
     ],
 )
 def test_sensors_that_the_reader_refuses_are_refused(tmp_path, entry):

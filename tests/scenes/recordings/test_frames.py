@@ -84,6 +84,8 @@ def test_what_is_right_keeps_its_bits():
         ({"hand": "hand.urdf"}, r"hand: expected Hand \(Hand.load\(urdf\)\), got str"),
         ({"tactile": {"tip": np.zeros((4, 4))}}, "tactile 'tip': expected one pressure a taxel"),
         ({"tactile": [1.0]}, "tactile: expected pressures by sensor name"),
+        ({"gels": [np.zeros((4, 4), np.uint16)]}, "gels: expected images by sensor name"),
+        ({"gels": {"pad": np.zeros((4, 4))}}, "gels 'pad': expected uint16 micrometres"),
         ({"no_contact": np.zeros((3, 3))}, "no_contact: expected EmptyRegions"),
         ({"wrenches": {"tip": 3}}, "wrenches: expected list"),
         ({"wrenches": [np.zeros(6)]}, "wrenches: expected Wrench"),
