@@ -22,8 +22,8 @@ BELOW = {
 # Rooms (folders and files) of a package by floor, from the ground up: a room imports lower floors only.
 FLOORS = {
     "scenes": (
-        {"errors", "own"},
-        {"threads", "cache", "_open3d"},
+        {"errors"},
+        {"threads", "cache", "own", "_open3d"},
         {"files"},
         {"geometry"},
         {"robot"},
