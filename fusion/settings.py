@@ -14,6 +14,7 @@ from fusion.advice.grasp import GraspAdviceSettings
 from fusion.advice.next_touch import NextTouchSettings
 from fusion.benchmarks.arrays.grasps import GraspNoise
 from fusion.benchmarks.printing.tables import BenchSettings
+from fusion.benchmarks.real.frames import RealSettings
 from fusion.estimation.settings import EstimateSettings
 from fusion.modelling import ModelSettings
 from fusion.tracking.answer import TrackSettings
@@ -128,6 +129,7 @@ class Settings:
     # Errors against the truth, how much work a benchmark does, and the errors of its recordings of arrays.
     judge: JudgeSettings = field(default_factory=JudgeSettings)
     bench: BenchSettings = field(default_factory=BenchSettings)
+    bench_real: RealSettings = field(default_factory=RealSettings)
     bench_arrays: GraspNoise = field(default_factory=GraspNoise)
     published: PublishedSettings = field(default_factory=PublishedSettings)
     simulation: SimulationSettings = field(default_factory=SimulationSettings)

@@ -57,6 +57,9 @@ class PredictionSettings:
     hidden_by_unknown: float = 0.2
     most_of_piece: float = 30.0
     piece_step: int = 3
+    # A pixel that is seen past counts this share where something within so many pixels is as near as the object.
+    past_beside: float = 0.25
+    edge_pixels: int = 4
     # Of what gives no reading this share is left out of the count.
     unread: float = 0.7
     # A cell's depth agrees within so many sigmas (noise, smooth bias and scale); seen fades with so many (no scale).
@@ -108,7 +111,7 @@ class _View:
     read: NDArray[np.bool_]
     seen: Array
     near: NDArray[np.bool_]
-    past: NDArray[np.bool_]
+    past: Array
     hidden: NDArray[np.bool_]
     by_hand: NDArray[np.bool_]
     fade: Array
@@ -139,6 +142,7 @@ class Predictor:
         self.camera: Camera | None = frame.camera
         self._depth = None if frame.camera is None else frame.depth
         self._belief = depth
+        self._nearest = None if self._depth is None else _nearest_around(self._depth, self.settings.edge_pixels)
         self._points = model.sample_surface(self.settings.bounding)[0]
         self._hand = None if self._depth is None or hand is None else _hand_depth(self.camera, hand, self.settings)
 
@@ -218,10 +222,14 @@ class Predictor:
         plane = known & self._is_plane(rays, seen)
         # nothing is under the table or behind the wall; what is at its depth is the table, and hides the object at most
         past = known & ((off > tolerance) | (plane & (off < -tolerance)))
+        # beside the edge of something near a camera often reads what is behind it: stereo's windows, mixed light
+        assert self._nearest is not None
+        beside = np.where(known, self._nearest[np.where(inside, v, 0), np.where(inside, u, 0)], np.inf) < z + tolerance
+        past_share = np.where(past & beside & (off > 0), s.past_beside, 1.0) * past
         near = known & ~by_hand & ~plane & (np.abs(off) <= tolerance)
         hidden = known & ~by_hand & ~past & (plane | (off < -tolerance))
         fade = np.exp(-0.5 * np.square(off / (s.fading * smooth))) * near
-        return _View(u, v, hit, expected, read, seen, near, past, hidden, by_hand & ~past, fade)
+        return _View(u, v, hit, expected, read, seen, near, past_share, hidden, by_hand & ~past, fade)
 
     def seen_pixels(self, pose: Array, side: int | None = None, inner: int = 1) -> Pixels:
         """The pixels that show the object at pose (4, 4): inside its outline by `inner` rays, where edges smear no
@@ -248,7 +256,7 @@ class Predictor:
         assert self.camera is not None
         s, camera = self.settings, self.camera
         view = self._view(pose[None], s.side)
-        past = view.past[0] & (view.seen[0] > view.expected[0])
+        past = (view.past[0] == 1.0) & (view.seen[0] > view.expected[0])
         if not past.any():
             return tables.empty()
         u, v = view.u[0, past], view.v[0, past]
@@ -315,6 +323,14 @@ class Predictor:
                 smooth += (edge & goes_on).sum(axis=(1, 2))
                 border += (hit & beyond).sum(axis=(1, 2))
         return np.asarray(smooth / np.maximum(border, 1.0))
+
+
+def _nearest_around(depth: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
+    """(h, w) least depth (m) that is read within `reach` pixels along either axis; inf for none."""
+    import cv2
+
+    read = np.where(is_reading(depth), depth, np.float32(np.inf)).astype(np.float32)
+    return np.asarray(cv2.erode(read, np.ones((2 * reach + 1,) * 2, np.uint8)), dtype=np.float32)
 
 
 def _shifted(values: NDArray, step: int, axis: int) -> NDArray:

@@ -17,6 +17,7 @@ from fusion.estimation.asked import as_prior, check_limits, check_senses
 from fusion.estimation.moments import moments
 from fusion.estimation.pool import Pool
 from fusion.estimation.proposals import search_stages, starts_of
+from fusion.estimation.propose import modes_anywhere, modes_near
 from fusion.estimation.ranking import guarded, ranked
 from fusion.estimation.search import find_modes, worth_solving
 from fusion.estimation.settings import EstimateSettings
@@ -113,38 +114,36 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> 
         return posterior.no_answer(frame, model, believed, trace.stages, settings.modes, settings.verdict)
 
     sight = Sight(viewed, model, beliefs.depth, settings.sight)
-    with trace.stage("search", True, "") as stage:
-        how, blur = settings.proposals, settings.proposals.blur(model)
-        rng = np.random.default_rng(asked.seed)
-        starts = starts_of(model, believed, looked.pixels.points, felt.contacts, rows, sight.costs, how, rng)
-        stages = search_stages(blur, how.near if believed is not None else how.wide if contacts else how.sifted)
-        found = find_modes(model, rows, starts, stages, believed, sight.costs, settings.plan, settings.modes)
-        modes = found.modes
-        stage.note(len(rows), f"{found.looked_at} of {len(starts)} starts, blur {1e3 * blur:.1f} mm; {found.why}")
-    wide = believed is None and "vision" in asked.senses and looked.region is not None and not looked.is_cloud
-    with trace.stage("look again", wide, "the region was narrow") as stage:
-        if wide:
-            likely = np.array([m.pose for m in modes if m.weight > settings.plan.negligible or m is modes[0]])
-            looked = look_closer(viewed, model, looked, likely, beliefs, settings.look)
-            seen = looked.rows(beliefs.depth, settings.look.rows)
-            rows = tables.stack(seen, felt.rows)
-            last = search_stages(blur, how.near)[-1:]
-            modes = find_modes(model, rows, likely, last, None, sight.costs, settings.plan, settings.modes).modes
-            stage.note(len(rows), f"{len(looked.pixels)} object pixels around {len(likely)} poses")
-
     # something that nobody has a model of touches the object, and may be what is seen
     unknown = contacts > 0 and not looked.told_apart and viewed.depth is not None
     pieces = surfaces(viewed, looked.plane, beliefs, settings.look)[1] if unknown else None
     predictor = Predictor(viewed, model, beliefs.depth, hand, settings.prediction, looked.plane, pieces)
-    known = settings.look.rows, settings.modes, settings.pool
-    pieces_by = search_stages(blur, how.sifted)
-    pool = Pool(model, felt.rows, believed, predictor, sight, looked, beliefs.depth, *known)
-    with trace.stage("compete", predictor.sees, "no depth image to predict") as stage:
-        if predictor.sees:
-            more = [pool.proposed(starts, stages, seen, start), pool.of_pieces(pieces_by, rng, how.of_piece)]
-            candidates = np.concatenate([np.array([m.pose for m in modes]), *more])
-            modes = pool.compete(candidates)
-            stage.note(len(candidates), f"{len(modes)} of {len(candidates)} proposals are left")
+    asks = settings.look.rows, settings.proposals, settings.modes, settings.pool
+    rng = np.random.default_rng(asked.seed)
+    pool = Pool(model, felt.rows, believed, predictor, sight, looked, beliefs.depth, rng, *asks)
+    how, blur = settings.proposals, settings.proposals.blur(model)
+    with trace.stage("search", True, "") as stage:
+        starts = starts_of(model, believed, looked.pixels.points, felt.contacts, rows, sight.costs, how, rng)
+        if believed is not None:
+            found = modes_near(pool, rows, seen, starts, search_stages(blur, how.near), settings.plan)
+        else:
+            stages = search_stages(blur, how.wide if contacts else how.sifted)
+            found = find_modes(model, rows, starts, stages, None, sight.costs, settings.plan, settings.modes)
+        stage.note(len(rows), f"{found.looked_at} of {len(starts)} starts, blur {1e3 * blur:.1f} mm; {found.why}")
+    wide = believed is None and predictor.sees
+    with trace.stage("look again", wide, "the region was narrow") as stage:
+        if wide:
+            likely = np.array([m.pose for m in found.modes if m.weight > settings.plan.negligible])
+            if looked.region is not None:
+                looked = look_closer(viewed, model, looked, likely, beliefs, settings.look)
+                seen = looked.rows(beliefs.depth, settings.look.rows)
+                rows = tables.stack(seen, felt.rows)
+                last = search_stages(blur, how.near)[-1:]
+                again = find_modes(model, rows, likely, last, None, sight.costs, settings.plan, settings.modes)
+                likely = np.array([m.pose for m in again.modes])
+            found = modes_anywhere(replace(pool, looked=looked), likely, seen, starts, stages)
+            stage.note(len(rows), f"{len(looked.pixels)} object pixels around {len(likely)} poses; {found.why}")
+    modes = found.modes
     rough = with_shared_errors(model, modes, viewed, beliefs.depth)
     spent, settled = trace.over_budget, is_within(model, rough, asked.tolerance, settings)
     why_not = "the time budget is spent" if spent else "the rows alone are within the tolerance"
@@ -156,7 +155,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> 
             shown = [pool.evidence(pose) if predictor.sees else seen for pose in worth]
             known_of = felt.reported_rows, believed, hand, beliefs, settings.joint
             solved = solve_modes([JointProblem.of(model, frame, rows, *known_of) for rows in shown], worth)
-            solved = guarded(pool, solved, worth, settings)
+            solved = guarded(pool, solved, worth, hand, settings)
             first_of, modes = ranked(touched, pool, solved, sight, settings)
             best, seen = solved[first_of], shown[first_of]
             rows = tables.stack(seen, felt.rows)
@@ -192,5 +191,5 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> 
         notes=(why, *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility)),
         dropped=looked.dropped,
         start=start,
-        contributions=posterior.contributions(model, rows, pose, believed),
+        contributions=posterior.contributions(model, rows, pose, modes[0].covariance, believed),
     )

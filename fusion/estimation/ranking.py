@@ -19,6 +19,7 @@ from scenes.recordings.frames import Frame
 from touch.arrays.ranking import pattern_costs
 from touch.arrays.readings import readings_of
 from touch.arrays.rows import taxel_rows
+from vision.look.hand import HandView
 from vision.sight import Sight
 
 Array = NDArray[np.float64]
@@ -43,10 +44,11 @@ def ranked(
 
 
 def guarded(
-    pool: Pool, solved: list[JointResult], starts: list[Array], settings: EstimateSettings
+    pool: Pool, solved: list[JointResult], starts: list[Array], hand: HandView | None, settings: EstimateSettings
 ) -> list[JointResult]:
     """The solutions; where what must be seen of the object speaks against one more than against its start (4, 4), that
-    start, as wide as the two are apart: calibration, scale and bias may explain anything but the picture.
+    start, with the calibration as the hand is seen, as wide as the two are apart: calibration, scale and bias may
+    explain anything but the picture.
     """
     if not pool.predictor.sees:
         return solved
@@ -58,7 +60,9 @@ def guarded(
             out.append(one)
             continue
         apart = se3.difference(one.pose, start, pool.model.centroid)
-        out.append(replace(one, pose=start, as_seen=start, covariance=one.covariance + np.outer(apart, apart)))
+        xi = np.zeros(6) if hand is None else hand.xi
+        wide = one.covariance + np.outer(apart, apart)
+        out.append(replace(one, pose=start, as_seen=start, xi=xi, scale=0.0, covariance=wide))
     return out
 
 

@@ -107,7 +107,7 @@ def solve(problem: JointProblem, pose: Array, level: float, weight: float | None
         inverse = np.linalg.solve(whole[:free, :free], whole[:free, free:])[:6]
         covariance = gain + inverse @ inverse.T
     vision = system.vision(here, unknown)[0] if len(problem.seen) else 0.0
-    covariance = covariance + gain @ system.excess_scatter() @ gain
+    covariance = covariance + gain @ system.excess_scatter() @ gain + _mesh_spread(problem)
     return JointResult(
         here,
         covariance,
@@ -121,6 +121,14 @@ def solve(problem: JointProblem, pose: Array, level: float, weight: float | None
         *_split(system, here, normal),
         as_seen=_as_seen(system, here, unknown),
     )
+
+
+def _mesh_spread(problem: JointProblem) -> Array:
+    """(6, 6) what the mesh's own error makes of a pose: a scan is off smoothly, over whole faces, so that pixels do not
+    average it out.
+    """
+    sigma = problem.beliefs.mesh_sigma
+    return np.diag(np.repeat([(sigma / problem.model.radius) ** 2, sigma**2], 3))
 
 
 def _as_seen(system: System, pose: Array, unknown: Array) -> Array:
