@@ -28,7 +28,9 @@ class MisfitSettings:
     most_other: float = 30e-3
     # Lengths over which a misfit stays the same, as shares of the object's diameter.
     lengths: tuple[float, ...] = (0.05, 0.15)
-    # A residual of more than this many sigmas, sigma from their median, is trusted as much less: it may be false.
+    # A residual of more than this many sigmas, sigma from their median, and of more than this (m), is trusted as much
+    # less: it may be false. Half of the contacts may fit a relative exactly, and the misfit be in the others alone.
+    least_wild: float = 5e-3
     cut: float = 3.0
     # Sizes tried of the misfit, and of the noise.
     steps: tuple[int, int] = (24, 16)
@@ -50,7 +52,7 @@ def log_odds_of_another(
     """
     settings = settings or MisfitSettings()
     median = float(np.median(np.abs(residuals)))
-    limit = settings.cut * max(1.48 * median, noise[0])
+    limit = max(settings.cut * 1.48 * median, settings.least_wild)
     # a wild contact is as noisy as it is off: alone it tells nothing, many together do
     trust = np.minimum(1.0, limit / np.maximum(np.abs(residuals), limit))
     jacobian = np.concatenate([np.cross(normals, points) / diameter, -normals], axis=1) * trust[:, None]

@@ -91,8 +91,8 @@ class Candidate:
 class Identification:
     """candidates, the likeliest first; best, its name; none: likelihood that it is none of them, with theirs 1 in all.
 
-    verdict: ok, ambiguous, or lost when nothing fits or it surely is none of them; margin: log of the best's likelihood
-    over the next one's; sigma, inferred noise of a contact (m); independent: how many contacts count.
+    verdict: ok, ambiguous, or lost when nothing fits to within any noise; margin: log of the best's likelihood over the
+    next one's; sigma, inferred noise of a contact (m); independent: how many contacts count.
     """
 
     best: str
@@ -154,7 +154,7 @@ def identify(
     sure = sure and independent >= settings.least_independent
     sure = sure and _elsewhere(models[best], contacts, poses[best], settings) <= settings.most_elsewhere
     verdict = "ok" if sure else "ambiguous"
-    if index.min() > settings.largest_noise or none >= settings.sure:
+    if index.min() > settings.largest_noise:
         verdict = "lost"
     logs = np.sort(fits + volumes)[::-1]
     candidates = tuple(

@@ -47,7 +47,8 @@ class NextTouch:
     """A place to touch: point and outward normal (3,) in the object's frame and the point in the camera's, metres.
 
     gain: nats, of which between_modes tells the modes apart. finger: the free sensor nearest to it and how far it is
-    (m); None without a hand. sigma_position, sigma_rotation: worst standard deviations (m, rad) that would be left.
+    (m); None without a hand. sigma_position, sigma_rotation: worst standard deviations (m, rad) that would be left of
+    the answer's covariance by a contact that shares no error (calibration, joints) with those before it.
     """
 
     point: Array

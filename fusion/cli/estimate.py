@@ -86,6 +86,15 @@ def _remarks(answers) -> list[str]:  # type: ignore[no-untyped-def]  # naming th
     return [*lines, f"and {len(told) - MOST_REMARKS} more frames"] if len(told) > MOST_REMARKS else lines
 
 
+def _contacts_mm(answer, agreement) -> float:  # type: ignore[no-untyped-def]  # naming the types would import them
+    """Mean |distance| of the contacts that result.json lists: where the answer's correction of the calibration has
+    them. Where touch was not used, of those recorded, as the robot reports them.
+    """
+    if answer.contacts:
+        return sum(abs(one.residual_mm) for one in answer.contacts) / len(answer.contacts)
+    return 1e3 * float(agreement.contacts)
+
+
 def _row(answer, errors, agreement) -> list[str]:  # type: ignore[no-untyped-def]  # naming the types would import them
     against = (None, None, None) if errors is None else (errors.add_s, errors.rotation, errors.translation)
     factors = (1e3, 57.29577951308232, 1e3)
@@ -94,7 +103,7 @@ def _row(answer, errors, agreement) -> list[str]:  # type: ignore[no-untyped-def
         answer.verdict,
         *(number(None if value is None else value * factor) for value, factor in zip(against, factors)),
         number(1e3 * agreement.cloud),
-        number(1e3 * agreement.contacts),
+        number(_contacts_mm(answer, agreement)),
         number(answer.time_ms, 0),
         ", ".join(answer.unobservable) or "–",
     ]

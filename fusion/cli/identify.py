@@ -49,8 +49,9 @@ def run(args: argparse.Namespace) -> int:
     ]
     cells.append(["none of these", "", number(found.none, 3), "", ""])
     show_table(HEADS, cells)
+    named = found.best if found.none < 0.5 else f"none of these (nearest: {found.best})"
     say(
-        f"{found.best}: {found.verdict}, noise of a contact {1e3 * found.sigma:.1f} mm,"
+        f"{named}: {found.verdict}, noise of a contact {1e3 * found.sigma:.1f} mm,"
         f" {found.independent:.0f} of {len(contacts)} contacts independent; {found.time_s:.3f} s"
     )
     content = {

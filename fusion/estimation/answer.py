@@ -43,7 +43,7 @@ class ContactResidual:
 @dataclass(frozen=True)
 class Contribution:
     """What one source of evidence ("vision", "touch" or "prior") added: rows it gave, and the answer's worst standard
-    deviations with everything and without it (m, rad), all from the rows before shared errors are solved for.
+    deviations (m, rad) with everything, which are those of its covariance, and without it.
     """
 
     source: str

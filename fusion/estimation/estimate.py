@@ -194,5 +194,5 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> 
         notes=(why, *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility)),
         dropped=looked.dropped,
         start=start,
-        contributions=posterior.contributions(model, rows, pose, believed),
+        contributions=posterior.contributions(model, rows, pose, modes[0].covariance, believed),
     )

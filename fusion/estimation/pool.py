@@ -48,9 +48,9 @@ class PoolSettings:
     rounds: int = 2
     side: int = 40
     least_pixels: int = 25
-    # An answer convinces, and no more is searched, when the shares of its predicted pixels that are seen past, and of its
-    # outline that runs on, are at most these, what is seen agrees with at least this share of what is not hidden and of
-    # the whole, the
+    # An answer convinces, and no more is searched, when the shares of its predicted pixels that are seen past, and of
+    # its outline that runs on, are at most these, what is seen agrees with at least this share of what is not hidden
+    # and of the whole, the
     # first mode holds this share, and touch costs at most so many nats a contact.
     most_past: float = 0.05
     most_runs_on: float = 0.3

@@ -47,7 +47,8 @@ def guarded(
     pool: Pool, solved: list[JointResult], starts: list[Array], hand: HandView | None, settings: EstimateSettings
 ) -> list[JointResult]:
     """The solutions; where what must be seen of the object speaks against one more than against its start (4, 4), that
-    start, with the calibration as the hand is seen, as wide as the two are apart: calibration, scale and bias may explain anything but the picture.
+    start, with the calibration as the hand is seen, as wide as the two are apart: calibration, scale and bias may
+    explain anything but the picture.
     """
     if not pool.predictor.sees:
         return solved

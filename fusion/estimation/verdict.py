@@ -76,9 +76,13 @@ def pixel_agreement(model: ObjectModel, seen: Evidence, pose: Array) -> tuple[fl
 
 
 def contributions(
-    model: ObjectModel, rows: Evidence, pose: Array, prior: Prior | None = None
+    model: ObjectModel, rows: Evidence, pose: Array, covariance: Array, prior: Prior | None = None
 ) -> tuple[Contribution, ...]:
-    """What vision, touch and a prior each add to the answer at pose (4, 4): how sure it is with them and without."""
+    """What vision, touch and a prior each add to the answer at pose (4, 4): how sure it is with them and without.
+
+    With all of them it is as sure as its covariance (6, 6) says, shared errors and all. Without one it is less sure by
+    as much as the rows are: that part of the covariance grows, the errors that rows share stay.
+    """
     parts = {
         name: (int((rows.sense == sense).sum()), alignment.terms(model, rows.of(sense), pose)[2])
         for name, sense in (("vision", VISION), ("touch", TOUCH))
@@ -86,16 +90,17 @@ def contributions(
     if prior is not None:
         parts["prior"] = (0, alignment.terms(model, empty(), pose, prior)[2])
     whole = np.sum([information for _, information in parts.values()], axis=0)
+    by_rows = covariance_of(model, whole)
 
-    def worst(information: Array) -> tuple[float, float]:
-        covariance = covariance_of(model, information)
-        turn, move = (float(np.sqrt(np.linalg.eigvalsh(covariance[k : k + 3, k : k + 3])[-1])) for k in (0, 3))
+    def worst(wide: Array) -> tuple[float, float]:
+        turn, move = (float(np.sqrt(max(np.linalg.eigvalsh(wide[k : k + 3, k : k + 3])[-1], 0.0))) for k in (0, 3))
         return move, turn
 
     out = []
     for name, (count, information) in parts.items():
         if count or name == "prior":
-            (position, rotation), (position_less, rotation_less) = worst(whole), worst(whole - information)
+            less = covariance + covariance_of(model, whole - information) - by_rows
+            (position, rotation), (position_less, rotation_less) = worst(covariance), worst(less)
             out.append(Contribution(name, count, position, position_less, rotation, rotation_less))
     return tuple(out)
 

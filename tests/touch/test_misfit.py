@@ -52,3 +52,14 @@ def test_a_turn_or_a_shift_of_the_object_is_no_misfit(rng):
 def test_the_same_places_felt_again_and_again_are_finite(rng):
     points, normals = (np.repeat(x, 30, axis=0) for x in around(rng, 1))
     assert np.isfinite(odds(points, normals, np.zeros(30)))
+
+
+def test_a_relative_that_most_contacts_fit_exactly_is_still_another(rng):
+    """All but one end of a tool is the same: those contacts there are no false ones."""
+    points, normals = around(rng, 100)
+    end = points[:, 2] > 0.03
+    assert 10 < end.sum() < 40
+    noise = 2e-4 * rng.normal(size=100)
+    assert odds(points, normals, noise + np.where(end, 0.006, 0.0)) > 3.0
+    # as many, anywhere
+    assert odds(points, normals, noise + rng.permutation(np.where(end, 0.006, 0.0))) < 1.5

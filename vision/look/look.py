@@ -44,8 +44,8 @@ class LookSettings:
     tidy: bool = True
     # Fewer pixels than this are no object but what a mask left over.
     least_masked: int = 60
-    # A plane that most readings lie on is table or wall, not the object, where it goes on for this many times the
-    # object's diameter (between its 5th and 95th percentiles).
+    # A plane that most readings lie on is table or wall, not the object, where it goes on for so many times the
+    # diameter of the object (between its 5th and 95th percentiles).
     plane_extent: float = 1.5
     # Pieces of the image where nothing tells the object from other things: pixels along each axis from one that is
     # looked at to the next, the most of them, the most pixels of each, and the least share of what the object shows on

@@ -38,7 +38,7 @@ REFERENCE_ICP = (CloudIcpSettings(), CloudIcpSettings((0.010, 0.005, 0.003)))
 
 @dataclass(frozen=True)
 class RealSettings:
-    """When a given pose is the truth, and when an answer is wrong. By judgement on recorded frames."""
+    """When a given pose is the truth, and when an answer is wrong. By judgement, from the frames that have a truth."""
 
     # Median distance (m) of the mask's pixels from the surface at a pose that is the truth: depth cameras of a table's
     # distance are good to about a millimetre; poses left by an estimator lie 2 to 6 mm off.

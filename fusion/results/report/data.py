@@ -266,7 +266,7 @@ class _FrameBuilder:
             {
                 "p": [round(float(x), 2) for x in 1e3 * (touch.camera_point - centre)],
                 "n": [round(float(x), 3) for x in estimate.pose[:3, :3] @ touch.normal],
-                "text": words.next_touch(touch),
+                "text": words.next_touch(touch, estimate),
             }
             for touch in next_touches(self.model, estimate, frame)
         ]

@@ -110,7 +110,7 @@ function comparisonCard() {
   const rows = methodRows(), many = new Set(data.comparison.map((r) => r.frame)).size > 1, success = rows.some((r) => r.success);
   // without ground truth, how well the sensed points lie on the surface stands in for the errors
   const known = data.comparison.some((r) => r.adds_mm !== null), main = known ? "adds_mm" : "cloud_mm";
-  const others = known ? [["rotation_deg", "Rotation °", "n"], ["translation_mm", "Position mm", "n hide-small"]] : [["contacts_mm", "Contacts mm", "n"]];
+  const others = known ? [["rotation_deg", "Rotation °", "n"], ["translation_mm", "Position mm", "n hide-small"]] : [["contacts_mm", "Contacts as reported, mm", "n"]];
   const largest = Math.max(1e-6, ...rows.map((r) => r[main] || 0)), smallest = Math.min(...rows.map((r) => r[main] || largest)) / 2;
   const share = (v) => !v ? 0 : Math.max(3, 100 * Math.log(v / smallest) / Math.log(largest / smallest));
   const last = known && success ? ["Within 5 mm", "n"] : ["Verdict", ""];
@@ -190,7 +190,7 @@ function contributionsCard(frame) {
 
 function nextCard(frame) {
   if (!frame.next.length) return null;
-  return card("Where to touch next", "", el("ol", { class: "plain" }, frame.next.map((t) => el("li", {}, t.text))), el("span", { class: "quiet" }, "dashed rings in the view"));
+  return card("Where to touch next", "", el("ol", { class: "plain" }, frame.next.map((t) => el("li", {}, t.text))), el("span", { class: "quiet" }, "σ now → with a contact that shares no error with the others; dashed rings in the view"));
 }
 
 function graspCard(frame) {

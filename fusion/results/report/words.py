@@ -75,12 +75,13 @@ def contribution_rows(estimate: Estimate) -> list[list[str]]:
     ]
 
 
-def next_touch(touch: NextTouch) -> str:
-    """Where, what it would leave unknown, and which finger is nearest."""
+def next_touch(touch: NextTouch, estimate: Estimate) -> str:
+    """Where, what it would leave of the estimate's own sigmas (now → then), and which finger is nearest."""
+    rotation, translation = worst_sigmas(np.asarray(estimate.covariance, dtype=np.float64))
     x, y, z = (f"{1e3 * float(v):.0f}" for v in touch.point)
     text = (
-        f"at ({x}, {y}, {z}) mm of the object: would leave {1e3 * touch.sigma_position:.2g} mm"
-        f" and {np.rad2deg(touch.sigma_rotation):.2g}°"
+        f"at ({x}, {y}, {z}) mm of the object: {1e3 * translation:.2g} → {1e3 * touch.sigma_position:.2g} mm,"
+        f" {np.rad2deg(rotation):.2g} → {np.rad2deg(touch.sigma_rotation):.2g}°"
     )
     if touch.between_modes > 0.1:
         text += f", {touch.between_modes / max(touch.gain, 1e-9):.0%} of its worth is telling poses apart"

@@ -23,7 +23,7 @@ STEADY = 5e-4
 
 @dataclass(frozen=True)
 class TableSettings:
-    """How tables are seen. Values by judgement."""
+    """How tables are seen. By judgement."""
 
     # Elevation of the camera above the table (rad): as the tables of recorded data sets are seen.
     elevation: tuple[float, float] = (float(np.deg2rad(30.0)), float(np.deg2rad(60.0)))

@@ -10,6 +10,7 @@ from fusion.estimation.answer import ContactResidual, Estimate, Mode
 from fusion.estimation.verdict import contributions
 from scenes.evidence import table as evidence
 from scenes.evidence.align import Prior, terms
+from scenes.evidence.modes import covariance_of
 from scenes.evidence.table import TOUCH, VISION
 from scenes.geometry import poses
 from scenes.synthesis import library
@@ -112,16 +113,22 @@ def test_what_each_source_added(drill, rng):
     seen = evidence.make(points[:50], 0.002, VISION)
     felt = evidence.make(points[50:], 0.001, TOUCH, normals=normals[50:], sigma_normal=0.1)
     prior = Prior.isotropic(pose, 0.2, 0.02)
-    both = contributions(drill, evidence.stack(seen, felt), pose, prior)
+    rows = evidence.stack(seen, felt)
+    by_rows = covariance_of(drill, terms(drill, rows, pose, prior)[2])
+    # errors that all rows share make the answer wider than its rows are
+    covariance = by_rows + np.diag([1e-4, 0.0, 0.0, 0.0, 4e-6, 0.0])
+    both = contributions(drill, rows, pose, covariance, prior)
     assert [c.source for c in both] == ["vision", "touch", "prior"]
     assert [c.rows for c in both] == [50, 10, 0]
     for c in both:
-        assert 0 < c.position_with <= c.position_without + 1e-12
-        assert 0 < c.rotation_with <= c.rotation_without + 1e-12
-    alone = contributions(drill, felt, pose)
+        assert c.position_with == pytest.approx(np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1]))
+        assert c.rotation_with == pytest.approx(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
+        assert c.position_with <= c.position_without + 1e-12
+        assert c.rotation_with <= c.rotation_without + 1e-12
+    alone = contributions(drill, felt, pose, covariance_of(drill, terms(drill, felt, pose)[2]))
     assert [c.source for c in alone] == ["touch"]
     assert alone[0].position_without > 10 * alone[0].position_with  # nothing else holds it
-    assert contributions(drill, evidence.empty(), pose) == ()
+    assert contributions(drill, evidence.empty(), pose, np.eye(6)) == ()
 
 
 def test_places_are_the_best_that_are_apart(rng):

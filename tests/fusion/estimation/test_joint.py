@@ -238,7 +238,7 @@ def test_little_evidence_is_solved_too(drill, rng, kind):
     else:
         seen, felt = seen.take([0]), evidence.empty()
     sparse = JointProblem(drill, seen, felt, None, None, Beliefs(), CAMERA)
-    result = solve_modes(sparse, [pose])[0]
+    result = solve_modes([sparse], [pose])[0]
     assert np.isfinite(result.pose).all()
     assert np.isfinite(result.covariance).all()
     assert np.linalg.eigvalsh(result.covariance).min() > 0
@@ -251,10 +251,10 @@ def test_the_level_of_shared_errors_follows_the_data(drill):
     own = replace(problem.settings, rigs=tuple(replace(rig, weight=1.0) for rig in problem.settings.rigs))
     seen, felt = problem.seen, problem.felt
     together = JointProblem(drill, seen, felt, None, None, Beliefs(), CAMERA, settings=own)
-    agree = solve_modes(together, [pose])[0]
+    agree = solve_modes([together], [pose])[0]
     off = problem.seen.moved(poses.make_pose(None, [0.0, 0.0, 0.006]))
     apart = JointProblem(drill, off, felt, None, None, Beliefs(), CAMERA, settings=own)
-    disagree = solve_modes(apart, [pose])[0]
+    disagree = solve_modes([apart], [pose])[0]
     assert agree.level < disagree.level
     assert {rig.level for rig in own.rigs} >= {agree.level, disagree.level}
 
@@ -262,7 +262,7 @@ def test_the_level_of_shared_errors_follows_the_data(drill):
 def test_where_nothing_is_shared_pixels_count_more(drill):
     """The covariance is that of the rig which the frame was taken for: pixels that agree exactly are trusted."""
     problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-5)
-    calm = solve_modes(problem, [pose])[0]
+    calm = solve_modes([problem], [pose])[0]
     usual = solve(problem, pose, 1.0)
     assert calm.level < usual.level
     assert np.trace(calm.covariance[3:, 3:]) < 0.5 * np.trace(usual.covariance[3:, 3:])

@@ -311,3 +311,29 @@ def test_a_lone_cloud_without_truth_works_in_a_browser(ring, renderer, tmp_path)
 
 def test_a_capture_of_nothing_works_in_a_browser(ring, tmp_path):
     assert in_browser(render(report_data("c", [], ring, [])), BARE_PROBE, tmp_path)["failures"] == []
+
+
+def test_a_number_is_the_same_wherever_it_is_told(lab_frame, drill):
+    """Headline, what each source added and the next touch start from the one covariance of the answer; the terminal's
+    contacts are those of result.json.
+    """
+    from fusion.cli.estimate import _contacts_mm
+    from fusion.estimation.estimate import estimate
+
+    answer = estimate(lab_frame, drill, lab_frame.camera_from_object_truth)
+    (made,) = report_data("lab", [lab_frame], drill, [answer])["frames"]
+    rotation, position = words.worst_sigmas(answer.covariance)
+    told = {one["label"]: one["value"] for one in made["numbers"]}
+    assert float(told["σ position"]) == pytest.approx(1e3 * position, rel=0.01)
+    assert f"{1e3 * position:.2g} mm" in made["sentence"]
+    assert len(made["contributions"]) == 3
+    for _, _, moved, turned in made["contributions"]:
+        assert moved.endswith(f"→ {1e3 * position:.2g} mm")
+        assert turned.endswith(f"→ {np.rad2deg(rotation):.2g} °")
+    for touch in made["next"]:
+        assert f"{1e3 * position:.2g} →" in touch["text"]
+    listed = [abs(one["residual_mm"]) for one in answer.to_json()["contacts"]]
+    reported = Judge(drill).agreement(lab_frame, answer.pose)
+    assert _contacts_mm(answer, reported) == pytest.approx(np.mean(listed))
+    untouched = dataclasses.replace(answer, contacts=())
+    assert _contacts_mm(untouched, reported) == pytest.approx(1e3 * reported.contacts)
