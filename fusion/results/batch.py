@@ -133,7 +133,7 @@ def run_capture(job: Job) -> list[Row]:
     model = load_object(job.object, job.unit) if job.object else capture.model
     prepare, judge = prior_setter(job.prior, job.seed), Judge(model)
     frames, answers, errors = [], [], []
-    how = {"settings": job.settings, "beliefs": job.beliefs}
+    how: dict[str, Any] = {"settings": job.settings, "beliefs": job.beliefs}
     for frame, answer in estimates(capture, model, prepare, job.use, job.seed, **how):
         frames.append(frame)
         answers.append(answer)
