@@ -10,7 +10,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 SOURCES := scenes vision touch fusion tests
 
 .DEFAULT_GOAL := help
-.PHONY: help install install-test demo test test-slow lint bench clean
+.PHONY: help install install-test demo test test-slow lint bench docs clean
 
 help:
 	@echo "make install    .venv with the command .venv/bin/palpate; quick when nothing changed"
@@ -18,6 +18,7 @@ help:
 	@echo "make test       the tests; make test-slow those that take minutes"
 	@echo "make lint       ruff and mypy"
 	@echo "make bench      the benchmarks"
+	@echo "make docs       the pages as a site in $(OUT)/docs, links checked"
 
 install: $(VENV)/installed
 
@@ -55,6 +56,11 @@ lint: install-test
 
 bench: install
 	@$(BIN)/palpate bench all
+
+docs: install
+	@$(PIP) install --no-compile --editable '.[docs]'
+	@$(BIN)/python docs/build_api.py
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict --site-dir $(OUT)/docs
 
 clean:
 	rm -rf $(VENV) $(OUT) build dist *.egg-info

@@ -7,7 +7,18 @@ Names are loaded when they are first used, so that `palpate --help` does not wai
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING, Any
+
+try:
+    from scenes.own import check_packages
+except ImportError as error:  # another's "scenes" came first, and refuses in words of its own
+    if getattr(error, "name", None) not in ("scenes", "scenes.own"):
+        raise
+    raise ImportError(
+        f"palpate: expected its package 'scenes' beside {__file__}, but Python finds another one or none:"
+        " uninstall or rename that, or install palpate into an environment of its own"
+    ) from error
 
 if TYPE_CHECKING:
     from fusion.estimation.answer import Estimate
@@ -27,6 +38,11 @@ __all__ = [
     "estimate",
     "track",
 ]
+
+check_packages()
+
+# Silent unless who uses the package listens.
+logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 _HOMES = {
     "Estimate": "fusion.estimation.answer",

@@ -33,6 +33,8 @@ from scenes.synthesis.noise.presets import PRESETS, NoisePreset
 from scenes.synthesis.settings import SynthesisSettings
 from touch.answers import LocalizeSettings
 from touch.arrays.searches import ArraySearchSettings, PressureSettings
+from touch.gels.calibration import GelCalibrationSettings
+from touch.gels.localize import GelSearchSettings
 from touch.published.answers import AnswerSettings
 from touch.published.contact_icp import ContactIcpSettings
 from touch.published.direct import BoxSettings
@@ -66,8 +68,9 @@ class ObjectSettings:
 class SensesSettings:
     """What each sense makes of a frame, where `estimate` does not hold it."""
 
-    # Contacts from wrenches.
+    # Contacts from wrenches; colours of gels, from presses of a ball.
     wrenches: IntrinsicSettings = field(default_factory=IntrinsicSettings)
+    gel_calibration: GelCalibrationSettings = field(default_factory=GelCalibrationSettings)
 
 
 @dataclass(frozen=True)
@@ -118,15 +121,17 @@ class Settings:
     estimate: EstimateSettings = field(default_factory=EstimateSettings)
     track: TrackSettings = field(default_factory=TrackSettings)
     track_by_vision: VisionTrackerSettings = field(default_factory=VisionTrackerSettings)
-    # Touch alone: where from contacts, where from the pressures of arrays, which object.
+    # Touch alone: where from contacts, from the pressures of arrays, from the images of gels; which object.
     localize: LocalizeSettings = field(default_factory=LocalizeSettings)
     pressures: PressureSettings = field(default_factory=PressureSettings)
+    gels: GelSearchSettings = field(default_factory=GelSearchSettings)
     identify: RecognitionSettings = field(default_factory=RecognitionSettings)
     # What follows from an answer: where to touch next, what the grasp is worth; a mesh from many answers.
     next_touch: NextTouchSettings = field(default_factory=NextTouchSettings)
     grasp: GraspAdviceSettings = field(default_factory=GraspAdviceSettings)
     model: ModelSettings = field(default_factory=ModelSettings)
-    # Errors against the truth, how much work a benchmark does, and the errors of its recordings of arrays.
+    # Errors against the truth, how much work a benchmark does, when it holds a recorded frame for right, and the errors
+    # of its recordings of arrays.
     judge: JudgeSettings = field(default_factory=JudgeSettings)
     bench: BenchSettings = field(default_factory=BenchSettings)
     bench_real: RealSettings = field(default_factory=RealSettings)

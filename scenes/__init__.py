@@ -7,19 +7,31 @@ Names are loaded when they are first used.
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING, Any
+
+from scenes.own import check_packages
 
 if TYPE_CHECKING:
     from scenes.errors import PalpateError
+    from scenes.geometry.cameras import Camera
     from scenes.geometry.objects import ObjectModel
     from scenes.recordings.captures import read_capture, write_capture
     from scenes.recordings.frames import Contacts, Frame
+    from scenes.robot.hands import Hand
 
-__all__ = ["Contacts", "Frame", "ObjectModel", "PalpateError", "read_capture", "write_capture"]
+__all__ = ["Camera", "Contacts", "Frame", "Hand", "ObjectModel", "PalpateError", "read_capture", "write_capture"]
+
+check_packages()
+
+# Silent unless who uses the package listens.
+logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 _HOMES = {
+    "Camera": "scenes.geometry.cameras",
     "Contacts": "scenes.recordings.frames",
     "Frame": "scenes.recordings.frames",
+    "Hand": "scenes.robot.hands",
     "ObjectModel": "scenes.geometry.objects",
     "PalpateError": "scenes.errors",
     "read_capture": "scenes.recordings.captures",

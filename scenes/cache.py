@@ -6,6 +6,7 @@ Nothing depends on it: a folder that cannot be written, or a file that is damage
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import tempfile
 import zipfile
@@ -17,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Arrays = dict[str, NDArray[Any]]
+
+_log = logging.getLogger(__name__)
 
 
 def cache_folder() -> Path:
@@ -47,7 +50,9 @@ def remembered(
     path = cache_folder() / f"{kind}-{digest.hexdigest()[:32]}.npz"
     stored = _read(path)
     if stored is not None and _sound(stored, is_sound):
+        _log.debug("read %s", path)
         return stored
+    _log.info("building the %s of an object, once: kept in %s", kind, path)
     made = make()
     _write(path, made)
     return made

@@ -14,6 +14,8 @@ from scenes.recordings.beliefs import Beliefs, CalibrationModel
 from scenes.recordings.frames import Contacts, Frame
 from touch.arrays.readings import Reading, readings_of
 from touch.arrays.rows import ArrayRowSettings, array_contacts, taxel_rows
+from touch.gels.patches import PatchSettings, patches_of
+from touch.gels.rows import GelRowSettings, gel_contacts, patch_rows, unspoken
 from touch.wrenches.intrinsic import wrench_contacts
 
 Array = NDArray[np.float64]
@@ -42,6 +44,9 @@ class TouchSettings:
     hand_sigma: float = 0.003
     hand_gate: float = 4.0
     arrays: ArrayRowSettings = field(default_factory=ArrayRowSettings)
+    # Gels: how images become patches, and what those are worth.
+    patches: PatchSettings = field(default_factory=PatchSettings)
+    gels: GelRowSettings = field(default_factory=GelRowSettings)
 
 
 @dataclass(frozen=True)
@@ -93,6 +98,8 @@ def feel(
     reported = Contacts.concatenate([frame.contacts, wrench_contacts(frame)]).moved(frame.camera_from_world)
     readings = readings_of(frame)
     reported = Contacts.concatenate([reported, array_contacts(_unspoken(frame, reported, readings), settings.arrays)])
+    patches = patches_of(frame, settings.patches)
+    reported = Contacts.concatenate([reported, gel_contacts(unspoken(frame, reported, patches), settings.gels)])
     known = reported.sigma_known
     if len(reported) and not known:
         reported = reported.of_unknown_worth(beliefs.touch.unknown_sigma)
@@ -101,7 +108,7 @@ def feel(
     rows = tables.from_contacts(reported, settings.contact_gate if known else tables.NO_GATE)
     if with_hand and len(reported):
         rows = rows.widened(beliefs.touch.fingertip_sigma)
-    parts = [rows, taxel_rows(readings, settings.arrays)]
+    parts = [rows, taxel_rows(readings, settings.arrays), patch_rows(patches, settings.gels)]
     if frame.no_contact is not None and len(frame.no_contact):
         centres = frame.no_contact.points @ frame.camera_from_world[:3, :3].T + frame.camera_from_world[:3, 3]
         parts.append(

@@ -7,7 +7,18 @@ Names are loaded when they are first used.
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING, Any
+
+try:
+    from scenes.own import check_packages
+except ImportError as error:  # another's "scenes" came first, and refuses in words of its own
+    if getattr(error, "name", None) not in ("scenes", "scenes.own"):
+        raise
+    raise ImportError(
+        f"palpate: expected its package 'scenes' beside {__file__}, but Python finds another one or none:"
+        " uninstall or rename that, or install palpate into an environment of its own"
+    ) from error
 
 if TYPE_CHECKING:
     from scenes.recordings.beliefs import DepthModel
@@ -28,6 +39,11 @@ __all__ = [
     "track_by_vision",
     "view_hand",
 ]
+
+check_packages()
+
+# Silent unless who uses the package listens.
+logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 _HOMES = {
     "DepthModel": "scenes.recordings.beliefs",

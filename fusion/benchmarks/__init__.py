@@ -13,6 +13,7 @@ BENCHMARKS = {
     "global": "fusion.benchmarks.contacts.global_search",
     "robustness": "fusion.benchmarks.contacts.robustness",
     "arrays": "fusion.benchmarks.arrays.bench",
+    "gel": "fusion.benchmarks.gels.bench",
     "filters": "fusion.benchmarks.contacts.filters",
     "recognition": "fusion.benchmarks.contacts.recognition",
     "vision": "fusion.benchmarks.camera.vision",

@@ -7,9 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fusion.cli.config import add_config, read_config
 from fusion.cli.options import (
     add_object,
     add_prior,
+    add_trust,
     announce_compiling,
     names,
     number,
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
+    add_trust(parser)
     parser.add_argument("folder", metavar="DIR", type=Path, help="folder with captures in it, however deep")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", metavar="N", type=positive, help="processes (default: the cores that may be used)")
@@ -36,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--use", metavar="SENSES", type=names, default=("vision", "touch"), help="vision,touch (default)"
     )
     add_prior(parser)
+    add_config(parser)
     parser.add_argument("--out", metavar="DIR", type=Path, help="where to write (default out/NAME of the folder)")
     parser.add_argument("--no-report", action="store_true", help="skip the captures' report.html")
     parser.add_argument("--again", action="store_true", help="also what an earlier run did")
@@ -48,12 +52,23 @@ def run(args: argparse.Namespace) -> int:
     from fusion.results.batch_files import write_all
     from fusion.results.runs import prior_setter
     from fusion.results.summary import summary_of
+    from scenes.files.whole import sweep
 
     use = tuple(sorted(check_senses(args.use), reverse=True))
     prior_setter(args.prior, args.seed)  # a mistake in it is one line now, not one a capture
     paths = find_captures(args.folder)
     out = out_folder(args, args.folder.resolve().name)
-    told = {"use": use, "prior": args.prior, "object": args.object, "unit": args.unit, "report": not args.no_report}
+    told: dict[str, Any] = {
+        "use": use,
+        "prior": args.prior,
+        "object": args.object,
+        "unit": args.unit,
+        "report": not args.no_report,
+    }
+    told["trust_paths"] = args.trust_paths
+    if args.config is not None:
+        config = read_config(args.config)
+        told |= {"settings": config.estimate, "beliefs": config.believed}
     jobs = []
     for path in paths:
         name = path.relative_to(args.folder).as_posix()
@@ -61,6 +76,7 @@ def run(args: argparse.Namespace) -> int:
         jobs.append(Job(str(path.resolve()), name, str((out / name).resolve()), seed=args.seed, **told))
     found: dict[str, Outcome] = {}
     for job in jobs:
+        sweep(Path(job.out))  # what an earlier run was killed over
         rows = None if args.again else finished(job)
         if rows is not None:
             found[job.name] = Outcome(job, "kept", rows)

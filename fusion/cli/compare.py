@@ -6,9 +6,11 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fusion.cli.config import add_config, read_config
 from fusion.cli.options import (
     add_object,
     add_prior,
+    add_trust,
     announce_compiling,
     check_target,
     names,
@@ -39,6 +41,7 @@ HEADS = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
+    add_trust(parser)
     parser.add_argument("captures", metavar="CAPTURE", type=Path, nargs="+", help="folders of captures")
     parser.add_argument(
         "--methods",
@@ -48,12 +51,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_object(parser, what="instead of the captures' object")
     add_prior(parser)
+    add_config(parser)
     parser.add_argument("--plot", metavar="FILE", type=Path, help="also draw the errors: .html or .svg")
 
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0: a method that is lost is what a comparison is for."""
     from fusion.results.plots import check_suffix, write_plot
+    from fusion.truth.best import find_best, sentences
     from fusion.truth.compare import METHODS, check_methods, compare, summarise
     from scenes.recordings.captures import read_capture
 
@@ -61,19 +66,32 @@ def run(args: argparse.Namespace) -> int:
     if args.plot is not None:
         check_suffix(args.plot)
         check_target(args.plot)
-    captures = [read_capture(path) for path in args.captures]
+    config = read_config(args.config)
+    captures = [read_capture(path, args.trust_paths) for path in args.captures]
     model = load_object(args.object, args.unit) if args.object else None
     total = len(methods) * sum(map(len, captures))
     announce_compiling()
-    rows = list(
-        progress(compare(captures, methods, args.seed, model, prior_setter(args.prior, args.seed)), total, "comparing")
-    )
+    prepare = prior_setter(args.prior, args.seed)
+    found_rows = compare(captures, methods, args.seed, model, prepare, config.estimate, config.believed)
+    rows = list(progress(found_rows, total, "comparing"))
     summaries = summarise(rows)
+    groups = list(dict.fromkeys(row.group for row in rows))
+    found = {group: find_best([row for row in rows if row.group == group], args.seed) for group in groups}
+    for group, best in found.items():
+        for line in sentences(best) if best is not None else ():
+            say(f"{group}: {line}" if len(groups) > 1 and not line.startswith(" ") else line)
     show(summaries)
     if args.plot is not None:
         write_plot(args.plot, rows)
         say(f"wrote {args.plot}")
-    write_json(args.json, {"summary": [s.to_json() for s in summaries], "rows": [row.to_json() for row in rows]})
+    write_json(
+        args.json,
+        {
+            "best": {group: best.to_json() for group, best in found.items() if best is not None},
+            "summary": [s.to_json() for s in summaries],
+            "rows": [row.to_json() for row in rows],
+        },
+    )
     return 0
 
 

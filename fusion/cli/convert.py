@@ -6,7 +6,16 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion.cli.options import add_object, check_folder, check_target, positive_number, say, whole, write_json
+from fusion.cli.options import (
+    add_object,
+    add_trust,
+    check_folder,
+    check_target,
+    positive_number,
+    say,
+    whole,
+    write_json,
+)
 from fusion.results.runs import load_object
 
 if TYPE_CHECKING:
@@ -20,6 +29,8 @@ SOURCES = {
     "ros": "ROS 1 .bag, ROS 2 folder, .mcap or .db3, with --topics",
     "tacman": ".ini of a contact set with its .off files",
     "handover": "cloud.off, contacts.off, model.off, or a folder of such folders",
+    "digit": "grasps of DIGITs: Image_heatmap_K.png, poses_sensors.txt, background.png",
+    "feelsight": "a log folder: data.pkl, realsense/, allegro/; --hand for its fingers",
     "contacts": "contacts as .off, .ply or .csv, with --object",
     "images": "rgb/ and depth/ with camera.json or --intrinsics",
 }
@@ -35,6 +46,7 @@ STAMP_RATE = 30.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
+    add_trust(parser)
     sources = "; ".join(f"{name} ({what})" for name, what in SOURCES.items())
     targets = "; ".join(f"{name} ({what})" for name, what in TARGETS.items())
     parser.add_argument(
@@ -43,14 +55,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("out", metavar="OUT", type=Path, help="folder or file to write")
     parser.add_argument("--from", dest="kind", metavar="FORMAT", help=f"of a recording, else seen from it: {sources}")
     parser.add_argument(
-        "--to", metavar="FORMAT", help=f"what a capture (or a result, with its capture) becomes: {targets}"
+        "--to",
+        metavar="FORMAT",
+        help=f"what a capture (or a result, with its capture) becomes: {targets}; default: by the ending of OUT, else"
+        " bop of images and off of clouds",
     )
     add_object(parser, what="instead of the recording's object, or where it has none")
     parser.add_argument("--object-id", metavar="N", type=whole, help="bop, tacman: which object of several")
     parser.add_argument("--instance", metavar="K", type=whole, help="bop: which of several in an image, from 0")
     parser.add_argument("--models", metavar="DIR", type=Path, help="bop: folder of the meshes, else looked for")
-    parser.add_argument("--topics", metavar="FILE", type=Path, help="ros: the topic map (docs/formats.md)")
-    parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="images: the camera, pixels")
+    parser.add_argument(
+        "--hand", metavar="URDF", type=Path, help="feelsight: the hand, sensors.json with gels beside it"
+    )
+    parser.add_argument(
+        "--topics",
+        metavar="FILE|NAME",
+        type=Path,
+        help="ros: the topic map (docs/formats.md), or a ready one: object-in-hand",
+    )
+    parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="images, ready topic maps: the camera, pixels")
     parser.add_argument(
         "--depth-scale", metavar="MM", type=positive_number, help="images: millimetres per count (default 1)"
     )
@@ -110,6 +133,7 @@ def _kind(source: Path, out: Path) -> str:
     from scenes.errors import InputError
     from scenes.formats import handover, image_folder, tacman
     from scenes.formats.bop import scene as bop_scene
+    from scenes.formats.gels import digit_grasps, feelsight
     from scenes.formats.ros import bag as ros_bag
 
     if source.is_file():
@@ -125,6 +149,8 @@ def _kind(source: Path, out: Path) -> str:
         ("ycbineoat", image_folder.is_sequence),
         ("handover", _is_handover),
         ("images", image_folder.is_image_folder),
+        ("feelsight", feelsight.is_log),
+        ("digit", lambda folder: bool(digit_grasps.grasps_in(folder))),
     )
     for name, fits in checks:
         if fits(source):
@@ -179,8 +205,30 @@ def _import(kind: str, args: argparse.Namespace) -> Converted:
 
         if args.topics is None:
             raise InputError(f"{source}: expected --topics FILE, a topic map (docs/formats.md), got none")
+        from scenes.formats.ros import maps
+
+        if str(args.topics) in maps.names():
+            given = _intrinsics(args)
+            k = None if given is None else given.matrix
+            known = None if k is None else (float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
+            return ros.convert(source, out, maps.ready_map(str(args.topics), source, known), _object(args))
         return ros.convert(source, out, ros_map.read_map(args.topics), _object(args))
-    if kind == "tacman":
+    if kind == "feelsight":
+        from scenes.formats.gels import feelsight
+        from scenes.robot.hands import Hand
+
+        hand = None if args.hand is None else Hand.load(args.hand)
+        return feelsight.convert(source, out, _needed(args, "a FeelSight log"), hand)
+    if kind == "digit":
+        from scenes.formats.gels import digit_grasps
+
+        found = digit_grasps.grasps_in(source) if source.is_dir() else []
+        single = found == [source]
+        parts = [
+            digit_grasps.convert(path, out if single else out / "_".join(path.relative_to(source).parts), _object(args))
+            for path in found
+        ]
+    elif kind == "tacman":
         if source.is_file():
             return tacman.convert(source, out, _object(args), args.object_id)
         sets = [path for path in sorted(source.glob("*.ini")) if tacman.is_set(path)]
@@ -241,12 +289,13 @@ def _export(args: argparse.Namespace) -> Converted:
     from scenes.formats.conversion import Converted
     from scenes.recordings.captures import read_capture
 
-    capture = read_capture(args.source)
+    capture = read_capture(args.source, args.trust_paths)
     endings = {".glb": "glb", ".tum": "tum"}
     ending = args.out.suffix.lower()
     if args.to is None and ending[1:].isalpha() and ending not in endings:
         raise InputError(f"{args.out}: expected a folder, or a file that ends in {' or '.join(endings)}; else say --to")
-    to = args.to or endings.get(ending, "off")
+    images = (capture.path / "scene_camera.json").is_file()
+    to = args.to or endings.get(ending, "bop" if images else "off")
     (check_folder if to in ("bop", "off") else check_target)(args.out)
     if to == "bop":
         return bop_scene.export(capture, args.out)

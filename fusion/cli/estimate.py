@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 
+from fusion.cli.config import add_config, read_config
 from fusion.cli.options import (
     add_run,
     announce_compiling,
     length_and_angle,
     number,
     out_folder,
+    pose_lines,
     positive_number,
     progress,
     say,
@@ -20,11 +22,14 @@ from fusion.results.runs import estimates, load_object, prior_setter
 
 # Frames whose reasons are printed; result.json has all of them.
 MOST_REMARKS = 5
+# Frames whose pose is printed; poses.csv and result.json have all of them.
+MOST_POSES = 10
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
     add_run(parser)
+    add_config(parser)
     parser.add_argument(
         "--tolerance", metavar="MM,DEG", type=length_and_angle, help="good enough, like 1,2: work beyond is skipped"
     )
@@ -39,7 +44,8 @@ def run(args: argparse.Namespace) -> int:
     from scenes.recordings.captures import read_capture
 
     senses = tuple(sorted(check_senses(args.use), reverse=True))
-    capture = read_capture(args.capture)
+    config = read_config(args.config)
+    capture = read_capture(args.capture, args.trust_paths)
     out_folder(args, capture.name)  # before the work, not after it
     model = load_object(args.object, args.unit) if args.object else capture.model
     prepare = prior_setter(args.prior, args.seed)
@@ -47,7 +53,8 @@ def run(args: argparse.Namespace) -> int:
     frames, answers, errors, rows = [], [], [], []
     announce_compiling()
     shown = progress(capture, len(capture), "estimating")
-    for frame, answer in estimates(shown, model, prepare, senses, args.seed, args.tolerance, args.budget_ms):
+    limits = args.tolerance, args.budget_ms
+    for frame, answer in estimates(shown, model, prepare, senses, args.seed, *limits, config.estimate, config.believed):
         frames.append(frame)
         answers.append(answer)
         errors.append(frame_errors(judge, frame, answer))
@@ -55,10 +62,21 @@ def run(args: argparse.Namespace) -> int:
     written = write_run(args, capture, model, frames, answers, errors)
     heads = ("frame", "verdict", "ADD-S mm", "rot °", "trans mm", "cloud mm", "contacts mm", "time ms", "not known")
     show_table(heads, rows)
-    for line in _remarks(answers):
+    for line in (*_poses(answers), *_remarks(answers)):
         say(line)
     say(written)
     return 1 if any(answer.verdict == "lost" for answer in answers) else 0
+
+
+def _poses(answers) -> list[str]:  # type: ignore[no-untyped-def]  # naming the type would import it
+    """Where the object is, for a person: camera_from_object of the first frames; poses.csv has all of them."""
+    lines = []
+    for answer in answers[:MOST_POSES]:
+        said, matrix = pose_lines(answer.pose)
+        lines.append(f"frame {answer.frame}: object in the camera frame: {said}")
+        if len(answers) == 1:
+            lines.append(f"camera_from_object (m): {matrix}")
+    return [*lines, f"and {len(answers) - MOST_POSES} more poses"] if len(answers) > MOST_POSES else lines
 
 
 def _remarks(answers) -> list[str]:  # type: ignore[no-untyped-def]  # naming the type would import it

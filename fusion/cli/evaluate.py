@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.cli.options import add_object, number, show_table, write_json
+from fusion.cli.options import add_object, add_trust, number, show_table, write_json
 from fusion.results.runs import load_object
 
 FRAME_HEADS = (
@@ -24,6 +24,7 @@ FRAME_HEADS = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
+    add_trust(parser)
     parser.add_argument("poses", metavar="POSES.csv", type=Path, help="estimated poses, BOP's format")
     parser.add_argument("capture", metavar="CAPTURE", type=Path, help="folder of the capture with ground truth")
     parser.add_argument(
@@ -42,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     beside = args.poses.with_name("result.json")
     source = args.result or (beside if beside.is_file() else None)
     covariances = read_covariances(source) if source is not None else None
-    capture = read_capture(args.capture)
+    capture = read_capture(args.capture, args.trust_paths)
     model = load_object(args.object, args.unit) if args.object else None
     found = evaluate(rows, capture, covariances, model=model)
     if len(found["frames"]) <= 20:

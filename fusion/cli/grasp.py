@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from fusion.cli.options import (
     add_object,
     add_prior,
+    add_trust,
     announce_compiling,
     names,
     non_negative,
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
+    add_trust(parser)
     parser.add_argument(
         "source",
         metavar="CAPTURE|RESULT",
@@ -105,7 +107,7 @@ def _answers(args: argparse.Namespace) -> tuple[Capture, ObjectModel, list[Frame
     result = find_result(args.source)
     if result is not None:
         content, answers = read_result(result)
-        capture = read_capture(capture_of(result, content, args.capture))
+        capture = read_capture(capture_of(result, content, args.capture), args.trust_paths)
         model = load_object(args.object, args.unit) if args.object else capture.model
         return capture, model, [capture.frame(answer.frame) for answer in answers], answers
     if not args.source.is_dir():
@@ -113,7 +115,7 @@ def _answers(args: argparse.Namespace) -> tuple[Capture, ObjectModel, list[Frame
     from fusion.estimation.asked import check_senses
 
     senses = tuple(sorted(check_senses(args.use), reverse=True))
-    capture = read_capture(args.source)
+    capture = read_capture(args.source, args.trust_paths)
     model = load_object(args.object, args.unit) if args.object else capture.model
     prepare = prior_setter(args.prior, args.seed)
     announce_compiling()

@@ -6,7 +6,17 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion.cli.options import add_object, announce_compiling, number, positive, say, show_table, write_json
+from fusion.cli.options import (
+    add_object,
+    add_trust,
+    announce_compiling,
+    number,
+    pose_lines,
+    positive,
+    say,
+    show_table,
+    write_json,
+)
 from fusion.results.runs import load_object
 
 if TYPE_CHECKING:
@@ -33,8 +43,14 @@ HEADS = ("trial", "index mm", "modes", "verdict", "time s")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
-    parser.add_argument("contacts", metavar="CONTACTS", type=Path, help="contacts.csv, or a point list as .off or .ply")
-    add_object(parser, required=True)
+    parser.add_argument(
+        "contacts",
+        metavar="CONTACTS",
+        type=Path,
+        help="contacts.csv, a point list as .off or .ply, or a capture with gels' images",
+    )
+    add_trust(parser)
+    add_object(parser, what="the object; of a capture its own, else needed")
     parser.add_argument("--cloud", metavar="FILE", type=Path, help="point cloud in the contacts' frame: .ply or .off")
     parser.add_argument("--method", metavar="NAME", default="multistart", help=f"{', '.join(METHODS)}")
     parser.add_argument("--trials", metavar="N", type=positive, default=1, help="independent trials (default 1)")
@@ -52,6 +68,10 @@ def run(args: argparse.Namespace) -> int:
 
     if args.method not in METHODS:
         raise unknown("method", args.method, METHODS)
+    if (args.contacts / "capture.json").is_file():
+        return _run_gels(args)
+    if args.object is None:
+        raise InputError("localize: expected --object NAME|MESH for contacts, got none")
     if args.cloud is not None and args.method != "multistart":
         raise InputError(f"method: expected multistart with --cloud, got {args.method!r}")
     contacts = read_contacts(args.contacts, args.frame)
@@ -76,9 +96,56 @@ def run(args: argparse.Namespace) -> int:
         trials.append(found)
         verdicts.append(found["verdict"])
     _show(trials, cloud is not None)
+    best = min(range(len(trials)), key=lambda i: trials[i]["index_mm"])
+    said, matrix = pose_lines(trials[best]["pose"])
+    which = f", trial {best}" if len(trials) > 1 else ""
+    say(f"object in the contacts' frame{which}: {said}")
+    say(f"contacts_frame_from_object (m): {matrix}")
     content = {"method": args.method, "object": model.name, "contacts": len(contacts), "trials": trials}
     write_json(args.json, content)
     return 1 if verdicts[-1] == "lost" else 0
+
+
+def _run_gels(args: argparse.Namespace) -> int:
+    """One frame of a capture by its gels' patches alone; exit code 1 when the last trial is lost."""
+    from scenes.errors import InputError
+    from scenes.geometry import poses
+    from scenes.recordings.captures import read_capture
+    from touch.gels.localize import localize_gels
+    from touch.gels.patches import patches_of
+
+    if args.cloud is not None or args.method != "multistart" or args.max_contacts is not None:
+        raise InputError("localize: expected no --cloud, --method or --max-contacts with a capture: its gels are used")
+    capture = read_capture(args.contacts, args.trust_paths)
+    frame = capture[0] if args.frame is None else capture.frame(args.frame)
+    if not frame.gels:
+        raise InputError(f"{frame.where}: expected gels' images in tactile/, found none")
+    model = load_object(args.object, args.unit) if args.object is not None else capture.model
+    patches = patches_of(frame)
+    announce_compiling()
+    localize_gels(model, patches, seed=args.seed)  # once, so that no trial's time tells of the compiler
+    world_from_camera = poses.inverse(frame.camera_from_world)
+    trials = []
+    for trial in range(args.trials):
+        found = localize_gels(model, patches, seed=args.seed + trial)
+        modes = [
+            {"pose": (world_from_camera @ m.pose).tolist(), "weight": m.weight, "cost": m.cost} for m in found.modes
+        ]
+        trials.append(
+            {
+                "pose": modes[0]["pose"],
+                "index_mm": 1e3 * found.index,
+                "time_s": found.time_s,
+                "modes": len(modes),
+                "verdict": found.verdict,
+                "all_modes": modes,
+            }
+        )
+    _show(trials, False)
+    touching = sum(len(patch) > 0 for patch in patches)
+    content = {"method": "gels", "object": model.name, "contacts": touching, "trials": trials}
+    write_json(args.json, content)
+    return 1 if trials[-1]["verdict"] == "lost" else 0
 
 
 def read_contacts(path: Path, frame: int | None = None) -> Contacts:

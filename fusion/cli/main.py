@@ -19,10 +19,11 @@ INTERRUPTED = 130
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line; returns the exit code. No traceback for anything a user can cause."""
     try:
-        from fusion.cli.options import check_target
+        from fusion.cli.options import check_target, set_volume
         from fusion.cli.parser import build_parser
 
         args = build_parser().parse_args(argv)
+        set_volume(args.verbose, args.quiet)
         check_target(args.json)
         code = int(args.run(args))
         sys.stdout.flush()

@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.cli.options import check_target, number, positive_number, say, show_table, write_json
+from fusion.cli.options import add_trust, check_target, number, positive_number, say, show_table, write_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
+    add_trust(parser)
     parser.add_argument("captures", metavar="CAPTURE", type=Path, nargs="+", help="folders of captures")
     parser.add_argument(
         "-o", "--output", metavar="MESH.ply", type=Path, required=True, help="the mesh to write, metres"
@@ -45,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
         if not Path(file).is_file():
             raise InputError(f"poses: expected {', '.join(SOURCES)} or a poses.csv, got {file!r}")
     settings = ModelSettings(shape=args.shape, views=ModelViewSettings(size=1e-3 * args.size))
-    captures = [read_capture(path) for path in args.captures]
+    captures = [read_capture(path, args.trust_paths) for path in args.captures]
     made = make_model(captures, given[0] if named else "file", [] if named else given, settings)
     errors: dict[str, ShapeError] = {}
     pose = None

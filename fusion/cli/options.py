@@ -8,8 +8,8 @@ from __future__ import annotations
 import argparse
 import errno
 import json
+import logging
 import math
-import os
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -27,11 +27,17 @@ T = TypeVar("T")
 # Output that is not a terminal has no width; tables must not be cut there.
 PIPE_WIDTH = 200
 
+# Each has a logger of its name.
+PACKAGES = ("scenes", "vision", "touch", "fusion")
+
 
 def add_common(parser: argparse.ArgumentParser) -> None:
     """The options that every command has."""
     parser.add_argument("--json", metavar="FILE", type=Path, help="write the result as JSON")
     parser.add_argument("--seed", metavar="S", type=whole, default=0, help="seed of everything random (default 0)")
+    volume = parser.add_mutually_exclusive_group()
+    volume.add_argument("-v", "--verbose", action="count", default=0, help="say what is done on stderr; -vv: and how")
+    volume.add_argument("-q", "--quiet", action="store_true", help="print nothing but errors")
 
 
 def add_object(parser: argparse.ArgumentParser, required: bool = False, what: str = "the object") -> None:
@@ -40,6 +46,13 @@ def add_object(parser: argparse.ArgumentParser, required: bool = False, what: st
         "--object", metavar="NAME|MESH", required=required, help=f"{what}: a mesh file, or the name of a generated one"
     )
     parser.add_argument("--unit", default="m", help="unit of the mesh file: m (default), cm, mm, inch")
+
+
+def add_trust(parser: argparse.ArgumentParser) -> None:
+    """--trust-paths, of every command that reads captures."""
+    parser.add_argument(
+        "--trust-paths", action="store_true", help="also read files outside the capture's folder that it names"
+    )
 
 
 def add_prior(parser: argparse.ArgumentParser) -> None:
@@ -123,6 +136,8 @@ def console() -> Console:
 
 def show_table(columns: Iterable[str], rows: Iterable[Iterable[str]], title: str | None = None) -> None:
     """Print a table; the first column is text, the others are numbers and stand right."""
+    if _QUIET:
+        return
     from rich import box
     from rich.markup import escape
     from rich.table import Table
@@ -137,18 +152,54 @@ def show_table(columns: Iterable[str], rows: Iterable[Iterable[str]], title: str
 
 def say(text: str) -> None:
     """One line on standard output."""
-    sys.stdout.write(f"{text}\n")
+    if not _QUIET:
+        sys.stdout.write(f"{text}\n")
+
+
+def pose_lines(pose: Any) -> list[str]:
+    """A pose (4, 4) for a person: position (mm), rotation vector (degrees), and the matrix to copy."""
+    import numpy as np
+
+    from scenes.geometry.poses import log_rotation
+
+    matrix = np.asarray(pose, dtype=np.float64)
+    place = " ".join(f"{1e3 * x:.2f}" for x in matrix[:3, 3])
+    turn = " ".join(f"{x:.2f}" for x in np.rad2deg(log_rotation(matrix[:3, :3])))
+    rows = "], [".join(", ".join(f"{x:.6f}" for x in row) for row in matrix)
+    return [f"position {place} mm, rotation vector {turn} °", f"[[{rows}]]"]
 
 
 def announce_compiling() -> None:
     """On a machine's first run, say what the next half minute is spent on (standard error, so results stay clean)."""
+    if not kernels_compiled()[0] and not _QUIET:
+        sys.stderr.write("compiling the kernels, once on this machine: some 20 s\n")
+        sys.stderr.flush()
+
+
+def kernels_compiled() -> tuple[bool, Path]:
+    """Whether an earlier run compiled the kernels, and the folder where they are kept."""
     from scenes.evidence.solver_kernels import align_poses
 
     # numba keeps an index beside the module, or in the user's cache folder when it may not write there
-    stats = align_poses._cache  # type: ignore[attr-defined]
-    if not any(Path(stats.cache_path).glob("solver_kernels.align_poses-*.nbi")):
-        sys.stderr.write("compiling the kernels, once on this machine: some 20 s\n")
-        sys.stderr.flush()
+    folder = Path(align_poses._cache.cache_path)  # type: ignore[attr-defined]
+    return any(folder.glob("solver_kernels.align_poses-*.nbi")), folder
+
+
+# Whether -q was given: files and exit codes only.
+_QUIET = False
+
+
+def set_volume(verbose: int, quiet: bool) -> None:
+    """What -v and -q ask for: -v says on standard error what is done, -vv how; -q says nothing but errors."""
+    global _QUIET
+    _QUIET = quiet
+    if verbose:
+        handler = logging.StreamHandler(sys.stderr)
+        handler.setFormatter(logging.Formatter("%(name)s: %(message)s"))
+        for package in PACKAGES:
+            logger = logging.getLogger(package)
+            logger.handlers = [handler]  # a second command of the same process does not say all twice
+            logger.setLevel(logging.INFO if verbose == 1 else logging.DEBUG)
 
 
 def number(value: float | None, digits: int = 2) -> str:
@@ -166,8 +217,13 @@ def check_target(path: Path | None) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, "expected a file to write, found a folder", str(path))
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise PermissionError(errno.EACCES, "cannot be written", str(path))
+    try:
+        if path.exists():
+            path.open("ab").close()
+        else:
+            _try_writing(path.parent)
+    except OSError as error:
+        raise PermissionError(errno.EACCES, "cannot be written", str(path)) from error
 
 
 def check_folder(path: Path) -> Path:
@@ -175,9 +231,19 @@ def check_folder(path: Path) -> Path:
     there = next(part for part in (path, *path.absolute().parents) if part.exists())
     if not there.is_dir():
         raise NotADirectoryError(errno.ENOTDIR, "expected a folder to write to, found a file", str(there))
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise PermissionError(errno.EACCES, "cannot be written to", str(there))
+    try:
+        _try_writing(there)
+    except OSError as error:
+        raise PermissionError(errno.EACCES, "cannot be written to", str(path)) from error
     return path
+
+
+def _try_writing(folder: Path) -> None:
+    """Raise OSError where no file can be made; permissions alone do not tell (of /proc, of read-only mounts)."""
+    from tempfile import TemporaryFile
+
+    with TemporaryFile(dir=folder):
+        pass
 
 
 def write_json(path: Path | None, content: Any) -> None:
@@ -185,13 +251,14 @@ def write_json(path: Path | None, content: Any) -> None:
     if path is None:
         return
     from fusion.truth.errors import json_number
+    from scenes.files.whole import replace_file
 
-    path.write_text(json.dumps(json_number(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    replace_file(path, (json.dumps(json_number(content), indent=1, allow_nan=False) + "\n").encode())
 
 
 def progress(items: Iterable[T], total: int, what: str) -> Iterator[T]:
     """The items, with a bar on a terminal and silence in a pipe."""
-    if not sys.stderr.isatty() or total < 2:
+    if _QUIET or not sys.stderr.isatty() or total < 2:
         yield from items
         return
     from rich.console import Console
@@ -203,6 +270,7 @@ def progress(items: Iterable[T], total: int, what: str) -> Iterator[T]:
 def add_run(parser: argparse.ArgumentParser) -> None:
     """What every command has that answers frame by frame: capture, object, senses, start, and where to write."""
     parser.add_argument("capture", metavar="CAPTURE", type=Path, help="folder of the capture")
+    add_trust(parser)
     add_object(parser, what="instead of the capture's object")
     parser.add_argument(
         "--use", metavar="SENSES", type=names, default=("vision", "touch"), help="vision,touch (default)"

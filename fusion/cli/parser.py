@@ -10,10 +10,12 @@ from typing import NoReturn
 from fusion.cli import (
     batch,
     bench,
+    calibrate_gel,
     compare,
     completion,
     convert,
     demo,
+    doctor,
     estimate,
     evaluate,
     grasp,
@@ -30,7 +32,7 @@ from scenes.errors import InputError, unknown
 
 COMMANDS = (
     *(demo, synth, validate, estimate, track, compare, evaluate, localize, identify),
-    *(grasp, model, batch, view, convert, bench, completion),
+    *(grasp, model, batch, view, convert, calibrate_gel, bench, completion, doctor),
 )
 
 
@@ -49,13 +51,9 @@ class _Version(argparse.Action):
     """--version: looked up only when asked for."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        from importlib import metadata
+        from fusion.cli.versions import lines
 
-        try:
-            version = metadata.version("palpate")
-        except metadata.PackageNotFoundError:
-            version = "0 (not installed)"
-        sys.stdout.write(f"palpate {version}\n")
+        sys.stdout.write("\n".join(lines()) + "\n")
         parser.exit()
 
 
@@ -66,10 +64,10 @@ def build_parser() -> argparse.ArgumentParser:
         description="Where is the object in the hand? 6-DOF pose from a half-blind RGB-D camera and touch.",
         epilog="Exit codes: 0 done, 1 the answer is lost or invalid, 2 bad use or input. PALPATE_THREADS sets threads.",
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
+    parser.add_argument("--version", action=_Version, nargs=0, help="versions of palpate and of what it stands on")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for module in COMMANDS:
-        name = module.__name__.rpartition(".")[2]
+        name = module.__name__.rpartition(".")[2].replace("_", "-")
         summary = (module.__doc__ or "").strip().splitlines()[0]
         command = commands.add_parser(name, help=summary, description=summary)
         module.add_arguments(command)

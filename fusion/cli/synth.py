@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.cli.options import add_object, names, positive, say, share, write_json
+from fusion.cli.options import add_object, check_folder, names, positive, say, share, write_json
 from fusion.results.runs import load_object
 from scenes.synthesis.staging.pieces import PIECES
 
@@ -22,7 +22,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="five-finger",
         help="five-finger (default), gripper (two flat fingers), a URDF, or none: loose fingers",
     )
-    parser.add_argument("--touch", metavar="KINDS", type=names, default=("point",), help="point, wrench, array, empty")
+    parser.add_argument(
+        "--touch", metavar="KINDS", type=names, default=("point",), help="point, wrench, array, gel, empty"
+    )
     parser.add_argument("--taxels", metavar="LAYOUT", default="fingertip", help="fingertip (12, default), pad (3 x 8)")
     noises = (
         "none, clean, lab (default), harsh, lab-time-of-flight, lab-stereo;"
@@ -45,6 +47,7 @@ def run(args: argparse.Namespace) -> int:
     from scenes.synthesis.recording import synthesize
 
     refuse_foreign_folder(args.out)  # before the work, not after it
+    check_folder(args.out)
     model, hand = load_object(args.object, args.unit), load_hand(args.hand)
     capture = synthesize(
         args.out,
@@ -61,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         scene=args.scene,
         mesh_error=args.mesh_error,
     )
-    contacts = [max(len(frame.contacts), len(frame.wrenches), len(frame.tactile)) for frame in capture]
+    contacts = [max(len(frame.contacts), len(frame.wrenches), len(frame.tactile), len(frame.gels)) for frame in capture]
     asked = {"object": model.name, "occlusion": args.occlusion, "noise": args.noise, "seed": args.seed}
     write_json(args.json, {"capture": str(capture.path), "frames": len(capture), "contacts": contacts, **asked})
     felt = f"{min(contacts)}" if min(contacts) == max(contacts) else f"{min(contacts)} to {max(contacts)}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
+from fusion.cli.config import add_config, read_config
 from fusion.cli.options import add_run, announce_compiling, number, out_folder, progress, say, show_table, write_run
 from fusion.results.runs import load_object, prior_setter
 
@@ -20,6 +21,7 @@ LONG = 40
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
     add_run(parser)
+    add_config(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -32,11 +34,16 @@ def run(args: argparse.Namespace) -> int:
     from scenes.recordings.validation import check_scale
 
     senses = tuple(sorted(check_senses(args.use), reverse=True))
-    capture = read_capture(args.capture)
+    config = read_config(args.config)
+    capture = read_capture(args.capture, args.trust_paths)
     out_folder(args, capture.name)  # before the work, not after it
     model = load_object(args.object, args.unit) if args.object else capture.model
     prepare = prior_setter(args.prior, args.seed)
-    judge, tracker = Judge(model), Tracker(model, use=senses, seed=args.seed)
+
+    def new_tracker() -> Tracker:
+        return Tracker(model, use=senses, seed=args.seed, settings=config.track, beliefs=config.believed)
+
+    judge, tracker = Judge(model), new_tracker()
     announce_compiling()
     frames: list[Frame] = []
     answers: list[TrackedEstimate] = []
@@ -47,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         if not answers:
             # compiles, loads the kernels and the lattice: a frame's time should tell of the frame
             check_scale(frame, model)
-            Tracker(model, use=senses, seed=args.seed).step(frame)
+            new_tracker().step(frame)
         frames.append(frame)
         answers.append(tracker.step(frame))
         errors.append(frame_errors(judge, frame, answers[-1]))

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fusion.cli.options import add_object, positive, say, write_json
+from fusion.cli.options import add_object, add_trust, positive, say, write_json
 from fusion.results.runs import load_object
 
 if TYPE_CHECKING:
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
+    add_trust(parser)
     parser.add_argument("capture", metavar="CAPTURE", type=Path, help="folder of the capture")
     parser.add_argument("result", metavar="RESULT", type=Path, nargs="?", help="a result.json, or its folder")
     add_object(parser, what="instead of the capture's object")
@@ -33,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
 
     if args.port > 65535:
         raise InputError(f"port: expected a number up to 65535, got {args.port}")
-    capture = read_capture(args.capture)
+    capture = read_capture(args.capture, args.trust_paths)
     model = load_object(args.object, args.unit) if args.object else capture.model
     answers: list[Estimate] = []
     if args.result is not None:

@@ -33,6 +33,7 @@ from scenes.evidence.point_pairs import pair_table
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
+from scenes.recordings.validation import check_scale
 from scenes.threads import one_blas_thread
 from touch.contacts import feel
 from vision.look.look import look, look_closer, surfaces
@@ -75,9 +76,11 @@ def estimate(
     skipped. budget_ms: once it is spent, the joint solution (calibration, depth scale, bias) is skipped. beliefs: what
     the sensors are worth; default what the frame says of its own.
     Returns an Estimate; data that tell nothing give the verdict "lost" and a covariance that says so, not an error.
+    Raises CaptureError when the sizes in the frame and the model's tell of a wrong unit.
     """
     settings, senses = settings or EstimateSettings(), check_senses(use)
     check_limits(tolerance, budget_ms)
+    check_scale(frame, model)
     believed = as_prior(prior if prior is not None else frame.prior, settings)
     asked = _Asked(senses, believed, tolerance, seed, beliefs or frame.beliefs or Beliefs(), settings)
     # built or read once per object, not part of a frame's time

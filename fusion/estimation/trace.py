@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
 from fusion.estimation.answer import Estimate, Stage
+
+_log = logging.getLogger(__name__)
 
 
 class _Running:
@@ -57,4 +60,5 @@ class Trace:
         begin = time.perf_counter()
         yield running
         spent = 1e3 * (time.perf_counter() - begin)
+        _log.debug("%s: %s", name, f"{spent:.1f} ms, {running.rows} rows, {running.why}" if run else why_not)
         self._stages.append(Stage(name, run, running.why if run else why_not, spent, running.rows if run else 0))

@@ -9,19 +9,22 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shutil
 import signal
 import sys
-import tempfile
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from scenes.errors import InputError, PalpateError
+from scenes.files.whole import draft_folder, put, replace_file
+
+if TYPE_CHECKING:
+    from fusion.estimation.settings import EstimateSettings
+    from scenes.recordings.beliefs import Beliefs
 
 # A capture whose worker dies is tried so often.
 TRIES = 2
@@ -64,11 +67,17 @@ class Job:
     unit: str = "m"
     report: bool = True
     seed: int = 0
+    trust_paths: bool = False
+    settings: EstimateSettings | None = None
+    beliefs: Beliefs | None = None
 
     @property
     def fingerprint(self) -> str:
         """Of everything that changes the results; the same for the same question."""
-        told = {key: value for key, value in asdict(self).items() if key not in ("path", "name", "out")}
+        told = {key: value for key, value in asdict(self).items() if key not in ("path", "name", "out", "trust_paths")}
+        for name in ("settings", "beliefs"):
+            if told[name] is None:
+                del told[name]
         return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -120,19 +129,17 @@ def run_capture(job: Job) -> list[Row]:
     from fusion.truth.errors import Judge, json_number
     from scenes.recordings.captures import read_capture
 
-    capture = read_capture(job.path)
+    capture = read_capture(job.path, job.trust_paths)
     model = load_object(job.object, job.unit) if job.object else capture.model
     prepare, judge = prior_setter(job.prior, job.seed), Judge(model)
     frames, answers, errors = [], [], []
-    for frame, answer in estimates(capture, model, prepare, job.use, job.seed):
+    how: dict[str, Any] = {"settings": job.settings, "beliefs": job.beliefs}
+    for frame, answer in estimates(capture, model, prepare, job.use, job.seed, **how):
         frames.append(frame)
         answers.append(answer)
         errors.append(frame_errors(judge, frame, answer))
     out = Path(job.out)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    draft = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
-    try:
-        draft.chmod(0o755)
+    with draft_folder(out) as draft:
         content = result_json(capture.name, model, frames, answers, errors)
         content["capture_path"] = str(capture.path.resolve())
         write_results(draft, capture, answers, content)
@@ -142,24 +149,16 @@ def run_capture(job: Job) -> list[Row]:
             write_report(draft / "report.html", capture.name, frames, model, answers, None, content["errors"])
         rows = json_number([_row(job, model.name, answer, error) for answer, error in zip(answers, errors)])
         marker = {"fingerprint": job.fingerprint, "rows": rows}
-        (draft / MARKER).write_text(json.dumps(marker, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        replace_file(draft / MARKER, (json.dumps(marker, indent=1, allow_nan=False) + "\n").encode())
         _replace(draft, out)
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
     return list(rows)
 
 
 def _replace(draft: Path, out: Path) -> None:
     """Put the draft in the place of an older result, if there is one; refuse a folder that is no result of a batch."""
-    if out.exists():
-        if any(out.iterdir()) and not (out / MARKER).is_file():
-            raise InputError(f"{out}: expected a new folder, or older results of a batch: it holds other files")
-        old = Path(tempfile.mkdtemp(prefix=f".{out.name}.old.", dir=out.parent))
-        out.rename(old / "results")
-        draft.rename(out)
-        shutil.rmtree(old, ignore_errors=True)
-    else:
-        draft.rename(out)
+    if out.exists() and any(out.iterdir()) and not (out / MARKER).is_file():
+        raise InputError(f"{out}: expected a new folder, or older results of a batch: it holds other files")
+    put(draft, out)
 
 
 def _row(job: Job, name: str, answer: Any, error: Any) -> Row:

@@ -9,9 +9,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from fusion.results.batch import COLUMNS, Outcome, Row
-from fusion.results.report.files import replace_file
 from fusion.results.report.index import write_index
 from fusion.results.summary import NUMBERS, summary_of
+from scenes.files.tables import harmless
+from scenes.files.whole import replace_file
 
 
 def write_all(out: Path, title: str, outcomes: Sequence[Outcome]) -> list[Path]:
@@ -21,7 +22,7 @@ def write_all(out: Path, title: str, outcomes: Sequence[Outcome]) -> list[Path]:
     text = io.StringIO()
     table = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     table.writeheader()
-    table.writerows(rows)
+    table.writerows({k: harmless(v) if isinstance(v, str) else v for k, v in row.items()} for row in rows)
     replace_file(written[0], text.getvalue().encode())
     if find_spec("pyarrow") is not None:
         written.append(out / "results.parquet")

@@ -11,6 +11,7 @@ import numpy as np
 
 from fusion.truth.compare import Row
 from scenes.errors import InputError
+from scenes.files.whole import replace_file
 
 COLOURS = {
     "icp": "#9a9a9a",
@@ -48,7 +49,7 @@ def write_plot(path: Path, rows: Sequence[Row], success: float = 0.005) -> None:
         head = "<!doctype html><meta charset=utf-8><meta name=viewport content='width=device-width'>"
         page = ":root{color-scheme:light dark}body{margin:2rem auto;max-width:920px}svg{width:100%;height:auto}"
         picture = f"{head}<title>palpate compare</title><style>{page}</style>{picture}\n"
-    path.write_text(picture, encoding="utf-8")
+    replace_file(path, picture.encode())
 
 
 def draw(rows: Sequence[Row], success: float = 0.005) -> str:

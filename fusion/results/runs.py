@@ -5,6 +5,7 @@ Light at import: everything heavy is imported by the function that needs it.
 
 from __future__ import annotations
 
+import logging
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator
@@ -15,7 +16,9 @@ from scenes.errors import InputError, unknown
 
 if TYPE_CHECKING:
     from fusion.estimation.answer import Estimate
+    from fusion.estimation.settings import EstimateSettings
     from scenes.geometry.objects import ObjectModel
+    from scenes.recordings.beliefs import Beliefs
     from scenes.recordings.frames import Frame
 
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
@@ -113,6 +116,8 @@ def estimates(
     seed: int,
     tolerance: tuple[float, float] | None = None,
     budget_ms: float | None = None,
+    settings: EstimateSettings | None = None,
+    beliefs: Beliefs | None = None,
 ) -> Iterator[tuple[Frame, Estimate]]:
     """Each frame as `prepare` has it, and its answer. The first is estimated twice: that loads the compiled kernels,
     and a frame's time should tell of the frame. Raises CaptureError for a frame that no estimate should be made of.
@@ -120,11 +125,18 @@ def estimates(
     from fusion.estimation.estimate import estimate
     from scenes.recordings.validation import check_usable
 
+    log = logging.getLogger(__name__)
+
+    def answered(frame: Frame, tolerance: tuple[float, float] | None) -> Estimate:
+        return estimate(frame, model, None, use, tolerance, budget_ms, seed, settings, beliefs)
+
     warm = False
     for one in recorded:
         frame = prepare(one, model)
         check_usable(frame, model, vision="vision" in use)
         if not warm:
-            estimate(frame, model, use=use, budget_ms=budget_ms, seed=seed)
+            answered(frame, None)
             warm = True
-        yield frame, estimate(frame, model, use=use, tolerance=tolerance, budget_ms=budget_ms, seed=seed)
+        answer = answered(frame, tolerance)
+        log.info("frame %d: %s in %.0f ms: %s", frame.index, answer.verdict, answer.time_ms, "; ".join(answer.notes))
+        yield frame, answer

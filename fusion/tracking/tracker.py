@@ -30,6 +30,7 @@ from fusion.tracking.answer import TrackedEstimate, TrackSettings, as_carried, a
 from fusion.tracking.filter import Belief, Measurement, moved_modes, update
 from fusion.tracking.motion import HandMotion, HandState, calibration_drift
 from fusion.tracking.slip import SlipWatch, Watched
+from scenes.errors import CaptureError
 from scenes.evidence import table as tables
 from scenes.evidence.align import Alignment, AlignSettings, Prior, align
 from scenes.evidence.modes import Mode, distinct_modes
@@ -152,7 +153,10 @@ class Tracker:
             tries.append(None)
         for prior in tries:
             bare = replace(frame, prior=None)
-            found = self._estimated(bare, prior)
+            try:
+                found = self._estimated(bare, prior)
+            except CaptureError as error:  # a frame amid a track whose sizes make no sense is a frame without evidence
+                return replace(lost, notes=(*lost.notes, str(error)))
             if found.verdict == "ok" or (prior is not None and found.verdict == "ambiguous"):
                 pose = self.model.symmetries.nearest(found.pose, lost.pose)
                 found = replace(found, pose=pose, trace=(*lost.trace, *found.trace))

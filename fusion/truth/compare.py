@@ -20,10 +20,12 @@ from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate
 from fusion.estimation.estimate import estimate
+from fusion.estimation.settings import EstimateSettings
 from fusion.truth.errors import Agreement, Errors, Judge, json_number
 from scenes.errors import InputError
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.captures import Capture
 from scenes.recordings.frames import Frame
 from scenes.recordings.validation import check_usable
@@ -103,12 +105,19 @@ def check_methods(methods: Iterable[str]) -> tuple[str, ...]:
 
 
 def compare_frame(
-    frame: Frame, judge: Judge, methods: Sequence[str], seed: int = 0, capture: str = "", group: str = ""
+    frame: Frame,
+    judge: Judge,
+    methods: Sequence[str],
+    seed: int = 0,
+    capture: str = "",
+    group: str = "",
+    settings: EstimateSettings | None = None,
+    beliefs: Beliefs | None = None,
 ) -> list[Row]:
     """Every method on one frame, from the frame's prior when it has one."""
     rows = []
     for method in methods:
-        pose, verdict, spent, answer = _run(method, frame, judge.model, seed)
+        pose, verdict, spent, answer = _run(method, frame, judge.model, seed, settings, beliefs)
         errors = None
         if frame.camera_from_object_truth is not None:
             covariance = None if answer is None else answer.covariance
@@ -124,11 +133,13 @@ def compare(
     seed: int = 0,
     model: ObjectModel | None = None,
     prepare: Callable[[Frame, ObjectModel], Frame] | None = None,
+    settings: EstimateSettings | None = None,
+    beliefs: Beliefs | None = None,
 ) -> Iterator[Row]:
     """Rows of every frame of every capture, as they are done.
 
-    model: instead of each capture's own. prepare: changes a frame before it is used (another prior). Raises
-    InputError for an unknown method, CaptureError for a frame that cannot be used.
+    model: instead of each capture's own. prepare: changes a frame before it is used (another prior). settings, beliefs:
+    of our own methods. Raises InputError for an unknown method, CaptureError for a frame that cannot be used.
     """
     methods = check_methods(methods)
     warm = False
@@ -140,9 +151,10 @@ def compare(
                 frame = prepare(frame, judge.model)
             check_usable(frame, judge.model)
             if not warm:
-                compare_frame(frame, judge, methods, seed)  # compiles; its times would tell of the compiler
+                # compiles; its times would tell of the compiler
+                compare_frame(frame, judge, methods, seed, settings=settings, beliefs=beliefs)
                 warm = True
-            yield from compare_frame(frame, judge, methods, seed, capture.name, group_of(capture))
+            yield from compare_frame(frame, judge, methods, seed, capture.name, group_of(capture), settings, beliefs)
 
 
 def group_of(capture: Capture) -> str:
@@ -185,9 +197,16 @@ def _summary(group: str, method: str, rows: list[Row], success: float) -> Summar
     )
 
 
-def _run(method: str, frame: Frame, model: ObjectModel, seed: int) -> tuple[Array, str, float, Estimate | None]:
+def _run(
+    method: str,
+    frame: Frame,
+    model: ObjectModel,
+    seed: int,
+    settings: EstimateSettings | None,
+    beliefs: Beliefs | None,
+) -> tuple[Array, str, float, Estimate | None]:
     if method in SENSES:
-        answer = estimate(frame, model, use=SENSES[method], seed=seed)
+        answer = estimate(frame, model, use=SENSES[method], seed=seed, settings=settings, beliefs=beliefs)
         return answer.pose, answer.verdict, answer.time_ms, answer
     began = time.perf_counter()
     start = frame.prior if frame.prior is not None else _centred(frame, model)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError
+from scenes.files.whole import named
 
 LARGEST_COUNT = 65535
 # Depth counts are in multiples of a millimetre, metres everywhere else.
@@ -70,7 +71,8 @@ def _write(path: Path, image: NDArray[Any]) -> None:
     good, data = cv2.imencode(".png", image)
     if not good:
         raise CaptureError(f"{path}: the image of shape {image.shape} cannot be written as PNG")
-    data.tofile(path)
+    with named(path):
+        path.write_bytes(data.tobytes())
 
 
 def read_depth(path: Path, depth_scale: float) -> NDArray[np.float32]:
@@ -97,6 +99,38 @@ def write_depth(path: Path, depth: NDArray[Any], depth_scale: float) -> None:
         limit = LARGEST_COUNT * depth_scale * MM
         raise CaptureError(f"{path}: expected depths up to {limit:.3g} m at this depth_scale, got {metres.max():.3g} m")
     _write(path, counts.astype(np.uint16))
+
+
+def read_counts(path: Path) -> NDArray[np.uint16]:
+    """(h, w) uint16 as they are. Raises CaptureError when the image is not 16 bit with one channel."""
+    image = _read(path)
+    if image.dtype != np.uint16 or image.ndim != 2:
+        channels = 1 if image.ndim == 2 else image.shape[2]
+        got = f"{8 * image.dtype.itemsize} bit, {channels} channel{'s'[: channels > 1]}"
+        raise CaptureError(f"expected an image of 16 bit, 1 channel, got {got}")
+    return np.asarray(image, dtype=np.uint16)
+
+
+def write_counts(path: Path, counts: NDArray[Any]) -> None:
+    """Write (h, w) whole numbers of 0 to 65535. Raises CaptureError for others."""
+    if not np.isfinite(counts).all() or counts.min(initial=0) < 0 or counts.max(initial=0) > LARGEST_COUNT:
+        raise CaptureError(f"{path}: expected numbers from 0 to {LARGEST_COUNT}")
+    _write(path, np.rint(counts).astype(np.uint16))
+
+
+def read_gel_image(path: Path) -> NDArray[np.uint16] | NDArray[np.uint8]:
+    """A gel's image: (h, w) uint16 micrometres of indentation, or (h, w, 3) uint8 colours, red first.
+
+    Raises CaptureError for anything else.
+    """
+    image = _read(path)
+    if image.dtype == np.uint16 and image.ndim == 2:
+        return np.asarray(image, dtype=np.uint16)
+    if image.dtype == np.uint8 and image.ndim == 3:
+        return np.ascontiguousarray(image[:, :, 2::-1])
+    channels = 1 if image.ndim == 2 else image.shape[2]
+    got = f"{8 * image.dtype.itemsize} bit, {channels} channel{'s'[: channels > 1]}"
+    raise CaptureError(f"expected a gel's image of 8 bit in colour, or of 16 bit in micrometres, got {got}")
 
 
 def read_rgb(path: Path) -> NDArray[np.uint8]:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scenes.errors import MeshError
 from scenes.files.problems import UNREADABLE
+from scenes.files.whole import named
 
 Array = NDArray[np.float64]
 
@@ -57,7 +58,8 @@ def write_ply(
         rows["size"] = 3
         rows["corners"] = triangles
         body += rows.tobytes()
-    Path(path).write_bytes("\n".join([*header, "end_header", ""]).encode("ascii") + body)
+    with named(Path(path)):
+        Path(path).write_bytes("\n".join([*header, "end_header", ""]).encode("ascii") + body)
 
 
 def read_cloud(path: str | Path) -> tuple[Array, NDArray[np.uint8] | None]:

@@ -6,6 +6,7 @@ An optional cell may be empty (or `nan`): it reads as NaN, "unknown". A required
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,8 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.files.problems import Problem, Report
+from scenes.files.whole import named
 
 Array = NDArray[np.float64]
+
+# What a spreadsheet runs when a cell begins with it (apostrophes before it are part of the name).
+_FORMULA = re.compile(r"'*[=+\-@\t\r]")
 
 
 @dataclass(frozen=True)
@@ -150,7 +155,7 @@ def _parse(file: str, rows: Any, header: list[str], columns: Sequence[CsvColumn]
         for name, value in parsed.items():
             numbers[name].append(value)
         for name in texts:
-            texts[name].append(values[name])
+            texts[name].append(_as_meant(values[name]))
         lines.append(line)
     return CsvTable(
         file,
@@ -177,7 +182,7 @@ def _number(text: str, column: CsvColumn) -> tuple[float, str]:
 
 def write_table(path: str | Path, columns: Sequence[CsvColumn], rows: Iterable[Sequence[object]]) -> None:
     """Write rows in the columns' order; floats so that they read back the same, NaN as an empty cell."""
-    with Path(path).open("w", encoding="utf-8", newline="") as file:
+    with named(Path(path)), Path(path).open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow([column.name for column in columns])
         for row in rows:
@@ -187,4 +192,14 @@ def write_table(path: str | Path, columns: Sequence[CsvColumn], rows: Iterable[S
 def _cell(value: object) -> str:
     if isinstance(value, float | np.floating):
         return "" if np.isnan(value) else repr(float(value))
-    return str(value)
+    return harmless(str(value))
+
+
+def harmless(name: str) -> str:
+    """A name as a cell that no spreadsheet takes for a formula: an apostrophe goes before =, +, - and @."""
+    return f"'{name}" if _FORMULA.match(name) else name
+
+
+def _as_meant(cell: str) -> str:
+    """The name of a cell that `harmless` wrote."""
+    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -12,6 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from scenes.errors import CaptureError, PalpateError
+from scenes.files.whole import draft_folder
 from scenes.recordings.frames import Frame
 
 T = TypeVar("T")
@@ -100,13 +99,8 @@ def new_folder(out: Path) -> Iterator[Path]:
     if out.is_file() or (out.is_dir() and any(out.iterdir())):
         found = "a file" if out.is_file() else "other files in it"
         raise CaptureError(f"{out}: expected a new or empty folder to write to, found {found}")
-    out.parent.mkdir(parents=True, exist_ok=True)
-    partial = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
-    try:
-        partial.chmod(0o755)
+    with draft_folder(out) as partial:
         yield partial
         if out.is_dir():
             out.rmdir()
         partial.rename(out)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from scenes.files.whole import replace_file
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
@@ -60,7 +61,7 @@ def write_glb(
         place = root @ poses.make_pose(translation=point)
         scene.add_geometry(ball, geom_name=f"contact_{number}", node_name=f"contact_{number}", transform=place)
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(scene.export(file_type="glb"))
+    replace_file(path, scene.export(file_type="glb"))
 
 
 def _mesh(vertices: Array, faces: NDArray[np.int64], colour: tuple[int, ...]):  # type: ignore[no-untyped-def]

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError
+from scenes.files.whole import replace_file
 from scenes.geometry import poses
 
 Array = NDArray[np.float64]
@@ -29,7 +30,7 @@ def write_tum(path: Path, trajectory: Mapping[int, Array], stamps_ns: Mapping[in
         numbers = [*trajectory[frame][:3, 3].tolist(), x, y, z, w]
         rows.append(f"{seconds}.{rest:09d} " + " ".join(map(repr, numbers)))
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join([*rows, ""]), encoding="ascii")
+    replace_file(path, "\n".join([*rows, ""]).encode("ascii"))
 
 
 def read_tum(path: Path) -> dict[int, Array]:

@@ -42,7 +42,10 @@ class Camera:
     @staticmethod
     def from_matrix(matrix: Array, width: int, height: int) -> Camera:
         """From a (3, 3) or (9,) intrinsic matrix K."""
-        k = np.asarray(matrix, dtype=np.float64).reshape(3, 3)
+        k = np.asarray(matrix, dtype=np.float64)
+        if k.shape not in ((3, 3), (9,)):
+            raise InputError(f"camera: expected a 3x3 intrinsic matrix, got shape {k.shape}")
+        k = k.reshape(3, 3)
         return Camera(k[0, 0], k[1, 1], k[0, 2], k[1, 2], int(width), int(height))
 
     @property

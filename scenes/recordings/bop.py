@@ -7,6 +7,7 @@ object pose estimation, ECCV 2018; format described in bop_toolkit). Everything 
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 from collections.abc import Iterable
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from scenes.errors import CaptureError, InputError
 from scenes.files.images import MM
 from scenes.files.problems import Problem, Report
+from scenes.files.whole import replace_file
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.geometry.symmetries import Axis, Symmetries
@@ -72,7 +74,7 @@ def read_json(path: str | Path, report: Report) -> Any:
 
 def write_json(path: str | Path, content: Any) -> None:
     """Strict JSON: NaN is refused, for a reader elsewhere would stumble over it."""
-    Path(path).write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    replace_file(Path(path), (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
 
 
 def read_frames(path: str | Path, report: Report) -> dict[int, Any]:
@@ -230,15 +232,16 @@ def model_json(vertices: Array, diameter: float, symmetries: Symmetries) -> dict
 
 
 def write_poses(path: str | Path, rows: Iterable[PoseRow]) -> None:
-    """Write poses.csv in BOP's format: R row-major, t in millimetres, time in seconds."""
-    with Path(path).open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(POSES_HEADER)
-        for row in rows:
-            rotation = " ".join(repr(x) for x in row.pose[:3, :3].ravel().tolist())
-            translation = " ".join(repr(x) for x in (row.pose[:3, 3] / MM).tolist())
-            cells = (row.scene_id, row.im_id, row.obj_id, repr(float(row.score)), rotation, translation)
-            writer.writerow([*cells, repr(float(row.time))])
+    """Write poses.csv in BOP's format: R row-major, t in millimetres, time in seconds; whole or not at all."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(POSES_HEADER)
+    for row in rows:
+        rotation = " ".join(repr(x) for x in row.pose[:3, :3].ravel().tolist())
+        translation = " ".join(repr(x) for x in (row.pose[:3, 3] / MM).tolist())
+        cells = (row.scene_id, row.im_id, row.obj_id, repr(float(row.score)), rotation, translation)
+        writer.writerow([*cells, repr(float(row.time))])
+    replace_file(Path(path), text.getvalue().encode())
 
 
 def read_poses(path: str | Path) -> list[PoseRow]:

@@ -7,6 +7,7 @@ frame: reading refuses at the first problem, `scenes.recordings.validation` coll
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from pathlib import Path
@@ -17,19 +18,23 @@ from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError, PalpateError
 from scenes.files import images, tables
+from scenes.files.inside import refuse_links_outside, stays_inside
 from scenes.files.problems import Problem, Report, refuse
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings import bop
-from scenes.recordings.frames import Contacts, EmptyRegions, Frame, Wrench
+from scenes.recordings.frames import Contacts, EmptyRegions, Frame, GelImage, Wrench
 from scenes.recordings.manifest import read_manifest, read_model
 from scenes.recordings.writing import write_capture
+from scenes.robot.gels import image_problem
 from scenes.robot.hands import Hand
 
 __all__ = ["Capture", "read_capture", "write_capture"]
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
+
+_log = logging.getLogger(__name__)
 
 CSV_FILES = {
     "joints.csv": tables.JOINTS,
@@ -46,18 +51,25 @@ class Capture:
     Attributes: path; manifest (capture.json); frame_ids, sorted; model and hand, read at the first use.
     """
 
-    def __init__(self, path: str | Path, report: Report = refuse) -> None:
-        """Read capture.json and find the frames; use `read_capture`. Raises CaptureError for no capture at all."""
+    def __init__(self, path: str | Path, report: Report = refuse, trust_paths: bool = False) -> None:
+        """Read capture.json and find the frames; use `read_capture`. Raises CaptureError for no capture at all, and for
+        one that leads out of its folder unless its paths are trusted.
+        """
         self.path = Path(path)
+        self._within = None if trust_paths else self.path
+        if self.path.is_dir() and not trust_paths:
+            refuse_links_outside(self.path)
         self.report = report
         self.manifest = read_manifest(self.path, report)
         self._tables = {name: self._table(name) for name in CSV_FILES}
         self._cameras = self._by_frame("scene_camera.json")
         self._truths = self._by_frame("scene_gt.json")
         self._priors = self._by_frame("prior.json")
-        self._tactile = self._tactile_files()
+        self._tactile = self._tactile_files(".csv")
+        self._gels = self._tactile_files(".png")
         self.frame_ids = self._find_frames()
         self._check_strays()
+        _log.info("%s: %s, %d of its frames", self.path, self.manifest.name, len(self.frame_ids))
 
     @property
     def name(self) -> str:
@@ -81,6 +93,7 @@ class Capture:
     @cached_property
     def model(self) -> ObjectModel:
         """The object, metres, with the symmetries of models_info.json."""
+        stays_inside(self.path / self.manifest.model, self._within, self._file("capture.json"))
         return read_model(self.path, self.manifest)
 
     @cached_property
@@ -89,11 +102,14 @@ class Capture:
         if self.manifest.hand is None:
             return None
         urdf, sensors = (None if part is None else self.path / part for part in self.manifest.hand)
+        for part in (urdf, sensors):
+            if part is not None:
+                stays_inside(part, self._within, self._file("capture.json"))
         if urdf is None or not urdf.is_file():
             raise CaptureError(f"{self.path / 'capture.json'}: expected a hand URDF at {urdf}, found none")
         if sensors is not None and not sensors.is_file():
             raise CaptureError(f"{self.path / 'capture.json'}: expected the hand's sensors at {sensors}, found none")
-        return Hand.load(urdf, sensors)
+        return Hand.load(urdf, sensors, self._within)
 
     def frame(self, number: int) -> Frame:
         """The frame of that number. Raises CaptureError for one that is not there or is malformed."""
@@ -106,7 +122,8 @@ class Capture:
         truth = self._attempt("scene_gt.json", number, lambda: self._truth(number))
         mask_name = f"mask_visib/{number:06d}_{truth[1] if truth else 0:06d}.png"
         mask = self._image_file(mask_name, number, images.read_mask)
-        self._same_size(number, {"depth": depth, "rgb": rgb, mask_name: mask})
+        fits = self._same_size(number, {"depth": depth, "rgb": rgb, mask_name: mask})
+        rgb, mask = rgb if fits["rgb"] else None, mask if fits[mask_name] else None
         shape = next((image.shape for image in (depth, rgb, mask) if image is not None), None)
         if entry is not None:
             camera = self._attempt("scene_camera.json", number, lambda: bop.camera(entry, shape))
@@ -117,7 +134,7 @@ class Capture:
             where=f"{self.path}, frame {number}",
             camera=camera,
             camera_from_world=camera_from_world,
-            depth=depth,
+            depth=depth if camera is not None else None,  # what is wrong with its camera is reported
             rgb=rgb,
             mask=mask,
             cloud=cloud,
@@ -129,6 +146,7 @@ class Capture:
             no_contact=self._no_contact(number),
             wrenches=self._wrenches(number),
             tactile=self._taxels(number),
+            gels=self._gel_images(number),
             prior=self._attempt("prior.json", number, lambda: self._prior(number)),
             camera_from_object_truth=truth[0] if truth else None,
         )
@@ -159,17 +177,17 @@ class Capture:
         files = (self.path / folder).glob(f"*{suffix}") if (self.path / folder).is_dir() else ()
         return {int(path.stem) for path in files if path.stem.isdecimal()}
 
-    def _tactile_files(self) -> dict[str, set[int]]:
+    def _tactile_files(self, suffix: str) -> dict[str, set[int]]:
         root = self.path / "tactile"
         sensors = sorted(path.name for path in root.iterdir() if path.is_dir()) if root.is_dir() else []
-        return {sensor: self._numbered(f"tactile/{sensor}", ".csv") for sensor in sensors}
+        return {sensor: self._numbered(f"tactile/{sensor}", suffix) for sensor in sensors}
 
     def _find_frames(self) -> tuple[int, ...]:
         seen = set(self._cameras) | self._numbered("clouds", ".ply")
         seen |= self._numbered("depth", ".png") | self._numbered("rgb", ".png")
         if not seen:  # touch alone: the frames are those that feel something
             seen = {int(frame) for table in self._tables.values() for frame in table.frames()}
-            seen = seen.union(*self._tactile.values())
+            seen = seen.union(*self._tactile.values(), *self._gels.values())
         if not seen:
             message = "expected frames (scene_camera.json, depth/, clouds/ or contacts.csv), found none"
             self.report(Problem(str(self.path), None, message))
@@ -180,7 +198,7 @@ class Capture:
         known = set(self.frame_ids)
         spoken = {name: set(map(int, np.unique(table.frames()))) for name, table in self._tables.items()}
         spoken |= {"scene_gt.json": set(self._truths), "prior.json": set(self._priors)}
-        spoken |= {f"tactile/{sensor}": frames for sensor, frames in self._tactile.items()}
+        spoken |= {f"tactile/{sensor}": self._gels[sensor] | frames for sensor, frames in self._tactile.items()}
         for name, frames in spoken.items():
             for frame in sorted(frames - known):
                 self.report(Problem(self._file(name), frame, f"expected a frame of {_span(self.frame_ids)}"))
@@ -217,13 +235,17 @@ class Capture:
         path = self.path / name
         return self._attempt(name, number, lambda: read(path)) if path.is_file() else None
 
-    def _same_size(self, number: int, seen: dict[str, NDArray[Any] | None]) -> None:
+    def _same_size(self, number: int, seen: dict[str, NDArray[Any] | None]) -> dict[str, bool]:
+        """Which images have the size of the first that is there; the others are reported."""
         shapes = {name: image.shape[:2] for name, image in seen.items() if image is not None}
+        fits = dict.fromkeys(seen, True)
         for name, shape in shapes.items():
             first, expected = next(iter(shapes.items()))
             if shape != expected:
+                fits[name] = False
                 sizes = f"{expected[1]}x{expected[0]} pixels like {first}, got {shape[1]}x{shape[0]}"
                 self.report(Problem(self._file(name), number, f"expected {sizes}"))
+        return fits
 
     def _cloud(self, number: int) -> tuple[Array | None, NDArray[np.uint8] | None]:
         from scenes.files.ply import read_cloud
@@ -303,6 +325,30 @@ class Capture:
             readings[sensor] = pressure
         return readings
 
+    def _gel_images(self, number: int) -> dict[str, GelImage]:
+        """What each gel saw: micrometres of indentation or colours, as the hand's sensor says it can."""
+        out: dict[str, GelImage] = {}
+        for name in (name for name, frames in self._gels.items() if number in frames):
+            file = f"tactile/{name}/{number:06d}.png"
+            hand = self._attempt("capture.json", None, lambda: self.hand)
+            if hand is None:
+                continue
+            sensor = hand.sensors.get(name)
+            if sensor is None or sensor.gel is None:
+                known = ", ".join(s.name for s in hand.sensors.values() if s.gel is not None) or "none"
+                message = f"expected a gel of hand {hand.name!r} ({known}), got {name!r}"
+                self.report(Problem(self._file(file), number, message))
+                continue
+            image = self._image_file(file, number, images.read_gel_image)
+            if image is None:
+                continue
+            problem = image_problem(image, sensor.gel)
+            if problem is not None:
+                self.report(Problem(self._file(file), number, problem))
+                continue
+            out[name] = image
+        return out
+
     def _taxel_count(self, sensor: str, path: Path, number: int) -> int | None:
         hand = self._attempt("capture.json", None, lambda: self.hand)
         if hand is None:
@@ -317,13 +363,16 @@ class Capture:
         return None if taxels is None else len(taxels)
 
 
-def read_capture(folder: str | Path) -> Capture:
+def read_capture(folder: str | Path, trust_paths: bool = False) -> Capture:
     """Open a capture; frames are read when they are asked for.
+
+    trust_paths: also read files outside the folder, which capture.json, the hand's files or links may name; by default
+    these are refused.
 
     Raises CaptureError, one line with file, frame and column, for whatever is missing or malformed: here for
     capture.json and the CSVs, when a frame is read for its images, clouds and joints.
     """
-    return Capture(folder)
+    return Capture(folder, trust_paths=trust_paths)
 
 
 def contacts_of(rows: tables.CsvTable) -> Contacts:

@@ -5,22 +5,26 @@ A `Frame` carries only what was recorded; every sensor is optional and `None` (o
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scenes.errors import InputError
+from scenes.geometry.cameras import Camera
 from scenes.geometry.poses import FARTHEST, inverse
+from scenes.recordings import frame_checks as checks
 
 if TYPE_CHECKING:
-    from scenes.geometry.cameras import Camera
     from scenes.recordings.beliefs import Beliefs
     from scenes.robot.hands import Hand
 
 Array = NDArray[np.float64]
+# What a gel saw: (h, w) uint16 micrometres of indentation, or (h, w, 3) uint8 colours, red first.
+GelImage = NDArray[np.uint16] | NDArray[np.uint8]
 
 # What a contact is worth when the recording does not say (T1 section 4.3: 0.9 mm and 5 degrees).
 DEFAULT_SIGMA_POINT = 0.9e-3
@@ -189,10 +193,16 @@ class Frame:
     camera: intrinsics, None when there is no camera. camera_from_world (4, 4).
     depth (h, w) float32 metres along z, 0 = no reading. rgb (h, w, 3) uint8. mask (h, w) bool, the object's pixels.
     cloud (n, 3) world frame. joints: name -> radians or metres. world_from_hand (4, 4).
+    tactile: pressures (k,) Pa of each array. gels: the image of each gel.
     camera_from_object_truth and prior (4, 4): ground truth and coarse start, when the recording has them;
     hand_from_object_truth (4, 4): where a simulated hand really holds it.
     beliefs: what the recording says its sensors are worth; None says nothing.
     where: file and frame, for messages.
+
+    Checked when it is made, with one InputError that says what was expected, what came and where: images and camera are
+    of one size, transforms rigid, depth in floating-point metres. A mask of two values (OpenCV's 0 and 255), float64
+    depth, lists, and contacts as points (n, 3) are taken as what they mean. Readings and rows that are no numbers are
+    left to the estimator, which drops and counts them.
     """
 
     index: int
@@ -211,10 +221,68 @@ class Frame:
     no_contact: EmptyRegions | None = None
     wrenches: tuple[Wrench, ...] = ()
     tactile: dict[str, Array] = field(default_factory=dict)
+    gels: dict[str, GelImage] = field(default_factory=dict)
     prior: Array | None = None
     camera_from_object_truth: Array | None = None
     hand_from_object_truth: Array | None = None
     beliefs: Beliefs | None = None
+
+    def __post_init__(self) -> None:
+        """Check every part that is there and bring it to the type above."""
+        where = self.where or f"frame {self.index}"
+
+        def put(name: str, check: Callable[..., Any], *more: Any) -> None:
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, check(value, *more))
+
+        put("depth", checks.depth_image, where)
+        put("rgb", checks.colour_image, where)
+        put("mask", checks.mask_image, where)
+        put("cloud", checks.points_of, where, "cloud")
+        put("cloud_colours", checks.colours_of, self.cloud, where)
+        for name in (
+            "camera_from_world",
+            "world_from_hand",
+            "prior",
+            "camera_from_object_truth",
+            "hand_from_object_truth",
+        ):
+            put(name, checks.rigid, where, name)
+        put("joints", checks.joint_positions, where)
+        put("tactile", checks.pressures, where)
+        put("gels", checks.gel_images, where)
+        if self.camera is not None or self.depth is not None:
+            checks.instance(self.camera, Camera, where, "camera", "Camera.from_matrix(K, width, height)")
+        sizes = {
+            name: (image.shape[1], image.shape[0])
+            for name, image in (("depth", self.depth), ("rgb", self.rgb), ("mask", self.mask))
+            if image is not None
+        }
+        if sizes and self.camera is not None:
+            sizes = {"camera": (self.camera.width, self.camera.height)} | sizes
+        if sizes:
+            checks.same_size(sizes, where)
+        self._check_touch(where)
+
+    def _check_touch(self, where: str) -> None:
+        if self.hand is not None:
+            from scenes.robot.hands import Hand
+
+            checks.instance(self.hand, Hand, where, "hand", "Hand.load(urdf)")
+        if not isinstance(self.contacts, Contacts):
+            try:
+                felt = Contacts(np.zeros((0, 3)) if self.contacts is None else self.contacts)
+            except InputError as error:
+                raise InputError(f"{where}: {error}: Contacts(points, normals)?") from error
+            object.__setattr__(self, "contacts", felt)
+        if self.no_contact is not None:
+            checks.instance(self.no_contact, EmptyRegions, where, "no_contact", "points, radius, sensors")
+        if not isinstance(self.wrenches, tuple):
+            checks.instance(self.wrenches, list, where, "wrenches", "of Wrench")
+            object.__setattr__(self, "wrenches", tuple(self.wrenches))
+        for wrench in self.wrenches:
+            checks.instance(wrench, Wrench, where, "wrenches", "sensor, force, torque")
 
     def without_vision(self) -> Frame:
         """The frame without what a camera gave."""
@@ -222,7 +290,7 @@ class Frame:
 
     def without_touch(self) -> Frame:
         """The frame without what touch gave."""
-        return replace(self, contacts=Contacts(np.zeros((0, 3))), no_contact=None, wrenches=(), tactile={})
+        return replace(self, contacts=Contacts(np.zeros((0, 3))), no_contact=None, wrenches=(), tactile={}, gels={})
 
     def hand_from_object(self, pose: Array, correction: Array) -> Array | None:
         """(4, 4) of the object at pose (4, 4) camera_from_object, the camera-robot calibration corrected; None without

@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, PalpateError
 from scenes.files.problems import Problem
+from scenes.files.schema import complaints
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings import bop
 from scenes.recordings.captures import Capture
 from scenes.recordings.frames import Frame
 
@@ -32,17 +34,27 @@ FOCAL_LENGTHS = (0.1, 50.0)
 FULL_TURN = 2.0 * np.pi
 # No sensor reaches farther (m) from its own origin; one that does is elsewhere than the hand's pose says.
 FARTHEST_CONTACT = 0.2
+# A median depth (m) that no room has, and an image of millimetres has from 10 cm on; beyond are no readings at all.
+MILLIMETRES = (1e2, 1e6)
+# Of a depth image every so manieth pixel a side tells its unit as well.
+UNIT_STEP = 8
+# Of a cloud no more points than this tell its size as well.
+MOST_POINTS = 20_000
 # Fewer points may show a small part of what they are of.
 FEWEST_POINTS = 30
 
 
-def validate(folder: str | Path) -> list[Problem]:
-    """Every problem of a capture, in the order of its files and frames; an empty list means that it can be used."""
+def validate(folder: str | Path, trust_paths: bool = False) -> list[Problem]:
+    """Every problem of a capture, in the order of its files and frames; an empty list means that it can be used.
+
+    trust_paths: as for `read_capture`.
+    """
     problems: list[Problem] = []
     try:
-        capture = Capture(folder, problems.append)
+        capture = Capture(folder, problems.append, trust_paths)
     except CaptureError as error:
         return [*problems, Problem(str(folder), None, str(error))]
+    problems += _by_schema(capture, problems)
     model = _attempt(capture, problems)
     for number in capture.frame_ids:
         frame = capture.frame(number)
@@ -52,6 +64,21 @@ def validate(folder: str | Path) -> list[Problem]:
         if message is not None:
             problems.append(Problem(str(capture.path), number, message))
     return list(dict.fromkeys(problems))
+
+
+def _by_schema(capture: Capture, known: list[Problem]) -> list[Problem]:
+    """What the schemas find in capture.json and the hand's sensors.json, when nothing is known of these files yet."""
+    files = {"capture": capture.path / "capture.json"}
+    hand = capture.manifest.hand
+    if hand is not None:
+        files["sensors"] = capture.path / (hand[1] or Path(hand[0]).parent / "sensors.json")
+    found = []
+    for name, path in files.items():
+        if path.is_file() and not any(problem.file == str(path) for problem in known):
+            content = bop.read_json(path, lambda problem: None)
+            if content is not None:
+                found += [Problem(str(path), None, complaint) for complaint in complaints(content, name)]
+    return found
 
 
 def _attempt(capture: Capture, problems: list[Problem]) -> ObjectModel | None:
@@ -69,8 +96,8 @@ def _frame_problems(capture: Capture, frame: Frame) -> list[Problem]:
     if frame.depth is not None and not (frame.depth > 0).any():
         found.append(Problem(depth_file, frame.index, "expected depth readings, got an image of zeros"))
     sensed = (frame.depth is not None, frame.cloud is not None, len(frame.contacts) > 0, len(frame.wrenches) > 0)
-    if not any(sensed) and not frame.tactile:
-        expected = "expected a depth image, a cloud, contacts, wrenches or tactile arrays, found none"
+    if not any(sensed) and not frame.tactile and not frame.gels:
+        expected = "expected a depth image, a cloud, contacts, wrenches, tactile arrays or gels' images, found none"
         found.append(Problem(str(capture.path), frame.index, expected))
     if frame.hand is not None and frame.joints is not None:
         for joint, excess in frame.hand.limit_excess(frame.joints).items():
@@ -140,7 +167,19 @@ def scale_problem(frame: Frame, model: ObjectModel) -> str | None:
             return _says("a cloud that spreads over", extent, "an object of", diameter)
     known = (("ground truth", frame.camera_from_object_truth), ("prior", frame.prior))
     found = (_pose_problem(frame, pose, model, source) for source, pose in known if pose is not None)
-    return next((message for message in found if message is not None), None)
+    return next((message for message in found if message is not None), None) or _depth_problem(frame)
+
+
+def _depth_problem(frame: Frame) -> str | None:
+    """What makes a depth image one of millimetres, whatever else is known."""
+    if frame.depth is None:
+        return None
+    some = frame.depth[::UNIT_STEP, ::UNIT_STEP]
+    some = some[np.isfinite(some) & (some > 0) & (some < MILLIMETRES[1])]
+    median = float(np.median(some)) if len(some) else 0.0
+    if median < MILLIMETRES[0]:
+        return None
+    return f"expected depth in metres, got a median of {median:.4g}: looks like millimetres: divide by 1000"
 
 
 def _pose_problem(frame: Frame, pose: Array, model: ObjectModel, source: str) -> str | None:
@@ -167,6 +206,10 @@ def _says(what: str, size: float, other: str, reference: float, hint: str | None
 
 def _extent(points: Array) -> float:
     """Diagonal of the box of the points; of a large cloud without the farthest 2 % on each side, which may be stray."""
+    points = points[:: len(points) // MOST_POINTS + 1]
+    points = points[np.isfinite(points).all(axis=1)]
+    if not len(points):
+        return 0.0
     cut = 2.0 if len(points) >= FEWEST_POINTS else 0.0
     low, high = np.percentile(points, [cut, 100.0 - cut], axis=0)
     return float(np.linalg.norm(high - low))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +11,7 @@ import numpy as np
 from scenes.errors import CaptureError, InputError, unknown
 from scenes.files import images, tables
 from scenes.files.ply import write_ply
+from scenes.files.whole import draft_folder, put
 from scenes.geometry.objects import METRES_PER_UNIT, ObjectModel
 from scenes.recordings import bop
 from scenes.recordings.frames import Frame
@@ -47,10 +46,7 @@ def write_capture(
     if model_unit not in METRES_PER_UNIT:
         raise unknown("unit", model_unit, METRES_PER_UNIT)
     refuse_foreign_folder(folder)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-    try:
-        partial.chmod(0o755)
+    with draft_folder(folder) as partial:
         _write_model(partial, model, model_unit, object_id)
         _write_hand(partial, hand)
         count = _Recorder(partial, world, depth_scale, with_mask, object_id).write(frames)
@@ -67,9 +63,7 @@ def write_capture(
                 **({"notes": dict(notes)} if notes else {}),
             },
         )
-        _swap(partial, folder)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+        put(partial, folder)
     return folder
 
 
@@ -85,17 +79,6 @@ def refuse_foreign_folder(folder: Path) -> None:
             raise CaptureError(f"{folder}: expected a new, empty or capture folder to write to, it holds other files")
     elif folder.exists():
         raise CaptureError(f"{folder}: expected a folder to write to, found a file")
-
-
-def _swap(partial: Path, folder: Path) -> None:
-    """Rename: the target is absent only between two renames, and never half written."""
-    old = None
-    if folder.exists():
-        old = Path(tempfile.mkdtemp(prefix=f".{folder.name}.old.", dir=folder.parent))
-        folder.rename(old / "capture")
-    partial.rename(folder)
-    if old is not None:
-        shutil.rmtree(old, ignore_errors=True)
 
 
 def _write_model(folder: Path, model: ObjectModel, unit: str, object_id: int) -> None:
@@ -214,3 +197,9 @@ class _Recorder:
             path.parent.mkdir(parents=True, exist_ok=True)
             rows = [(taxel, float(p)) for taxel, p in enumerate(pressure) if np.isfinite(p)]
             tables.write_table(path, tables.TACTILE, rows)
+        for sensor, image in frame.gels.items():
+            path = self.folder / "tactile" / sensor / f"{frame.index:06d}.png"
+            if image.ndim == 2:
+                images.write_counts(path, image)
+            else:
+                images.write_rgb(path, image.astype(np.uint8))

@@ -1,13 +1,13 @@
 """The fingers of a hand as a grasp planner sees them, and how they close on an object.
 
 A finger ends in a touch sensor with a surface: sphere, ellipsoid, cylinder or mesh (see `tips`). Its closing joints
-bend; its posture joints (abduction, opposition) stay where the grasp puts them. Poses are hand_from_object; metres and
-radians.
+bend or slide; its posture joints (abduction, opposition, spread) stay where the grasp puts them. Planning is done on
+`closing_hand`, where every joint closes as it rises. Poses are hand_from_object; metres and radians.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -16,20 +16,21 @@ from numpy.typing import NDArray
 from scenes.errors import InputError
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
+from scenes.robot import roles
 from scenes.robot.hands import Hand
+from scenes.robot.sensors import Sensor
 from scenes.robot.tips import COARSE, Tip, tip_of
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-POSTURE_WORDS = ("abduction", "opposition", "spread", "rotation", "yaw", "wrist")
-
 
 @dataclass(frozen=True)
 class Finger:
     """sensor: name of its touch sensor; tip_link and links: rows of hand.link_names; closing: columns of
-    hand.joint_names, from the root outwards; tip: its shape, in the sensor's frame; link_from_tip (4, 4); centre (3,)
-    of the tip in the tip link and its mean radius.
+    hand.joint_names, from the root outwards; ways: for each +1 or -1, the sign in which it closes; tip: its shape, in
+    the sensor's frame; link_from_tip (4, 4); centre (3,) of the tip in the tip link and its mean radius; is_thumb:
+    whether it is the finger that works against the others.
     """
 
     sensor: str
@@ -40,43 +41,96 @@ class Finger:
     link_from_tip: Array
     centre: Array
     radius: float
-
-    @property
-    def is_thumb(self) -> bool:
-        """Whether it is the finger that works against the others."""
-        return "thumb" in self.sensor.lower()
+    ways: tuple[float, ...] = ()
+    is_thumb: bool = False
 
 
 @lru_cache(maxsize=16)
 def find_fingers(hand: Hand) -> tuple[Finger, ...]:
     """The hand's fingers, one for each sensor with a surface at the end of a chain of its own.
 
-    Joints whose names speak of posture, joints of several fingers and sliding joints do not close. Raises InputError
-    when there is no thumb (a sensor with "thumb" in its name) and another finger to hold something between.
+    What each joint is for, which way it closes and which finger opposes the others is found from geometry (see
+    `roles`). A joint that several fingers share closes them when they have no other: a gripper with one drive. Raises
+    InputError when there are not two fingers to hold something between, and says what is missing.
     """
     tips = [s for s in hand.sensors.values() if s.surface is not None]
     rows = {s.name: hand.link_names.index(s.link) for s in tips}
-    shared = np.sum([hand.moved_by[row] for row in set(rows.values())], axis=0) > 1 if tips else np.zeros(0)
+    shared = roles.shared_joints(hand, set(rows.values())) if tips else np.zeros(0, dtype=bool)
+    chosen: list[tuple[Sensor, int]] = []
+    for sensor in tips:  # one sensor a link
+        if hand.moved_by[rows[sensor.name]].any() and all(rows[sensor.name] != row for _, row in chosen):
+            chosen.append((sensor, rows[sensor.name]))
+    own = {s.name: roles.bending(hand, row, hand.moved_by[row] & ~shared) for s, row in chosen}
+    drive = _drive(hand, [(s, row) for s, row in chosen if not own[s.name][0]], shared)
+    chosen = [(s, row) for s, row in chosen if own[s.name][0] or (drive is not None and hand.moved_by[row, drive])]
+    if len(chosen) < 2:
+        raise InputError(_no_fingers(hand, tips, [s.name for s, _ in chosen]))
+    points = [(row, poses.apply(s.link_from_sensor, _tip(s).centre[None])[0]) for s, row in chosen]
+    driven = [row for s, row in chosen if not own[s.name][0]]
+    sides = dict(zip(driven, roles.branch_links(hand, driven, drive))) if drive is not None else {}
     fingers: list[Finger] = []
-    for sensor in tips:
-        row = rows[sensor.name]
-        own = hand.moved_by[row] & np.logical_not(shared)
-        closing = tuple(
-            int(j) for j in np.nonzero(own)[0] if not any(w in hand.joint_names[j].lower() for w in POSTURE_WORDS)
-        )
-        if not closing or any(f.tip_link == row for f in fingers):
-            continue
-        links = tuple(int(i) for i in np.nonzero((hand.moved_by & own).any(axis=1))[0])
-        tip = tip_of(sensor)
-        assert tip is not None
-        pose = sensor.link_from_sensor
-        fingers.append(
-            Finger(sensor.name, row, links, closing, tip, pose, poses.apply(pose, tip.centre[None])[0], tip.radius)
-        )
-    if not any(f.is_thumb for f in fingers) or all(f.is_thumb for f in fingers):
-        got = ", ".join(f.sensor for f in fingers) or "none"
-        raise InputError(f"hand {hand.name!r}: expected tip sensors with a surface on a thumb and a finger, got {got}")
-    return tuple(fingers)
+    directions: list[Array] = []
+    for i, (sensor, row) in enumerate(chosen):
+        closing, signs = own[sensor.name]
+        if closing:
+            ways = tuple(s * roles.way(hand, points, i, closing, np.array(signs)) for s in signs)
+            moving = hand.moved_by & (hand.moved_by[row] & ~shared)
+            links = tuple(int(k) for k in np.nonzero(moving.any(axis=1))[0])
+        else:
+            assert drive is not None
+            closing, links = (drive,), sides[row]
+            ways = (-float(np.sign(roles.drives(hand, [points[chosen.index(c)] for c in chosen], drive))),)
+        direction = np.zeros(len(hand.joint_names))
+        direction[list(closing)] = ways
+        directions.append(direction)
+        tip = _tip(sensor)
+        centre = points[i][1]
+        fingers.append(Finger(sensor.name, row, links, closing, tip, sensor.link_from_sensor, centre, tip.radius, ways))
+    thumb = roles.opposing(hand, points, directions)
+    return tuple(replace(finger, is_thumb=i == thumb) for i, finger in enumerate(fingers))
+
+
+def _tip(sensor: Sensor) -> Tip:
+    tip = tip_of(sensor)
+    assert tip is not None
+    return tip
+
+
+def _drive(hand: Hand, idle: list[tuple[Sensor, int]], shared: NDArray[np.bool_]) -> int | None:
+    """The joint that brings the tips without a joint of their own together; None when there is none."""
+    if len(idle) < 2:
+        return None
+    points = [(row, poses.apply(s.link_from_sensor, _tip(s).centre[None])[0]) for s, row in idle]
+    power = [abs(roles.drives(hand, points, int(j))) for j in np.nonzero(shared)[0]]
+    if not power or max(power) < roles.LEAST_DRIVE:
+        return None
+    return int(np.nonzero(shared)[0][int(np.argmax(power))])
+
+
+def _no_fingers(hand: Hand, tips: list[Sensor], found: list[str]) -> str:
+    expected = f"hand {hand.name!r}: expected two or more fingers, each a joint that bends or slides and a tip sensor"
+    if not hand.sensors:
+        return f"{expected}, got a hand without sensors: describe its tips in sensors.json"
+    bare = [name for name, sensor in hand.sensors.items() if sensor.surface is None]
+    if not tips:
+        return f"{expected} with a surface, got none: sensor {bare[0]!r} has no surface"
+    if len(tips) > len(found):
+        still = next(sensor.name for sensor in tips if sensor.name not in found)
+        hint = f"sensor {still!r} has no joint that brings it towards another tip"
+    else:
+        hint = f"sensor {bare[0]!r} has no surface" if bare else "only one tip sensor"
+    return f"{expected}, got {', '.join(found) or 'none'}: {hint}"
+
+
+@lru_cache(maxsize=16)
+def closing_hand(hand: Hand) -> tuple[Hand, Array]:
+    """The hand with every closing joint measured so that it closes as it rises, and (j,) the signs between the two:
+    values of the one are the signs times those of the other. The hand itself when all close so already.
+    """
+    signs = np.ones(len(hand.joint_names))
+    for finger in find_fingers(hand):
+        signs[list(finger.closing)] = finger.ways
+    return roles.turned_round(hand, tuple(int(j) for j in np.nonzero(signs < 0)[0])), signs
 
 
 class Clearance:
@@ -151,6 +205,8 @@ def reach_bounds(hand: Hand) -> Array:
             turning = joints[current - 1].kind != "prismatic"
             bounds[row] += np.abs(factor) * (farthest if turning else 1.0)
             farthest += float(np.linalg.norm(joints[current - 1].parent_from_joint[:3, 3]))
+            if not turning:  # what slides out is farther from the joints before it
+                farthest += float(np.abs([joints[current - 1].lower, joints[current - 1].upper]).max())
             current = parent[current]
     return bounds
 

@@ -112,17 +112,18 @@ class Hand:
         self._vertex_link = np.concatenate(vertex_links)
 
     @staticmethod
-    def load(urdf_path: str | Path, sensors_path: str | Path | None = None) -> Hand:
+    def load(urdf_path: str | Path, sensors_path: str | Path | None = None, within: Path | None = None) -> Hand:
         """Read a URDF and its sensors file (default: sensors.json beside it, when there is one).
 
-        Raises InputError, one line with file and place, for anything malformed.
+        within: a folder out of which no mesh that these files name may lie; by default any may be read. Raises
+        CaptureError for one that does, InputError, one line with file and place, for anything malformed.
         """
         urdf_path = Path(urdf_path)
-        robot = read_urdf(urdf_path)
+        robot = read_urdf(urdf_path, within)
         beside = urdf_path.parent / "sensors.json"
         if sensors_path is None and beside.is_file():
             sensors_path = beside
-        sensors = read_sensors(sensors_path) if sensors_path is not None else {}
+        sensors = read_sensors(sensors_path, within) if sensors_path is not None else {}
         for sensor in sensors.values():
             if sensor.link not in robot.links:
                 raise InputError(
@@ -197,7 +198,8 @@ class Hand:
         if len(self._sliding):
             shift = values[..., self._sliding_rows, None] * self._slide_axes
             rotation = self._origins[self._sliding, :3, :3]
-            local[..., self._sliding, :3, 3] += (rotation @ shift[..., None])[..., 0]
+            # a slice, not a number: an index array and a number apart would put the joints before the batch
+            local[..., self._sliding, :3, 3:] += rotation @ shift[..., None]
         out = np.zeros((*batch, count, 4, 4))
         out[..., 0, :, :] = np.eye(4)
         for level, parents in self._levels:

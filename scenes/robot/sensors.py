@@ -12,13 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import InputError
+from scenes.files.inside import stays_inside
 from scenes.files.ply import write_ply
 from scenes.files.problems import UNREADABLE
 from scenes.geometry import poses
+from scenes.robot.gels import Gel, read_gel, write_gel
 
 Array = NDArray[np.float64]
 
-KINDS = ("wrench", "array", "point")
+KINDS = ("wrench", "array", "point", "gel")
 # What each surface must say, metres; a mesh's file is named relative to sensors.json, and its convex hull counts.
 SURFACES = {"sphere": ("radius",), "ellipsoid": ("radii",), "cylinder": ("radius", "length"), "mesh": ("file",)}
 
@@ -27,11 +29,13 @@ SURFACES = {"sphere": ("radius",), "ellipsoid": ("radii",), "cylinder": ("radius
 class Sensor:
     """One touch sensor, fixed to a link.
 
-    kind: "wrench" (force and torque), "array" (pressures of taxels) or "point" (contact points as such).
+    kind: "wrench" (force and torque), "array" (pressures of taxels), "point" (contact points as such) or "gel" (images
+    of a soft skin from behind).
     link_from_sensor (4, 4). surface: {"sphere": {"radius": r}}, {"ellipsoid": {"radii": [a, b, c]}},
     {"cylinder": {"radius": r, "length": l}} (along z) or {"mesh": {"file": path}}, in the sensor frame, metres; None
     when unknown. A mesh may hold "vertices" and "faces" instead of a file. taxels (k, 6): position and outward normal
-    in the sensor frame, or None. soft_layer: its material as the file gives it, or None.
+    in the sensor frame, or None. soft_layer: its material as the file gives it, or None. gel: what a gel sensor is
+    made of, None for every other.
     """
 
     name: str
@@ -41,6 +45,7 @@ class Sensor:
     surface: dict[str, dict[str, Any]] | None = None
     taxels: Array | None = None
     soft_layer: dict[str, Any] | None = None
+    gel: Gel | None = None
 
     @property
     def radius(self) -> float | None:
@@ -60,8 +65,11 @@ class Sensor:
         return entry
 
 
-def read_sensors(path: str | Path) -> dict[str, Sensor]:
-    """All sensors of a sensors.json by name, in the file's order; InputError names file and sensor."""
+def read_sensors(path: str | Path, within: Path | None = None) -> dict[str, Sensor]:
+    """All sensors of a sensors.json by name, in the file's order; InputError names file and sensor.
+
+    within: a folder out of which the meshes of surfaces may not lie (CaptureError); by default anywhere.
+    """
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: expected a sensors file, found none")
@@ -71,11 +79,11 @@ def read_sensors(path: str | Path) -> dict[str, Sensor]:
         raise InputError(f"{path}: expected JSON, got malformed text: {error}") from error
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected an object of sensors by name, got {type(data).__name__}")
-    return {name: _parse(name, entry, f"{path}: sensor {name!r}", path.parent) for name, entry in data.items()}
+    return {name: _parse(name, entry, f"{path}: sensor {name!r}", path.parent, within) for name, entry in data.items()}
 
 
 def write_sensors(path: str | Path, sensors: dict[str, Sensor]) -> None:
-    """Write sensors.json, and the convex hulls of fingertip meshes beside it, in the folder "tips"."""
+    """Write sensors.json, and beside it the convex hulls of fingertip meshes ("tips") and gels' images ("gels")."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     entries = {name: sensor.to_json() for name, sensor in sensors.items()}
@@ -86,6 +94,8 @@ def write_sensors(path: str | Path, sensors: dict[str, Sensor]) -> None:
             (path.parent / "tips").mkdir(exist_ok=True)
             write_ply(path.parent / file, vertices, faces)
             entries[name]["surface"] = {"mesh": {"file": file}}
+        if sensor.gel is not None:
+            entries[name]["gel"] = write_gel(sensor.gel, path.parent, f"{number:02d}")
     path.write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")
 
 
@@ -118,7 +128,7 @@ def _hull_of(path: Path, changed: int, where: str) -> tuple[Array, NDArray[np.in
     return np.asarray(hull.vertices, dtype=np.float64), np.asarray(hull.faces, dtype=np.int64)
 
 
-def _parse(name: str, entry: Any, where: str, folder: Path) -> Sensor:
+def _parse(name: str, entry: Any, where: str, folder: Path, within: Path | None) -> Sensor:
     if not isinstance(entry, dict):
         raise InputError(f"{where}: expected an object with link, kind and link_from_sensor, got {entry!r}")
     link, kind = entry.get("link"), entry.get("kind")
@@ -140,10 +150,14 @@ def _parse(name: str, entry: Any, where: str, folder: Path) -> Sensor:
     if soft_layer is not None and not isinstance(soft_layer, dict):
         raise InputError(f"{where}: soft_layer: expected an object, got {soft_layer!r}")
     link_from_sensor = poses.check_pose(pose.reshape(4, 4), f"{where}: link_from_sensor")
-    return Sensor(name, link, kind, link_from_sensor, _surface(entry.get("surface"), where, folder), taxels, soft_layer)
+    surface = _surface(entry.get("surface"), where, folder, within)
+    if kind == "gel" and entry.get("gel") is None:
+        raise InputError(f"{where}: expected the entry gel for a gel, got none")
+    gel = read_gel(entry["gel"], where, folder, within) if entry.get("gel") is not None else None
+    return Sensor(name, link, kind, link_from_sensor, surface, taxels, soft_layer, gel)
 
 
-def _surface(surface: Any, where: str, folder: Path) -> dict[str, dict[str, Any]] | None:
+def _surface(surface: Any, where: str, folder: Path, within: Path | None) -> dict[str, dict[str, Any]] | None:
     if surface is None:
         return None
     where = f"{where}: surface"
@@ -159,7 +173,7 @@ def _surface(surface: Any, where: str, folder: Path) -> dict[str, dict[str, Any]
         if kind == "mesh":
             if not isinstance(value, str):
                 raise InputError(f"{where}: mesh: expected a file name, got {value!r}")
-            return {kind: {"file": str((folder / value).resolve())}}
+            return {kind: {"file": str(stays_inside(folder / value, within, where).resolve())}}
         numbers = _floats(value, f"{where}: {kind} {key}").ravel()
         if len(numbers) != (3 if key == "radii" else 1) or (numbers <= 0).any():
             raise InputError(f"{where}: {kind} {key}: expected lengths above 0 in metres, got {value!r}")

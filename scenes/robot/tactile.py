@@ -150,7 +150,7 @@ def palmar_side(hand: Hand, finger: Finger) -> Array:
     """(3,) unit direction across the finger, sensor frame, in which its tip moves when the finger closes."""
     q = np.clip(np.zeros(len(hand.joint_names)), hand.limits[:, 0], hand.limits[:, 1])
     step = np.zeros(len(q))
-    step[list(finger.closing)] = 1e-4
+    step[list(finger.closing)] = 1e-4 * np.array(finger.ways)
     here, there = hand.link_poses(np.stack([q, q + step]))[:, finger.tip_link]
     moved = poses.apply(there, finger.centre[None])[0] - poses.apply(here, finger.centre[None])[0]
     sensor = hand.sensors[finger.sensor]

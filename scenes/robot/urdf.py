@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import InputError
+from scenes.files.inside import stays_inside
 from scenes.files.problems import UNREADABLE
 from scenes.geometry import poses
 
@@ -73,10 +74,11 @@ class Robot:
     joints: tuple[Joint, ...]
 
 
-def read_urdf(path: str | Path) -> Robot:
+def read_urdf(path: str | Path, within: Path | None = None) -> Robot:
     """Read a URDF file and the meshes that it names.
 
-    `package://` and relative mesh paths are looked for in the file's folder. Raises InputError with one line for
+    `package://` and relative mesh paths are looked for in the file's folder. within: a folder out of which no mesh may
+    lie (CaptureError); by default anywhere. Raises InputError with one line for
     anything that is not a tree of links with geometry: malformed XML, no geometry at all, unknown joint kinds,
     missing meshes, several roots, cycles, unknown names.
     """
@@ -98,7 +100,7 @@ def read_urdf(path: str | Path) -> Robot:
         if name in links:
             raise InputError(f"{where}: link {name!r}: expected one definition, got two")
         visual = element.findall("visual") or element.findall("collision")
-        links[name] = tuple(_read_shape(piece, path, f"{where}: link {name!r}") for piece in visual)
+        links[name] = tuple(_read_shape(piece, path, f"{where}: link {name!r}", within) for piece in visual)
     if not links:
         raise InputError(f"{where}: expected at least one link, got none")
     if not any(links.values()):
@@ -200,14 +202,14 @@ def _origin(element: ET.Element, where: str) -> Array:
     return poses.make_pose(turn, xyz)
 
 
-def _read_shape(piece: ET.Element, path: Path, where: str) -> Shape:
+def _read_shape(piece: ET.Element, path: Path, where: str, within: Path | None) -> Shape:
     pose = _origin(piece, where)
     geometry = piece.find("geometry")
     element = geometry[0] if geometry is not None and len(geometry) else None
     if element is None:
         raise InputError(f"{where}: <{piece.tag}>: expected a <geometry> with a shape, got none")
     if element.tag == "mesh":
-        vertices, faces = _read_mesh(_attribute(element, "filename", where), path, where)
+        vertices, faces = _read_mesh(_attribute(element, "filename", where), path, where, within)
         scale = _vector(element.get("scale"), 3, (1.0, 1.0, 1.0), f"{where}: mesh scale")
         if np.prod(scale) < 0:
             faces = faces[:, ::-1]  # a mirrored mesh keeps its outside
@@ -224,12 +226,13 @@ def _read_shape(piece: ET.Element, path: Path, where: str) -> Shape:
     return make_shape(element.tag, size, pose)
 
 
-def _read_mesh(filename: str, path: Path, where: str) -> tuple[Array, Faces]:
+def _read_mesh(filename: str, path: Path, where: str, within: Path | None) -> tuple[Array, Faces]:
     import trimesh
 
     file = _find_mesh(filename, path)
     if file is None:
         raise InputError(f"{where}: expected the mesh file {filename!r} beside {path.name}, found none")
+    stays_inside(file, within, where)
     try:
         mesh = trimesh.load_mesh(file, process=False)
         # STL repeats the corners of each triangle

@@ -5,7 +5,7 @@ Poses are camera_from_hand and hand_from_object (4, 4); metres, radians, seconds
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
+from scenes.robot.fingers import closing_hand
 from scenes.robot.hands import Hand
 from scenes.synthesis.grasping.closing import ExactClosing
 from scenes.synthesis.grasping.grasps import Grasp, GraspSearchSettings, has_force_closure
@@ -151,6 +152,8 @@ def _slips(
 ) -> tuple[list[Grasp], list[dict[str, float]]]:
     """The grasp of every frame, fingers closed anew around an object that moves inside them, and the slips."""
     closing = GraspSearchSettings()
+    hand, signs = closing_hand(hand)
+    grasp = _measured(grasp, signs, hand)
     exact = ExactClosing(hand, model, closing.fine_spacing, closing.self_overlap)
     grasps, slips = [grasp] * frames, []
     first = int(rng.integers(5, 5 + settings.slip_every))
@@ -181,7 +184,15 @@ def _slips(
             )
             break
         first += settings.slip_frames + settings.slip_every
-    return grasps, slips
+    return [_measured(held, signs, hand) for held in grasps], slips
+
+
+def _measured(grasp: Grasp, signs: Array, hand: Hand) -> Grasp:
+    """The grasp with joints measured the other way where the sign is -1; the same one when nowhere."""
+    if (signs > 0).all():
+        return grasp
+    values = {name: float(sign * grasp.joints[name]) for name, sign in zip(hand.joint_names, signs)}
+    return replace(grasp, joints=values)
 
 
 def hold_anew(exact: ExactClosing, grasp: Grasp, delta: Array, reopen: float) -> Grasp | None:

@@ -20,7 +20,7 @@ from scenes.errors import InputError
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
-from scenes.recordings.frames import Contacts, EmptyRegions, Frame, Wrench
+from scenes.recordings.frames import Contacts, EmptyRegions, Frame, GelImage, Wrench
 from scenes.synthesis.grasping.hiding import place
 from scenes.synthesis.loose_fingers import random_contacts
 from scenes.synthesis.noise import presets as noise_models
@@ -44,7 +44,7 @@ __all__ = ["OCCLUDERS", "TOUCH_KINDS", "SynthesisSettings", "synthesize", "synth
 
 Array = NDArray[np.float64]
 
-TOUCH_KINDS = ("point", "wrench", "array", "empty")
+TOUCH_KINDS = ("point", "wrench", "array", "gel", "empty")
 OCCLUDERS = ("hand", "border", *STANDING)
 CLUTTER = "clutter"
 
@@ -153,6 +153,10 @@ class _Recording:
             from scenes.robot.tactile import with_arrays
 
             self.hand = with_arrays(hand, taxels)
+        if "gel" in touch and hand is not None and not any(s.kind == "gel" for s in hand.sensors.values()):
+            from scenes.synthesis.gels import with_gels
+
+            self.hand = with_gels(self.hand or hand, seed)
         self.renderer = Renderer({"object": (model.vertices, model.faces)})
         self.stage = Stage(self.renderer, model, settings, self.staging)
         self.motion_notes: dict[str, Any] = {}
@@ -309,6 +313,13 @@ class _Recording:
         if "point" in self.touch:
             exact = feel.carried(hand, grasp, joints)
             contacts = noise_models.observe_contacts(exact, preset.touch, rng, errors).moved(world_from_hand)
+        gels: dict[str, GelImage] = {}
+        if "gel" in self.touch:
+            from scenes.synthesis.gels import feel_gels
+
+            # noise of its own: asking for gels changes nothing else of a frame
+            own = np.random.default_rng([self.seed, index, 17])
+            gels = feel_gels(hand, self.model, grasp.hand_from_object, grasp.joints, own)
         if "empty" in self.touch:
             empty = _moved(feel.empty_regions(hand, grasp, joints), world_from_hand)
         frame = Frame(
@@ -321,6 +332,7 @@ class _Recording:
             contacts=contacts,
             wrenches=wrenches,
             tactile=tactile,
+            gels=gels,
             no_contact=empty,
             prior=self._prior(camera_from_object, rng),
             camera_from_object_truth=camera_from_object,

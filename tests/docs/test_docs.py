@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 
+import cv2
 import docs_commands
 import numpy as np
 import pytest
@@ -12,6 +15,7 @@ from docs_commands import ROOT, matches
 from fusion.cli.parser import build_parser
 from scenes.files.ply import write_ply
 from scenes.synthesis import library
+from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.recording import synthesize
 
 DOCS = ROOT / "docs"
@@ -56,13 +60,17 @@ def test_every_command_has_an_example_that_works(tmp_path, monkeypatch):
 
 
 def test_the_front_page(tmp_path, monkeypatch):
-    """Its Python, with a drill, a capture of it and contacts."""
+    """Its Python, with a drill, a capture of it, that capture's arrays, and contacts."""
     monkeypatch.chdir(tmp_path)
     drill = library.make("drill")
     write_ply(tmp_path / "drill.ply", drill.vertices, drill.faces)
-    synthesize(tmp_path / "captures/drill", drill, occlusion=0.3, noise="clean", seed=1)
+    capture = synthesize(tmp_path / "captures/drill", drill, five_finger_hand(), occlusion=0.3, noise="clean", seed=1)
+    seen = capture[0]
+    cv2.imwrite(str(tmp_path / "depth.png"), np.rint(1e3 * seen.depth).astype(np.uint16))
+    np.savetxt(tmp_path / "contacts.txt", seen.contacts.points)
     points, normals = drill.sample_surface(6, seed=0)
-    names = docs_commands.run(README, tmp_path, {"points": points, "normals": normals})
+    live = [(seen.depth, seen.contacts.points)] * 3
+    names = docs_commands.run(README, tmp_path, {"points": points, "normals": normals, "sensors": live})
     assert names["answer"].verdict in ("ok", "ambiguous")
     assert len(names["where"].modes) >= 1
 
@@ -100,6 +108,24 @@ def test_links_lead_somewhere(page):
             heads = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
             names = {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
             assert heading in names, f"{page.name}: {target}"
+
+
+def test_the_site_names_every_page():
+    """`make docs` has the same pages; its own front page leads to all of them."""
+    config = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    named = set(re.findall(r"^  - .*: (\w+\.md)$", config, re.MULTILINE))
+    assert named == {page.name for page in DOCS.glob("*.md")}
+    front = (DOCS / "index.md").read_text(encoding="utf-8")
+    assert all(f"({name})" in front for name in named - {"index.md"})
+
+
+@pytest.mark.slow
+def test_the_site_is_built_and_fetches_nothing(tmp_path):
+    pytest.importorskip("mkdocs", reason="the extra docs is not installed")
+    build = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(tmp_path / "site")]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    for page in (tmp_path / "site").glob("*.html"):
+        assert not re.search(r'<(?:script|link|img)[^>]+(?:src|href)="https?://', page.read_text(encoding="utf-8"))
 
 
 def test_the_house_is_as_the_page_has_it():

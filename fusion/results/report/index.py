@@ -9,8 +9,9 @@ from typing import Any
 from urllib.parse import quote
 
 from fusion.results.batch import Outcome
-from fusion.results.report.files import asset, page, replace_file
+from fusion.results.report.files import asset, page
 from fusion.results.summary import median
+from scenes.files.whole import replace_file
 
 # Name, kind for sorting, whether a small screen goes without.
 HEADS = (

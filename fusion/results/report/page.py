@@ -13,7 +13,8 @@ from typing import Any
 from fusion.advice.grasp import GraspAnswer
 from fusion.estimation.answer import Estimate
 from fusion.results.report.data import report_data
-from fusion.results.report.files import asset, page, replace_file
+from fusion.results.report.files import asset, page
+from scenes.files.whole import replace_file
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
 

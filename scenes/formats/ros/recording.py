@@ -23,6 +23,7 @@ from scenes.formats.ros.streams import (
     Stream,
     check_pose_or_none,
     contacts_of,
+    marker_of,
     placed,
     pressures_of,
     wrench_of,
@@ -46,6 +47,7 @@ TYPES = {
     "camera_info": ("CameraInfo",),
     "joints": ("JointState",),
     "wrench": ("WrenchStamped", "Wrench"),
+    "marker": ("PoseArray",),
     "tf": ("TFMessage", "tfMessage"),
     "tf_static": ("TFMessage", "tfMessage"),
 }
@@ -61,6 +63,7 @@ class _Recording:
     hand: Hand | None
     streams: dict[str, Stream] = field(default_factory=dict)
     joints: list[Joints] = field(default_factory=list)
+    sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
 
 
 def convert(path: Path, out: Path, topics: TopicMap, model: ObjectModel | None = None) -> Converted:
@@ -125,6 +128,8 @@ def _read(bag: Bag, topics: TopicMap, dropped: Dropped) -> _Recording:
     tolerance = round(1e9 * topics.tolerance_s)
     hand = None if topics.hand is None else Hand.load(*topics.hand)
     recording = _Recording(TransformTree(tolerance), hand)
+    for parent, child, pose in topics.static_frames:
+        recording.tree.fix(parent, child, pose, str(topics.path))
     by_name = {topic.name: topic for topic in topics.topics}
     joints = {topic.name: Joints(topic, hand, dropped) for topic in topics.of_role("joints")}
     recording.joints = list(joints.values())
@@ -141,6 +146,7 @@ def _read(bag: Bag, topics: TopicMap, dropped: Dropped) -> _Recording:
             joints[name].add(stamp, message)
         elif topic.role in IMAGES:
             recording.streams[name].add(stamp, (counts[name], frame_id(message)))
+            recording.sizes[name] = int(getattr(message, "width", 0)), int(getattr(message, "height", 0))
             counts[name] += 1
         else:
             recording.streams[name].add(stamp, _value(topic, message, hand))
@@ -164,6 +170,8 @@ def _value(topic: Topic, message: Any, hand: Hand | None) -> Any:
     if topic.role == "tactile":
         taxels = None if hand is None else hand.sensors[topic.options["sensor"]].taxels
         return pressures_of(topic, message, None if taxels is None else len(taxels))
+    if topic.role == "marker":
+        return marker_of(topic, message)
     return contacts_of(topic, message)
 
 
@@ -219,6 +227,8 @@ def _plan(path: Path, topics: TopicMap, recording: _Recording, dropped: Dropped,
         }.items():
             if role in topics.frames:
                 known[key] = _pose(recording.tree, target, topics.frames[role], stamp)
+        if topics.marker is not None:
+            known["camera_from_object_truth"] = _marked(topics, recording, stamp, tolerance)
         positions: dict[str, float] = {}
         for joints in recording.joints:
             positions |= joints.at(stamp, tolerance)
@@ -260,6 +270,17 @@ def _pose(tree: TransformTree, target: str, source: str, stamp: int) -> Array | 
     return np.eye(4) if target == source else check_pose_or_none(tree.lookup(target, source, stamp))
 
 
+def _marked(topics: TopicMap, recording: _Recording, stamp: int, tolerance: int) -> Array | None:
+    """camera_from_object by the tracked marker on it."""
+    assert topics.marker is not None
+    stream = recording.streams[topics.of_role("marker")[0].name]
+    at = stream.nearest(stamp, tolerance)
+    if at is None:
+        return None
+    camera_from_tracker, marker_from_object = topics.marker
+    return camera_from_tracker @ stream.values[at] @ marker_from_object
+
+
 def _images(topics: TopicMap, recording: _Recording, stamp: int, tolerance: int, own_frame: str) -> dict[str, int]:
     """Colour and mask of the same instant and the same camera, by their order in the bag."""
     found = {}
@@ -293,7 +314,7 @@ def _touch(topics: TopicMap, recording: _Recording, stamp: int, tolerance: int) 
             elif role == "tactile":
                 tactile[topic.options["sensor"]] = stream.values[at]
             else:
-                felt.append((topic.name, stream.stamps[at], *stream.values[at]))
+                felt += [(topic.name, stream.stamps[at], *part) for part in stream.values[at]]
     return {"wrenches": tuple(wrenches), "tactile": tactile, "felt": felt}
 
 
@@ -303,7 +324,7 @@ def _absent(topics: TopicMap, known: dict[str, Any], images: dict[str, int]) -> 
         "joints": known["joints"] is not None,
         "wrench": len(known["wrenches"]) == len(topics.of_role("wrench")),
         "tactile": len(known["tactile"]) == len(topics.of_role("tactile")),
-        "contacts": len(known["felt"]) == len(topics.of_role("contacts")),
+        "contacts": len({part[0] for part in known["felt"]}) == len(topics.of_role("contacts")),
         "hand": known.get("world_from_hand") is not None,
         "object": known.get("camera_from_object_truth") is not None,
         "prior": known.get("prior") is not None,
@@ -313,6 +334,11 @@ def _absent(topics: TopicMap, known: dict[str, Any], images: dict[str, int]) -> 
 
 
 def _camera(topics: TopicMap, recording: _Recording, stamp: int) -> Camera:
+    if topics.intrinsics is not None:
+        depth = recording.streams[topics.of_role("depth")[0].name]
+        width, height = recording.sizes[depth.topic.name]
+        fx, fy, cx, cy = topics.intrinsics
+        return Camera(fx, fy, cx, cy, width, height)
     topic = topics.of_role("camera_info")[0]
     stream = recording.streams[topic.name]
     at = stream.nearest(stamp, None)

@@ -154,8 +154,10 @@ def pressures_of(topic: Topic, message: Any, taxels: int | None) -> Array:
     return values
 
 
-def contacts_of(topic: Topic, message: Any) -> tuple[str, Contacts]:
-    """The TF frame of the contacts, and the contacts in it; raises CaptureError for fields that do not fit together."""
+def contacts_of(topic: Topic, message: Any) -> list[tuple[str, Contacts]]:
+    """The contacts of a message by the TF frame they are in, at least one entry; raises CaptureError for fields that do
+    not fit together.
+    """
     options, where = topic.options, topic.name
     points = vectors(pick(message, options["points"], where), where)
     parts: dict[str, Array | None] = {"normals": None, "forces": None}
@@ -176,7 +178,27 @@ def contacts_of(topic: Topic, message: Any) -> tuple[str, Contacts]:
         felt = Contacts(points, normals, *sigmas, names, parts["forces"])
     except PalpateError as error:
         raise CaptureError(f"{where}: {error}") from error
-    return options.get("frame", "").lstrip("/") or frame_id(message), felt
+    if "frame_field" not in options or not len(felt):
+        return [(options.get("frame", "").lstrip("/") or frame_id(message), felt)]
+    frames = [str(name).lstrip("/") for name in pick(message, options["frame_field"], where)]
+    if len(frames) != len(felt):
+        raise CaptureError(f"{where}: expected a frame for each of {len(felt)} contacts, got {len(frames)}")
+    return [(frame, felt.take([name == frame for name in frames])) for frame in dict.fromkeys(frames)]
+
+
+def marker_of(topic: Topic, message: Any) -> Array:
+    """(4, 4) tracker_from_marker: the pose of that index of a PoseArray; raises CaptureError for none."""
+    index = topic.options.get("index", 0)
+    rows = list(getattr(message, "poses", ()))
+    if index >= len(rows):
+        raise CaptureError(f"{topic.name}: expected at least {index + 1} poses, got {len(rows)}")
+    q, t = rows[index].orientation, rows[index].position
+    quaternion = np.array([q.w, q.x, q.y, q.z], dtype=np.float64)
+    place = np.array([t.x, t.y, t.z], dtype=np.float64)
+    length = float(np.linalg.norm(quaternion)) if np.isfinite(quaternion).all() else 0.0
+    if not np.isfinite(place).all() or abs(length - 1.0) > 1e-2:
+        raise CaptureError(f"{topic.name}: expected a finite pose with a unit quaternion, got length {length:.4g}")
+    return poses.make_pose(poses.from_quaternion(quaternion / length), place)
 
 
 def placed(

@@ -11,10 +11,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from scenes.errors import CaptureError
 from scenes.files.problems import refuse
+from scenes.geometry import poses
 from scenes.geometry.objects import METRES_PER_UNIT
 from scenes.recordings import bop
+
+Array = NDArray[np.float64]
 
 FORMAT = "palpate-topics"
 VERSION = 1
@@ -37,14 +43,16 @@ ROLES: dict[str, tuple[str, ...]] = {
         "sensor",
         "sensor_field",
         "frame",
+        "frame_field",
         "flip_normals",
         "sigma_point",
         "sigma_normal",
     ),
+    "marker": ("index", "field"),
     "tf": (),
     "tf_static": (),
 }
-SINGLE = ("depth", "camera_info", "rgb", "mask")
+SINGLE = ("depth", "camera_info", "rgb", "mask", "marker")
 REQUIRABLE = ("rgb", "mask", "joints", "wrench", "tactile", "contacts", "hand", "object", "prior")
 FRAMES = ("camera", "world", "hand", "object", "prior")
 KEYS = (
@@ -58,6 +66,9 @@ KEYS = (
     "required",
     "topics",
     "definitions",
+    "intrinsics",
+    "static_frames",
+    "marker",
 )
 
 
@@ -76,7 +87,9 @@ class TopicMap:
 
     tolerance_s: how far a message may be from the depth image it goes with; mesh (file, unit, name) and hand (URDF,
     sensors or None), None when the map names none; world: "camera" or "robot base"; frames: TF frames by what they are
-    to the capture; required: roles without which a frame is dropped; definitions: message definitions by type.
+    to the capture; required: roles without which a frame is dropped; definitions: message definitions by type;
+    intrinsics (fx, fy, cx, cy; pixels) where no topic has them; static_frames: (parent, child, parent_from_child) that
+    no topic has; marker: camera_from_tracker and marker_from_object (4, 4) around the poses of a marker's topic.
     """
 
     path: Path
@@ -88,6 +101,9 @@ class TopicMap:
     frames: dict[str, str] = field(default_factory=dict)
     required: tuple[str, ...] = ()
     definitions: dict[str, str] = field(default_factory=dict)
+    intrinsics: tuple[float, float, float, float] | None = None
+    static_frames: tuple[tuple[str, str, Array], ...] = ()
+    marker: tuple[Array, Array] | None = None
 
     def of_role(self, role: str) -> list[Topic]:
         """The topics of a role, in the map's order."""
@@ -96,7 +112,11 @@ class TopicMap:
 
 def read_map(path: Path) -> TopicMap:
     """Read a topic map; raises CaptureError with the key for anything that is not as the schema has it."""
-    content = bop.read_json(path, refuse)
+    return parse_map(bop.read_json(path, refuse), path)
+
+
+def parse_map(content: Any, path: Path) -> TopicMap:
+    """A topic map from its JSON content; path: where it came from. Raises as `read_map`."""
 
     def demand(good: bool, expected: str, got: Any) -> None:
         if not good:
@@ -115,7 +135,7 @@ def read_map(path: Path) -> TopicMap:
     read = tuple(_topic(name, entry, demand) for name, entry in topics.items())
     for role in SINGLE:
         names = [topic.name for topic in read if topic.role == role]
-        least = 1 if role in ("depth", "camera_info") else 0
+        least = 1 if role == "depth" or (role == "camera_info" and "intrinsics" not in content) else 0
         demand(least <= len(names) <= 1, f"one topic with the role {role}", ", ".join(names) or "none")
     frames = content.get("frames", {})
     good = isinstance(frames, dict) and all(key in FRAMES and isinstance(name, str) for key, name in frames.items())
@@ -140,6 +160,9 @@ def read_map(path: Path) -> TopicMap:
         {key: name.lstrip("/") for key, name in frames.items()},
         tuple(required),
         _definitions(path, content.get("definitions", {}), demand),
+        _intrinsics(content.get("intrinsics"), demand),
+        _static_frames(content.get("static_frames", []), demand),
+        _marker(content.get("marker"), any(topic.role == "marker" for topic in read), demand),
     )
 
 
@@ -158,6 +181,8 @@ def _topic(name: str, entry: Any, demand: Demand) -> Topic:
         elif key in ("depth_scale", "scale", "sigma_point", "sigma_normal"):
             good = isinstance(value, int | float) and math.isfinite(value) and value > 0
             demand(good, f"{name}: {key} above 0", value)
+        elif key == "index":
+            demand(isinstance(value, int) and value >= 0, f"{name}: index of 0 or more", value)
         elif key == "names":
             good = isinstance(value, dict) and all(isinstance(text, str) for text in value.values())
             demand(good, f"{name}: names as an object of texts", value)
@@ -166,6 +191,49 @@ def _topic(name: str, entry: Any, demand: Demand) -> Topic:
     missing = [key.rstrip("!") for key in ROLES[str(role)] if key.endswith("!") and key.rstrip("!") not in options]
     demand(not missing, f"{name}: {', '.join(missing)} for the role {role}", "none")
     return Topic(name, str(role), options)
+
+
+def _intrinsics(entry: Any, demand: Demand) -> tuple[float, float, float, float] | None:
+    if entry is None:
+        return None
+    keys = ("fx", "fy", "cx", "cy")
+    good = isinstance(entry, dict) and set(entry) == set(keys)
+    good = good and all(isinstance(x, int | float) and math.isfinite(x) for x in entry.values())
+    demand(good and min(entry["fx"], entry["fy"]) > 0, "intrinsics with fx, fy above 0, cx, cy in pixels", entry)
+    fx, fy, cx, cy = (float(entry[key]) for key in keys)
+    return fx, fy, cx, cy
+
+
+def pose_of(entry: Any, what: str, demand: Demand) -> Array:
+    """(4, 4) from position [x, y, z] (m) and orientation [x, y, z, w]."""
+    good = isinstance(entry, dict) and {"position", "orientation"} <= set(entry)
+    values = [*entry["position"], *entry["orientation"]] if good else []
+    good = len(values) == 7 and all(isinstance(x, int | float) and math.isfinite(x) for x in values)
+    demand(good, f"{what} with position [x, y, z] and orientation [x, y, z, w]", entry)
+    x, y, z, qx, qy, qz, qw = (float(value) for value in values)
+    length = math.sqrt(qx * qx + qy * qy + qz * qz + qw * qw)
+    demand(abs(length - 1.0) < 1e-2, f"{what} with a unit quaternion", f"length {length:.4g}")
+    return poses.make_pose(poses.from_quaternion(np.array([qw, qx, qy, qz]) / length), (x, y, z))
+
+
+def _static_frames(entry: Any, demand: Demand) -> tuple[tuple[str, str, Array], ...]:
+    good = isinstance(entry, list) and all(
+        isinstance(row, dict) and isinstance(row.get("parent"), str) and isinstance(row.get("child"), str)
+        for row in entry
+    )
+    demand(good, "static_frames with parent, child, position and orientation", entry)
+    return tuple(
+        (row["parent"].lstrip("/"), row["child"].lstrip("/"), pose_of(row, "a static frame", demand)) for row in entry
+    )
+
+
+def _marker(entry: Any, wanted: bool, demand: Demand) -> tuple[Array, Array] | None:
+    demand((entry is not None) == wanted, "marker beside a topic with the role marker, and neither without", entry)
+    if entry is None:
+        return None
+    keys = ("camera_from_tracker", "marker_from_object")
+    demand(isinstance(entry, dict) and set(entry) == set(keys), f"marker with {', '.join(keys)}", entry)
+    return pose_of(entry[keys[0]], keys[0], demand), pose_of(entry[keys[1]], keys[1], demand)
 
 
 def _mesh(path: Path, entry: Any, demand: Demand) -> tuple[Path, str, str] | None:

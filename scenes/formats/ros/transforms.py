@@ -47,6 +47,12 @@ class TransformTree:
                 self._moving.setdefault(child, {})[stamp] = pose
                 self._sorted.pop(child, None)
 
+    def fix(self, parent: str, child: str, pose: Array, where: str) -> None:
+        """Keep a transform that no message tells; raises CaptureError when the child has another parent."""
+        if self._parents.setdefault(child, parent) != parent:
+            raise CaptureError(f"{where}: expected one parent of {child}, got {self._parents[child]} and {parent}")
+        self._static[child] = pose
+
     @property
     def frames(self) -> list[str]:
         """Names of all frames."""

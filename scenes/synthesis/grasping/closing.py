@@ -42,7 +42,7 @@ class ExactClosing:
         surface, _ = model.sample_surface(3000, seed=0)
         # every corner of the mesh counts; beyond 40,000 they are nearer to one another than any tolerance
         corners = model.vertices[:: len(model.vertices) // 40_000 + 1]
-        self._object_points = np.concatenate([surface, corners])
+        self.object_points = np.concatenate([surface, corners])
         moved = {i for f in self.fingers for i in f.links}
         self._still = tuple(i for i in range(len(hand.link_names)) if i not in moved)
 
@@ -63,8 +63,8 @@ class ExactClosing:
         than `least` tips can touch.
         """
         q = near
-        object_in_hand = poses.apply(hand_from_object, self._object_points)
-        if self._links_clearance(q, hand_from_object, object_in_hand, self._still) < 0:
+        object_in_hand = poses.apply(hand_from_object, self.object_points)
+        if self._still and self._links_clearance(q, hand_from_object, object_in_hand, self._still) < 0:
             return None
         touching: dict[str, tuple[Array, Array]] = {}
         misses = 0
@@ -72,9 +72,9 @@ class ExactClosing:
             if finger.sensor in sensors:
                 around = object_in_hand[self._around(finger, q, object_in_hand)]
                 q = self._close_finger(finger, q, start, speed, hand_from_object, around)
-            if self._clearance(finger, q, hand_from_object, object_in_hand) < 0:
+            if self.clearance(finger, q, hand_from_object, object_in_hand) < 0:
                 return None
-            point, normal, gap = self._tip_contact(finger, q, hand_from_object)
+            point, normal, gap = self.tip_contact(finger, q, hand_from_object)
             if finger.sensor not in sensors:
                 continue
             if gap < 2 * TOUCH:
@@ -86,6 +86,13 @@ class ExactClosing:
         if self._overlap(q) > self.self_overlap:
             return None
         return q, touching
+
+    def is_blocked(self, q: Array, hand_from_object: Array) -> bool:
+        """Whether a link that no finger moves is in the object, or the hand in itself."""
+        object_in_hand = poses.apply(hand_from_object, self.object_points)
+        if self._still and self._links_clearance(q, hand_from_object, object_in_hand, self._still) < 0:
+            return True
+        return self._overlap(q) > self.self_overlap
 
     def _around(self, finger: Finger, q: Array, points: Array) -> NDArray[np.bool_]:
         """Which points (n, 3) the finger can meet within a little motion; the rest is checked once, at the end."""
@@ -104,7 +111,7 @@ class ExactClosing:
         direction[own] = speed[own]
         # the sparse closing may have gone a little too far for the dense samples: open until free
         back = 0.01
-        while self._clearance(finger, q, hand_from_object, object_in_hand) < 0 and back < 2.0:
+        while self.clearance(finger, q, hand_from_object, object_in_hand) < 0 and back < 2.0:
             q = q.copy()
             q[own] = np.maximum(q[own] - back * np.maximum(speed[own], 0.2), start[own])
             back *= 2
@@ -126,12 +133,19 @@ class ExactClosing:
         bound = float((np.abs(direction) @ reach_bounds(self.hand).T)[list(finger.links)].max())
         if bound <= 0:
             return q
-        turning = direction > 0
-        end = float(((self.hand.limits[:, 1] - q)[turning] / direction[turning]).min())
+        closing = direction > 0
+        end = float(((self.hand.limits[:, 1] - q)[closing] / direction[closing]).min())
 
         def clearance(s: float) -> float:
-            return self._clearance(finger, q + s * direction, hand_from_object, object_in_hand)
+            return self.clearance(finger, q + s * direction, hand_from_object, object_in_hand)
 
+        return q + self.advance(clearance, bound, end) * direction
+
+    def advance(self, clearance: Callable[[float], float], bound: float, end: float) -> float:
+        """The farthest s up to `end` that stays free; clearance(s) there is below TOUCH unless `end` came first.
+
+        bound: how fast the clearance can fall at most, metres a unit of s.
+        """
         low, low_value, slope = 0.0, clearance(0.0), bound
         for _ in range(60):
             if low_value < TOUCH or low >= end:
@@ -142,10 +156,10 @@ class ExactClosing:
             trial = min(max(sure, guess), end)
             value = clearance(trial)
             if value < 0:
-                return q + self._bisect(clearance, low, low_value, trial, value) * direction
+                return self._bisect(clearance, low, low_value, trial, value)
             slope = max((low_value - value) / max(trial - low, 1e-12), 0.05 * bound)
             low, low_value = trial, value
-        return q + low * direction
+        return low
 
     @staticmethod
     def _bisect(
@@ -186,7 +200,8 @@ class ExactClosing:
                 rows.append(nearest)
         return samples[rows] - distance[rows, None] * gradient[rows], gradient[rows]
 
-    def _clearance(self, finger: Finger, q: Array, hand_from_object: Array, object_in_hand: Array) -> float:
+    def clearance(self, finger: Finger, q: Array, hand_from_object: Array, object_in_hand: Array) -> float:
+        """Smallest distance (m) between a finger and the object, whose points (n, 3) are in the hand frame."""
         return self._links_clearance(q, hand_from_object, object_in_hand, finger.links, finger)
 
     def _links_clearance(
@@ -244,7 +259,7 @@ class ExactClosing:
         point, smallest = nearest(tip, distance, self._cores[finger.sensor][start])
         return poses.apply(object_from_tip, point[None])[0], smallest - tip.rounding
 
-    def _tip_contact(self, finger: Finger, q: Array, hand_from_object: Array) -> tuple[Array, Array, float]:
+    def tip_contact(self, finger: Finger, q: Array, hand_from_object: Array) -> tuple[Array, Array, float]:
         """Closest surface point to the tip, its outward normal, and the gap between them."""
         frame = poses.inverse(hand_from_object) @ self.hand.link_poses(q)[finger.tip_link]
         core, gap = self._tip_gap(finger, frame)

@@ -6,7 +6,8 @@ samples, the tips' exact shapes, the object's own points against the links, and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +16,16 @@ from scenes.errors import InputError
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from scenes.robot.fingers import Clearance, close, find_fingers
+from scenes.robot.fingers import Clearance, close, closing_hand, find_fingers
 from scenes.robot.hands import Hand
 from scenes.synthesis.grasping.closing import ExactClosing
+from scenes.synthesis.grasping.driven import close_driven, is_driven
 from scenes.synthesis.grasping.placement import (
     PlacementSettings,
     across_palm,
     between_tips,
+    facing_pairs,
+    is_gripper,
     pinch_table,
     principal_axes,
 )
@@ -31,6 +35,8 @@ Array = NDArray[np.float64]
 KINDS = ("power", "tripod", "pinch")
 # Speeds of a finger's closing joints, from the root outwards: which joint leads decides which link touches first.
 SPEEDS = ((1.0, 0.35, 0.15), (1.0, 1.0, 1.0), (0.45, 1.0, 1.0), (1.0, 0.0, 0.0))
+# A gripper whose tips come as near as this (m) can hold anything thin.
+CLOSED = 0.006
 
 
 @dataclass(frozen=True)
@@ -77,43 +83,81 @@ def plan_grasp(
     """A random grasp of the object; the same seed gives the same grasp.
 
     kind: "power" (object across the palm, wanted 4 fingertips or more, at least 3), "tripod" (thumb, index, middle) or
-    "pinch" (thumb, index). The hand's frame must follow `hand_generation`: z out of the palm, x along the fingers; its
-    tips need sensors with a surface. Raises InputError for another kind, a hand without such tips, or an object that
-    the hand cannot hold.
+    "pinch" (thumb, index). A power grasp across the palm is for hands whose frame follows `synthesis.hands`: z out of
+    the palm, x along the fingers; other hands and grippers hold the object between all their tips. Tips need sensors
+    with a surface. Raises InputError for another kind, a hand without such tips, or an object that the hand cannot
+    hold, with its true size and the hand's.
     """
     settings = settings or GraspSearchSettings()
     if kind not in KINDS:
         raise InputError(f"grasp: expected kind {', '.join(KINDS)}, got {kind!r}")
+    given, (hand, signs) = hand, closing_hand(hand)
     sensors = _sensors_of(hand, kind)
-    least, wanted = (3, 4) if kind == "power" else (len(sensors), len(sensors))
+    gripper = is_gripper(find_fingers(hand))
+    least, wanted = (min(3, len(sensors)), min(4, len(sensors))) if kind == "power" else (len(sensors), len(sensors))
+    placement = settings.placement
+    if gripper:  # what fits between the tips is what there is to hold
+        opening = float(pinch_table(hand, sensors).gap.max(initial=0.0))
+        placement = replace(placement, pinch_width=max(placement.pinch_width, opening))
+        _check_width(hand, model, sensors, opening, placement)
     rng = np.random.default_rng(seed)
     coarse = Clearance(hand, model, settings.coarse_spacing)
     fingers = Clearance(hand, model, settings.coarse_spacing, only_fingers=True)
     exact = ExactClosing(hand, model, settings.fine_spacing, settings.self_overlap)
     best: Grasp | None = None
     for attempt in range(settings.rounds):
-        if kind == "power":
-            placed, q = across_palm(coarse, settings.batch, rng, settings.placement)
+        # another's hand may have its palm elsewhere than ours: then what is between its tips is found all the same
+        if kind == "power" and not gripper and (best is not None or 2 * attempt < settings.rounds):
+            placed, q = across_palm(coarse, settings.batch, rng, placement)
         else:
-            placed, q = between_tips(coarse, sensors, 2 * settings.batch, rng, settings.placement)
+            placed, q = between_tips(coarse, sensors, 2 * settings.batch, rng, placement)
         if len(placed) == 0:
             continue
-        for pose, start, speed, near in _promising(fingers, placed, q, sensors, least, rng, settings):
-            closed = exact.close(pose, start, speed, near, sensors, least)
-            if closed is None:
-                continue
-            grasp = _finish(exact, pose, *closed, kind, sensors[0], settings)
-            if grasp is None:
-                continue
+        for grasp in _closed(exact, fingers, placed, q, sensors, least, kind, rng, settings):
             if len(grasp.contacts) >= wanted and grasp.force_closure and sensors[0] in grasp.contacts.sensors:
-                return grasp
+                return _as_given(grasp, given, signs)
             if best is None or _rank(grasp, sensors[0]) > _rank(best, sensors[0]):
                 best = grasp
         if best is not None and attempt + 1 >= settings.patience:
-            return best
+            return _as_given(best, given, signs)
     if best is None:
         raise InputError(_refusal(hand, model, kind))
-    return best
+    return _as_given(best, given, signs)
+
+
+def _closed(
+    exact: ExactClosing,
+    fingers: Clearance,
+    placed: Array,
+    q: Array,
+    sensors: tuple[str, ...],
+    least: int,
+    kind: str,
+    rng: np.random.Generator,
+    settings: GraspSearchSettings,
+) -> Iterator[Grasp]:
+    """The grasps that placements (n, 4, 4) with open configurations (n, j) close to."""
+    found: Grasp | None
+    if is_driven(exact.fingers):
+        for pose, start in zip(placed[: 2 * settings.finalists], q):
+            driven = close_driven(exact, pose, start)
+            if driven is not None:
+                found = _finish(exact, *driven, kind, sensors[0], settings)
+                if found is not None:
+                    yield found
+        return
+    for pose, start, speed, near in _promising(fingers, placed, q, sensors, least, rng, settings):
+        closed = exact.close(pose, start, speed, near, sensors, least)
+        if closed is not None:
+            found = _finish(exact, pose, *closed, kind, sensors[0], settings)
+            if found is not None:
+                yield found
+
+
+def _as_given(grasp: Grasp, hand: Hand, signs: Array) -> Grasp:
+    """The grasp with joint values as the hand itself measures them; couplings within their limits."""
+    values = signs * np.array([grasp.joints[name] for name in hand.joint_names])
+    return replace(grasp, joints=dict(zip(hand.joint_names, (float(x) for x in values))))
 
 
 def _rank(grasp: Grasp, thumb: str) -> tuple[bool, bool, int]:
@@ -121,13 +165,43 @@ def _rank(grasp: Grasp, thumb: str) -> tuple[bool, bool, int]:
 
 
 def _sensors_of(hand: Hand, kind: str) -> tuple[str, ...]:
+    """The tips that take part, the opposing one first."""
     fingers = find_fingers(hand)
     thumb = next(f.sensor for f in fingers if f.is_thumb)
     others = [f.sensor for f in fingers if not f.is_thumb]
     count = {"power": len(others), "tripod": 2, "pinch": 1}[kind]
+    if is_driven(fingers):
+        count = len(others)  # one drive moves them all
     if len(others) < count:
-        raise InputError(f"hand {hand.name!r}: expected {count} fingers and a thumb for a {kind}, got {len(others)}")
+        raise InputError(f"hand {hand.name!r}: expected three fingers for a {kind}, got {len(fingers)}")
     return (thumb, *others[:count])
+
+
+def _check_width(
+    hand: Hand, model: ObjectModel, sensors: tuple[str, ...], opening: float, placement: PlacementSettings
+) -> None:
+    """Raise InputError when no two sides of the object fit between the open tips, with both lengths."""
+    if opening <= 0:
+        raise InputError(
+            f"hand {hand.name!r}: expected tips that face each other somewhere, {', '.join(sensors)} never do"
+        )
+    first, second = facing_pairs(model, np.random.default_rng(0), replace(placement, pinch_width=2 * model.diameter))
+    widths = np.linalg.norm(second - first, axis=1)
+    closest = float(pinch_table(hand, sensors).gap.min())
+    if len(widths) and closest > CLOSED and (widths < closest).all():
+        raise InputError(
+            f"grasp: expected an object of more than {1e3 * closest:.0f} mm for hand {hand.name!r}, whose tips close no"
+            f" further, got {model.name!r} with {1e3 * widths.max():.0f} mm where it is widest"
+        )
+    room = opening - 2 * placement.pinch_room
+    if not (widths < room).any():
+        narrowest = (
+            f"{1e3 * widths.min():.0f} mm where it is narrowest" if len(widths) else "no two sides that face away"
+        )
+        raise InputError(
+            f"grasp: expected an object of less than {1e3 * room:.0f} mm for hand {hand.name!r}, whose tips open"
+            f" {1e3 * opening:.0f} mm wide, got {model.name!r} with {narrowest}"
+        )
 
 
 def _promising(
@@ -150,7 +224,8 @@ def _promising(
     n = len(placed)
     poses_all, starts = np.repeat(placed, ways, axis=0), np.repeat(q, ways, axis=0)
     speeds = np.tile(speed, (n, 1))
-    ends, _, tips = close(coarse, poses_all, starts, speeds)
+    # a gripper's tips go straight at the object: the bound on a step is no more than what they do
+    ends, _, tips = close(coarse, poses_all, starts, speeds, haste=1.0 if is_gripper(fingers) else 1.5)
     touching = (np.abs(tips) < 4e-4).reshape(n, ways, -1)
     centres = coarse.tip_centres(hand.link_poses(ends)).reshape(n, ways, -1, 3)
     choices, quality = [], np.zeros(n)
@@ -249,10 +324,15 @@ def has_force_closure(points: Array, normals: Array, model: ObjectModel, frictio
 def _refusal(hand: Hand, model: ObjectModel, kind: str) -> str:
     points, _ = model.sample_surface(2000, seed=0)
     extent = np.sort(np.ptp(points @ principal_axes(points), axis=0)) * 1e3
-    hint = ""
+    span = 1e3 * float(pinch_table(hand, _sensors_of(hand, "pinch")).gap.max(initial=0.0))
     if kind == "power" and extent[1] < 20.0:
         hint = ": too thin to wrap, try a tripod or pinch"
-    span = 1e3 * float(pinch_table(hand, _sensors_of(hand, "pinch")).gap.max(initial=0.0))
+    elif span <= 0:
+        hint = ": its tips never face each other"
+    elif extent[0] < span:
+        hint = ": it fits, but palm or fingers were in the way of every try"
+    else:
+        hint = ": too wide on every side"
     size = " x ".join(f"{side:.0f}" for side in extent)
     return (
         f"grasp: expected an object that hand {hand.name!r} can hold in a {kind} grasp"

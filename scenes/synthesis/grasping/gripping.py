@@ -25,8 +25,10 @@ FACING = float(np.cos(np.deg2rad(25.0)))
 PATCH = 2e-4
 
 
-def is_gripper(hand: Hand) -> bool:
-    """Whether `plan_grip` is for this hand."""
+def has_flat_pads(hand: Hand) -> bool:
+    """Whether `plan_grip` is for this hand: the generated gripper, whose pads are planes. Others, grippers with round
+    tips among them, are for `plan_grasp`.
+    """
     return hand.name == NAME
 
 

@@ -11,9 +11,11 @@ from scenes.errors import InputError
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
+from scenes.robot.fingers import find_fingers
 from scenes.robot.hands import Hand
 from scenes.synthesis.grasping.grasps import Grasp, plan_grasp
-from scenes.synthesis.grasping.gripping import is_gripper, plan_grip
+from scenes.synthesis.grasping.gripping import has_flat_pads, plan_grip
+from scenes.synthesis.grasping.placement import is_gripper
 from scenes.synthesis.settings import SynthesisSettings
 from scenes.synthesis.staging.mounts import hand_mesh
 from scenes.synthesis.views import find_view
@@ -55,11 +57,14 @@ def place(
 
     for attempt in range(settings.grasps):
         # Whole-hand grasps touch with most fingers; those of few fingers hide less
-        kind = "tripod" if occlusion < FEW_FINGERS_BELOW and attempt >= settings.grasps // 2 else "power"
+        few = occlusion < FEW_FINGERS_BELOW and attempt >= settings.grasps // 2
+        drawn = int(rng.integers(2**31))
         try:
-            drawn = int(rng.integers(2**31))
-            grip = is_gripper(hand)
-            held.append(plan_grip(hand, model, drawn) if grip else plan_grasp(hand, model, drawn, kind))
+            if has_flat_pads(hand):
+                held.append(plan_grip(hand, model, drawn))
+            else:
+                kind = "tripod" if few and not is_gripper(find_fingers(hand)) else "power"
+                held.append(plan_grasp(hand, model, drawn, kind))
         except InputError as error:
             refusal = error
             continue

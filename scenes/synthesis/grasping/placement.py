@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scenes.errors import InputError
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
+from scenes.robot import roles
 from scenes.robot.fingers import Clearance, Finger, find_fingers
 from scenes.robot.hands import Hand
 
@@ -46,6 +47,17 @@ class PlacementSettings:
     pinch_room: float = 0.004
 
 
+# Hands of fewer fingers than this are grippers: they hold things between their tips, whatever frame they are drawn in.
+LEAST_OF_A_HAND = 4
+# Classes of width of which a gripper's table holds as many postures each.
+WIDTHS = 20
+
+
+def is_gripper(fingers: tuple[Finger, ...]) -> bool:
+    """Whether the hand has too few fingers to wrap them around a thing."""
+    return len(fingers) < LEAST_OF_A_HAND
+
+
 def open_hand(hand: Hand, count: int, rng: np.random.Generator, settings: PlacementSettings) -> Array:
     """(count, j) open configurations: closing joints at their lower limits, posture joints drawn."""
     q = np.zeros((count, len(hand.joint_names)))
@@ -57,7 +69,31 @@ def open_hand(hand: Hand, count: int, rng: np.random.Generator, settings: Placem
             q[:, column] = rng.uniform(*settings.opposition, size=count)
         elif "abduction" in name.lower() or "spread" in name.lower():
             q[:, column] = rng.normal(0.0, settings.abduction, size=count)
+    fingers = find_fingers(hand)
+    if not roles.told(hand) and not is_gripper(fingers):  # names say nothing: where the thumb opposes the others most
+        thumb = next(finger for finger in fingers if finger.is_thumb)
+        good, placing = thumb_postures(hand), _placing(hand, thumb)
+        q[:, placing] = good[rng.integers(len(good), size=count)][:, placing]
     return np.clip(q, hand.limits[:, 0], hand.limits[:, 1])
+
+
+def _placing(hand: Hand, finger: Finger) -> Indices:
+    """Columns of hand.joint_names that move this finger and do not close it."""
+    moving = np.nonzero(hand.moved_by[finger.tip_link])[0]
+    return np.array([j for j in moving if j not in finger.closing], dtype=np.int64)
+
+
+@lru_cache(maxsize=16)
+def thumb_postures(hand: Hand) -> Array:
+    """(k, j) those of the postures of `roles` in which the thumb moves most against the other fingers."""
+    fingers = find_fingers(hand)
+    directions = np.zeros((len(fingers), len(hand.joint_names)))
+    for row, finger in zip(directions, fingers):
+        row[list(finger.closing)] = finger.ways
+    against = roles.opposition(hand, [(f.tip_link, f.centre) for f in fingers], list(directions))
+    thumb = next(i for i, finger in enumerate(fingers) if finger.is_thumb)
+    best = np.argsort(-against[:, thumb], kind="stable")[: roles.POSTURES // 10]
+    return np.asarray(roles.postures(hand)[best])
 
 
 def principal_axes(points: Array) -> Array:
@@ -147,11 +183,13 @@ def pinch_table(hand: Hand, sensors: tuple[str, ...], count: int = 6000, keep: i
     others = [f for f in fingers if not f.is_thumb]
     if not thumb or not others:
         raise InputError(f"hand {hand.name!r}: expected tips {', '.join(sensors)}, got {len(fingers)} of them")
+    gripper = is_gripper(find_fingers(hand))
+    farthest = 1.0 if gripper else 0.75  # a hand's fingers meet long before they are fully bent
     rng = np.random.default_rng(20)
     q = open_hand(hand, count, rng, PlacementSettings(opposition=(0.8, 2.2)))
     for group in (thumb, others):
         for column in range(max(len(f.closing) for f in group)):
-            share = rng.uniform(0.0, 0.75, size=count)  # the same for all fingers of a side
+            share = rng.uniform(0.0, farthest, size=count)  # the same for all fingers of a side
             for finger in group:
                 if column < len(finger.closing):
                     j = finger.closing[column]
@@ -165,7 +203,12 @@ def pinch_table(hand: Hand, sensors: tuple[str, ...], count: int = 6000, keep: i
     facing = np.minimum(np.einsum("ni,ni->n", a_motion, line), -np.einsum("ni,ni->n", b_motion, line))
     gap = width - thumb[0].radius - np.mean([f.radius for f in others])
     usable = np.nonzero((facing > np.cos(np.deg2rad(40.0))) & (gap > 0.004))[0]
-    best = usable[np.argsort(-facing[usable], kind="stable")][:keep]
+    best = usable[np.argsort(-facing[usable], kind="stable")]
+    if gripper:  # the best facing of every width, not only those of the width at which tips face best
+        width_class = np.digitize(gap[best], np.linspace(0.0, gap[best].max(initial=0.0), WIDTHS + 1))
+        best = np.concatenate([best[width_class == i][: keep // WIDTHS] for i in np.unique(width_class)] or [best])
+    else:
+        best = best[:keep]
     return PinchTable(q[best], gap[best], a[best], b[best])
 
 

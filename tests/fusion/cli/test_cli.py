@@ -224,7 +224,10 @@ def test_bad_use(capture, contacts, tmp_path, capsys):
         (("synth", tmp_path / "s", "--object", "unicorn"), "expected a mesh file or one of"),
         (("synth", tmp_path / "s", "--object", "box", "--occlusion", "1.5"), "expected a share"),
         (("synth", tmp_path / "s", "--object", "box", "--noise", "loud"), "loud"),
-        (("synth", tmp_path / "s", "--object", "box", "--hand", "claw"), "expected five-finger, none or a URDF"),
+        (
+            ("synth", tmp_path / "s", "--object", "box", "--hand", "claw"),
+            "expected five-finger, gripper, none or a URDF",
+        ),
         (("synth", ROOT / "scenes", "--object", "box"), "holds other files"),
         (("localize", contacts), "required: --object"),
         (("localize", tmp_path / "no.csv", "--object", "box"), "found no file"),

@@ -13,7 +13,7 @@ from fusion.cli.parser import COMMANDS, build_parser
 @pytest.mark.parametrize("make", [bash, zsh, fish])
 def test_every_command_and_option_is_in(make):
     commands = described(build_parser())
-    assert set(commands) == {module.__name__.rpartition(".")[2] for module in COMMANDS}
+    assert set(commands) == {module.__name__.rpartition(".")[2].replace("_", "-") for module in COMMANDS}
     text = make(commands)
     for name, command in commands.items():
         assert name in text

@@ -88,7 +88,7 @@ def test_captures_are_compared_by_group(tmp_path, monkeypatch):
     for name, notes in (("a_1", None), ("a_2", None), ("b", {"noise": "lab", "occlusion": 0.8})):
         write_capture(tmp_path / name, [frame], make("box"), notes=notes)
     monkeypatch.setattr(
-        comparing, "_run", lambda method, frame, model, seed: (frame.camera_from_object_truth, "ok", 1.0, None)
+        comparing, "_run", lambda method, frame, model, *_: (frame.camera_from_object_truth, "ok", 1.0, None)
     )
     captures = [read_capture(tmp_path / name) for name in ("a_1", "a_2", "b")]
     found = summarise(compare(captures, ("icp",)))

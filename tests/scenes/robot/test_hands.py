@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from pytransform3d.urdf import UrdfTransformManager
 
 from scenes.errors import InputError
+from scenes.geometry import poses
 from scenes.robot.hands import Hand
 from scenes.robot.sensors import Sensor, read_sensors
 from scenes.robot.urdf import Joint, Mimic, Robot, make_shape, read_urdf
@@ -192,6 +193,47 @@ def test_prismatic_joints_and_chains_of_mimics(tmp_path):
     np.testing.assert_allclose(
         again.forward_kinematics({"slide": 0.02, "turn": 0.3})["e"], manager.get_transform("e", "a"), atol=1e-12
     )
+
+
+def _two_of_every_joint() -> Hand:
+    """A tree with two joints of each kind, one of each kind by mimic, each turned against its parent."""
+    ball, rng, names = make_shape("sphere", (0.01,)), np.random.default_rng(3), "abcdefghijk"
+    joints = []
+    kinds = ["prismatic", "revolute", "fixed", "continuous", "prismatic", "revolute", "continuous", "fixed"]
+    for i, kind in enumerate(kinds):
+        parent = names[i if i % 3 else max(0, i - 2)]  # branches, so that one depth holds several joints
+        ends = (-np.inf, np.inf) if kind == "continuous" else (-0.4, 0.7)
+        axis = poses.random_unit_vectors(1, rng)[0]
+        joints.append(Joint(f"j{i}", kind, parent, names[i + 1], poses.exp(rng.normal(size=6)), axis, *ends))
+    for parent, child, kind, master, factor in (("i", "j", "prismatic", "j1", -0.5), ("i", "k", "revolute", "j0", 2.0)):
+        axis, follow = poses.random_unit_vectors(1, rng)[0], Mimic(master, factor, 0.05)
+        joints.append(Joint(f"m{child}", kind, parent, child, poses.exp(rng.normal(size=6)), axis, -9.0, 9.0, follow))
+    depth = {"a": 0}
+    for joint in joints:
+        depth[joint.child] = depth[joint.parent] + 1
+    joints.sort(key=lambda joint: depth[joint.child])
+    return Hand(Robot("tree", "a", dict.fromkeys(("a", *(j.child for j in joints)), (ball,)), tuple(joints)))
+
+
+@pytest.mark.parametrize("batch", [(), (1,), (2,), (3,), (6,), (2, 3), (0,)])
+def test_every_kind_of_joint_moves_alike_in_a_batch_and_alone(batch, tmp_path):
+    hand = _two_of_every_joint()
+    moving = np.random.default_rng(1).uniform(-0.4, 0.7, (*batch, len(hand.joint_names)))
+    together = hand.link_poses(moving)
+    assert together.shape == (*batch, len(hand.link_names), 4, 4)
+    hand.save(tmp_path)
+    manager = UrdfTransformManager()
+    manager.load_urdf((tmp_path / "hand.urdf").read_text())
+    for place in np.ndindex(*batch):
+        joints = dict(zip(hand.joint_names, moving[place]))
+        alone = hand.forward_kinematics(joints)
+        np.testing.assert_array_equal(together[place], np.array(list(alone.values())))
+        for name, value in joints.items():
+            manager.set_joint(name, value)
+        manager.set_joint("mj", 0.05 - 0.5 * joints["j1"])
+        manager.set_joint("mk", 0.05 + 2.0 * joints["j0"])
+        for link, pose in alone.items():
+            np.testing.assert_allclose(pose, manager.get_transform(link, "a"), atol=1e-12)
 
 
 BASE = '<robot name="r"><link name="a"><visual><geometry><sphere radius="0.01"/></geometry></visual></link>{}</robot>'

@@ -138,7 +138,7 @@ def test_a_layout_of_one_s_own_and_bad_ones():
         tactile.with_arrays(hand, np.zeros((2, 3)))
     with pytest.raises(InputError, match="poisson below"):
         SoftLayer.from_json({"poisson": 0.5})
-    with pytest.raises(InputError, match="tip sensors"):
+    with pytest.raises(InputError, match="tip sensor"):
         tactile.with_arrays(Hand(hand.robot, {}))
 
 

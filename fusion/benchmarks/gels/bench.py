@@ -1,0 +1,285 @@
+"""What gels are worth: one, two and three presses against point contacts at the same places, with and without a start
+and a camera; single-press localization; calibration; time; recorded grasps where there are some.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.benchmarks.gels.presses import BALL, Press, calibrated_digit, place, presses
+from fusion.benchmarks.gels.recorded import add_recorded
+from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Quantile, Rate, Report, Table, own_seed
+from fusion.truth.metrics import pose_error
+from scenes.evidence.align import Prior
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.frames import Contacts, Frame
+from scenes.robot.gels import Gel
+from scenes.synthesis import library
+from scenes.synthesis.gels import bridged, pressed_by, see
+from touch.gels.heights import indentation_of
+from touch.gels.localize import localize_gels
+from touch.gels.patches import patch_of
+from touch.gels.rows import patch_rows
+from touch.localization import Localization, localize
+
+Array = NDArray[np.float64]
+
+# Objects with edges, and one without.
+OBJECTS = ("box", "l_block", "drill", "hammer", "mug")
+EDGED = ("box", "l_block", "drill", "hammer")
+# T1 section 4.3's coarse start, per axis (rad, m).
+START = float(np.deg2rad(16.0)) / np.sqrt(3.0), 0.033 / np.sqrt(3.0)
+# A mode is the truth when it is closer than this (m, rad).
+NEAR = 0.010, float(np.deg2rad(10.0))
+# Shares of a chi-square with six degrees of freedom: 95 %.
+CHI_SQUARE_95 = 12.592
+# Hidden share of the frames with a hand and a camera.
+HIDDEN = 0.9
+
+
+@dataclass(frozen=True)
+class Score:
+    """Of one answer: rotation (rad) and translation (m) errors modulo symmetry, squared Mahalanobis distance of the
+    truth from the nearest mode, whether a mode is near the truth, how many modes, seconds of processor.
+    """
+
+    rotation: float
+    translation: float
+    distance: float
+    among: bool
+    modes: int
+    seconds: float
+
+
+def run(settings: BenchSettings) -> Report:
+    """All tables."""
+    trials = settings.count(12, 2)
+    report = Report("gel", "Gel sensors against point contacts", f"{trials} trials an object and cell", settings.seed)
+    add_presses(report, settings, trials)
+    add_calibration(report, settings)
+    add_vision(report, settings)
+    add_recorded(report, settings)
+    return report
+
+
+def score(model: ObjectModel, found: Localization, truth: Array, seconds: float) -> Score:
+    """How far the answer is from the truth."""
+    error = pose_error(found.pose, truth, model.centroid, model.symmetries)
+    near, distance = False, np.inf
+    for mode in found.modes:
+        one = pose_error(mode.pose, truth, model.centroid, model.symmetries)
+        near |= bool(np.linalg.norm(one[:3]) < NEAR[1] and np.linalg.norm(one[3:]) < NEAR[0])
+        # several modes are one posterior: its region is theirs together
+        distance = min(distance, float(one @ np.linalg.solve(mode.covariance, one)))
+    return Score(
+        float(np.linalg.norm(error[:3])),
+        float(np.linalg.norm(error[3:])),
+        distance,
+        near,
+        len(found.modes),
+        seconds,
+    )
+
+
+def _timed(work) -> tuple[Localization, float]:  # type: ignore[no-untyped-def]  # a closure of the loop below
+    begin = time.process_time()
+    found = work()
+    return found, time.process_time() - begin
+
+
+def add_presses(report: Report, settings: BenchSettings, trials: int) -> None:
+    """Presses against contacts: with T1's start, and one press from nowhere."""
+    table = Table(
+        "With a coarse start (16°, 33 mm): one, two and three presses",
+        [
+            Column("object"),
+            Column("presses", 0),
+            Column("points: rotation °", 1),
+            Column("gels: rotation °", 1),
+            Column("points: mm", 1),
+            Column("gels: mm", 1),
+            Column("gels: 95 % regions hold"),
+        ],
+    )
+    alone = Table(
+        "From nowhere: is the truth among the modes?",
+        [
+            Column("object"),
+            Column("presses", 0),
+            Column("points: among"),
+            Column("gels: among"),
+            Column("points: modes", 1),
+            Column("gels: modes", 1),
+            Column("gels: processor s", 2),
+        ],
+    )
+    names = settings.some(OBJECTS, 3)
+    cells = [(name, count) for name in names for count in (1, 2, 3)]
+    held: list[bool] = []
+    pooled: dict[str, list[float]] = {"points": [], "gels": []}
+    for name, count in settings.progress(cells, len(cells), "presses"):
+        model = library.make(name)
+        started: dict[str, list[Score]] = {"points": [], "gels": []}
+        free: dict[str, list[Score]] = {"points": [], "gels": []}
+        for trial in range(trials):
+            rng = np.random.default_rng(own_seed(settings.seed, "press", name, count, trial))
+            truth = se3.make_pose(se3.random_rotations(1, rng)[0], rng.normal(size=3) * 0.1)
+            felt = presses(model, truth, count, rng)
+            if len(felt) < count:
+                continue
+            delta = rng.normal(size=6) * np.repeat(START, 3)
+            prior = Prior.isotropic(se3.perturb(truth, delta[None], model.centroid)[0], *START)
+            for scores, known in ((started, prior), (free, None)):
+                for kind, found, seconds in _answers(model, felt, known, trial):
+                    scores[kind].append(score(model, found, truth, seconds))
+        rotation = {kind: np.array([s.rotation for s in scores]) for kind, scores in started.items()}
+        moved = {kind: [s.translation for s in scores] for kind, scores in started.items()}
+        inside = [s.distance < CHI_SQUARE_95 for s in started["gels"]]
+        held += inside
+        table.add(
+            name,
+            count,
+            *(Quantile.of(rotation[kind], 180 / np.pi) for kind in ("points", "gels")),
+            *(Quantile.of(moved[kind], 1e3) for kind in ("points", "gels")),
+            Rate.of(inside),
+        )
+        if name in EDGED and count > 1:  # one press leaves the turn about its normal to the start
+            for kind, values in rotation.items():
+                pooled[kind] += values.tolist()
+        alone.add(
+            name,
+            count,
+            *(Rate.of([s.among for s in free[kind]]) for kind in ("points", "gels")),
+            *(Quantile.of([s.modes for s in free[kind]]) for kind in ("points", "gels")),
+            Quantile.of([s.seconds for s in free["gels"]]),
+        )
+    table.note = "Medians over trials; every trial another pose, places, sensors (lamps, skin, calibration of another)."
+    report.tables += [table, alone]
+    settings.show(table)
+    settings.show(alone)
+    share = float(np.mean(held)) if held else float("nan")
+    ratio = float(np.median(pooled["gels"]) / np.median(pooled["points"])) if pooled["gels"] else float("nan")
+    what = "median rotation error, gels over points, two and three presses on objects with edges"
+    report.claims.append(Claim(what, ratio, 0.5, False))
+    report.claims.append(Claim("95 % regions hold, at least", share, 0.90, True))
+    report.claims.append(Claim("95 % regions hold, at most", share, 0.98, False))
+
+
+def _answers(
+    model: ObjectModel, felt: list[Press], prior: Prior | None, seed: int
+) -> list[tuple[str, Localization, float]]:
+    contacts = Contacts.concatenate([press.contact for press in felt])
+    patches = [press.patch for press in felt]
+    return [
+        ("points", *_timed(lambda: localize(model, contacts, seed, prior=prior))),
+        ("gels", *_timed(lambda: localize_gels(model, patches, seed, prior))),
+    ]
+
+
+def add_calibration(report: Report, settings: BenchSettings) -> None:
+    """Heights of pressed objects, with lamps and skins that the calibration did not see; and the time of each step."""
+    table = Table(
+        "Height from colour, calibrated on another sensor",
+        [
+            Column("pressed"),
+            Column("RMS in contact mm", 3),
+            Column("deepest: found mm", 2),
+            Column("true mm", 2),
+            Column("image ms", 1),
+            Column("patch and rows ms", 1),
+        ],
+    )
+    count = settings.count(10, 3)
+    errors, images, rows = [], [], []
+    for name in settings.some(OBJECTS, 3):
+        model = library.make(name)
+        found, peaks, truths, first, second = [], [], [], [], []
+        for trial in range(count):
+            rng = np.random.default_rng(own_seed(settings.seed, "height", name, trial))
+            gel: Gel = calibrated_digit(rng)
+            points, normals = model.sample_surface(1, seed=int(rng.integers(2**31)))
+            depth = pressed_by(model, place(points[0], normals[0], 0.001, 0.1, rng), gel)
+            if not (depth > 1e-4).any():
+                continue
+            image = see(gel, depth, rng)
+            indentation_of(image, gel)  # what is built once a sensor is no image's time
+            begin = time.process_time()
+            pressed = indentation_of(image, gel)
+            middle = time.process_time()
+            patch = patch_of("gel", pressed)
+            patch_rows([patch])
+            end = time.process_time()
+            step = gel.working_step
+            true = bridged(depth, gel)[::step, ::step]
+            on = depth[::step, ::step] > 1e-4
+            found.append(float(np.sqrt(np.mean((pressed.depth - true)[on] ** 2))))
+            peaks.append(float(pressed.depth.max()))
+            truths.append(float(true.max()))
+            first.append(middle - begin)
+            second.append(end - middle)
+        errors += found
+        images += first
+        rows += second
+        table.add(
+            name,
+            *(Quantile.of(values, 1e3) for values in (found, peaks, truths, first, second)),
+        )
+    table.note = f"One calibration from presses of a {1e3 * BALL:g} mm ball on another sensor; times of processor."
+    report.tables.append(table)
+    settings.show(table)
+    report.claims.append(Claim("height from colour, median RMS mm", 1e3 * float(np.median(errors)), 0.1, False, 3))
+    report.claims.append(Claim("ms an image, median", 1e3 * float(np.median(images)), 20.0, False, 1))
+    report.claims.append(Claim("ms a patch, median", 1e3 * float(np.median(rows)), 5.0, False, 1))
+
+
+def add_vision(report: Report, settings: BenchSettings) -> None:
+    """Hands with a camera: gels on the fingertips against point contacts of the same grasps."""
+    from fusion.estimation.estimate import estimate
+    from scenes.synthesis.hands import five_finger_hand
+    from scenes.synthesis.recording import synthesize_frames
+
+    count = settings.count(8, 1)
+    table = Table(
+        f"A hand that hides {100 * HIDDEN:.0f} % from the camera",
+        [
+            Column("object"),
+            Column("frames", 0),
+            Column("camera and points: rotation °", 1),
+            Column("camera and gels: rotation °", 1),
+            Column("camera and points: mm", 1),
+            Column("camera and gels: mm", 1),
+        ],
+    )
+    names = settings.some(OBJECTS, 1)
+    for name in settings.progress(names, len(names), "with a camera"):
+        model = library.make(name)
+        seed = own_seed(settings.seed, "vision", name)
+        frames = synthesize_frames(model, five_finger_hand(), count, HIDDEN, ("point", "gel"), "lab", seed)
+        errors: dict[str, list[Array]] = {"points": [], "gels": []}
+        for frame in frames:
+            assert frame.camera_from_object_truth is not None
+            for kind, shown in (("points", replace(frame, gels={})), ("gels", _without_points(frame))):
+                answer = estimate(shown, model, seed=frame.index)
+                errors[kind].append(
+                    pose_error(answer.pose, frame.camera_from_object_truth, model.centroid, model.symmetries)
+                )
+        turned = {kind: [float(np.linalg.norm(e[:3])) for e in found] for kind, found in errors.items()}
+        moved = {kind: [float(np.linalg.norm(e[3:])) for e in found] for kind, found in errors.items()}
+        table.add(
+            name,
+            len(frames),
+            *(Quantile.of(turned[kind], 180 / np.pi) for kind in ("points", "gels")),
+            *(Quantile.of(moved[kind], 1e3) for kind in ("points", "gels")),
+        )
+    table.note = "Gels without a calibration: outline and its own colours. Start 16° and 33 mm off."
+    report.tables.append(table)
+    settings.show(table)
+
+
+def _without_points(frame: Frame) -> Frame:
+    return replace(frame, contacts=Contacts(np.zeros((0, 3))))

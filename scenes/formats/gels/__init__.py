@@ -1,0 +1,1 @@
+"""Public recordings of gel sensors as captures."""

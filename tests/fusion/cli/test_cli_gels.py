@@ -1,0 +1,110 @@
+"""Gels on the command line: calibrate, make, localize, and the benchmark's tables on a few trials."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from commands import refused, run
+
+from fusion.benchmarks.gels import bench
+from fusion.benchmarks.printing.tables import BenchSettings, Report
+from scenes.files import images
+from scenes.recordings.captures import read_capture
+from scenes.robot.sensors import Sensor, write_sensors
+from scenes.synthesis.gels import ball_presses, lit_digit
+from touch.gels.calibration import Photometry
+
+
+@pytest.fixture(scope="module")
+def presses(tmp_path_factory):
+    """A folder of a DIGIT's presses of a ball and its background."""
+    folder = tmp_path_factory.mktemp("ball")
+    rng = np.random.default_rng(2)
+    gel = lit_digit(rng)
+    images.write_rgb(folder / "background.png", gel.background)
+    for number, image in enumerate(ball_presses(gel, 0.004, 0.0008, 4, rng)):
+        images.write_rgb(folder / f"press_{number}.png", image)
+    return folder, gel
+
+
+def test_a_gel_is_calibrated(presses, tmp_path, capsys):
+    folder, gel = presses
+    out = tmp_path / "calibration.json"
+    assert run("calibrate-gel", folder, "--ball", "4", "--digit", "-o", out, "--json", tmp_path / "j.json") == 0
+    assert "4 presses of a 4 mm ball" in capsys.readouterr().out
+    content = json.loads(out.read_text())
+    assert Photometry.from_json(content, "c").ball == pytest.approx(0.004)
+    assert json.loads((tmp_path / "j.json").read_text())["presses"] == 4
+    # by the sensors file it is the same
+    write_sensors(tmp_path / "sensors.json", {"g": Sensor("g", "l", "gel", np.eye(4), gel=replace(gel, lamps=None))})
+    again = tmp_path / "again.json"
+    assert run("calibrate-gel", folder, "--ball", "4", "--sensors", tmp_path / "sensors.json", "-o", again) == 0
+    np.testing.assert_allclose(
+        json.loads(again.read_text())["coefficients"], content["coefficients"], rtol=0.05, atol=0.02
+    )
+
+
+def test_what_cannot_be_calibrated_is_one_line(presses, tmp_path, capsys):
+    folder, _ = presses
+    rest = ("--digit", "-o", tmp_path / "c.json")
+    assert "ball of 2 mm or less" in refused(capsys, "calibrate-gel", folder, "--ball", "1", *rest)
+    single = folder / "press_0.png"
+    assert "expected the untouched skin" in refused(capsys, "calibrate-gel", single, "--ball", "4", *rest)
+    line = refused(capsys, "calibrate-gel", folder, "--ball", "4", "-o", tmp_path / "c.json")
+    assert "expected one of --sensors FILE, --mm-per-pixel MM and --digit" in line
+    small = tmp_path / "small"
+    small.mkdir()
+    images.write_rgb(small / "background.png", np.full((320, 240, 3), 90, np.uint8))
+    images.write_rgb(small / "press.png", np.full((32, 24, 3), 90, np.uint8))
+    assert "expected an image of 240x320 pixels" in refused(capsys, "calibrate-gel", small, "--ball", "4", *rest)
+    images.write_rgb(small / "press.png", np.full((320, 240, 3), 255, np.uint8))
+    assert "one colour all over" in refused(capsys, "calibrate-gel", small, "--ball", "4", *rest)
+    assert not (tmp_path / "c.json").exists()
+
+
+def test_gels_are_made_and_localized(tmp_path, capsys):
+    capture = tmp_path / "c"
+    arguments = ("--object", "drill", "--occlusion", "0.5", "--touch", "gel,point", "--noise", "clean", "--seed", "3")
+    assert run("synth", capture, *arguments) == 0
+    frame = read_capture(capture)[0]
+    assert len(frame.gels) == 5
+    assert all(image.ndim == 3 for image in frame.gels.values())
+    assert run("validate", capture) == 0
+    capsys.readouterr()
+    assert run("localize", capture, "--json", tmp_path / "j.json") == 0
+    found = json.loads((tmp_path / "j.json").read_text())
+    assert found["method"] == "gels"
+    assert found["trials"][0]["verdict"] in ("ok", "ambiguous")
+    assert len(found["trials"][0]["all_modes"]) == found["trials"][0]["modes"]
+    capsys.readouterr()
+    assert "its gels are used" in refused(capsys, "localize", capture, "--method", "icp")
+    plain = tmp_path / "plain"
+    assert run("synth", plain, "--object", "box", "--noise", "none") == 0
+    capsys.readouterr()
+    assert "expected gels' images in tactile/" in refused(capsys, "localize", plain)
+
+
+def test_the_same_seed_makes_the_same_gels(tmp_path):
+    from scenes.synthesis.hands import five_finger_hand
+    from scenes.synthesis.library import make
+    from scenes.synthesis.recording import synthesize_frames
+
+    made = [synthesize_frames(make("box"), five_finger_hand(), 1, 0.3, ("gel", "point"), "lab", 5)[0] for _ in range(2)]
+    for name, image in made[0].gels.items():
+        np.testing.assert_array_equal(image, made[1].gels[name])
+    # asking for gels changes nothing else
+    without = synthesize_frames(make("box"), five_finger_hand(), 1, 0.3, ("point",), "lab", 5)[0]
+    np.testing.assert_array_equal(without.depth, made[0].depth)
+    np.testing.assert_array_equal(without.contacts.points, made[0].contacts.points)
+
+
+def test_the_benchmark_fills_its_tables(monkeypatch):
+    monkeypatch.setattr(bench, "OBJECTS", ("l_block",))
+    report = Report("gel", "t", "one", 1)
+    bench.add_presses(report, BenchSettings(trials=1, seed=1), 1)
+    bench.add_calibration(report, BenchSettings(trials=2, seed=1))
+    assert [len(table.rows) for table in report.tables] == [3, 3, 1]
+    assert all(np.isfinite(claim.value) for claim in report.claims)

@@ -1,0 +1,308 @@
+"""Gels: height from colours, calibration by a ball, patches, rows, and where the object is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scenes.errors import CaptureError, InputError
+from scenes.evidence.table import GATE_ABOVE
+from scenes.geometry import poses as se3
+from scenes.recordings.frames import Contacts, Frame
+from scenes.robot.digit import digit_gel
+from scenes.robot.gels import Gel
+from scenes.synthesis import library
+from scenes.synthesis.gels import ball_presses, bridged, lit, lit_digit, photograph_gel, pressed_by, with_gels
+from touch.contacts import feel
+from touch.gels.calibration import Photometry, calibrate
+from touch.gels.heights import indentation_of, integrate, membrane, slopes
+from touch.gels.localize import localize_gels
+from touch.gels.patches import Patch, patch_of, patches_of
+from touch.gels.proposals import bend_of, propose
+from touch.gels.rows import gel_contacts, patch_rows
+
+BALL = 0.004
+
+
+def flat_gel(side=160, pitch=1e-4):
+    return Gel(side, side, np.zeros((side, side)), pitch, thickness=0.004)
+
+
+@pytest.fixture(scope="module")
+def digit():
+    """A lit DIGIT with its calibration by presses of a ball."""
+    rng = np.random.default_rng(3)
+    gel = lit_digit(rng)
+    images = ball_presses(gel, BALL, 0.0008, 10, rng)
+    return replace(gel, calibration=calibrate(images, gel, BALL).to_json())
+
+
+def ball_depth(gel, radius, depth, u, v):
+    """A ball over pixel (u, v): the oracle is plain geometry, column by column."""
+    place, out = gel.points()[v, u], gel.normals()[v, u]
+    centre = place + (radius - depth) * out
+    sphere = library.make("sphere")
+    scaled = type(sphere).from_mesh(sphere.vertices / sphere.radius * radius, sphere.faces, "ball")
+    return pressed_by(scaled, se3.make_pose(None, -centre), gel)
+
+
+# ---- integration
+
+
+def test_integration_recovers_a_surface():
+    y, x = np.mgrid[0:60, 0:80] / 20.0
+    surface = np.sin(x) * np.cos(1.3 * y) + 0.2 * x * y
+    found = integrate(np.gradient(surface, axis=1), np.gradient(surface, axis=0))
+    inner = (slice(2, -2), slice(2, -2))
+    away = (found - found[inner].mean()) - (surface - surface[inner].mean())
+    assert np.abs(away[inner]).max() < 0.01
+
+
+def test_integration_solves_the_normal_equations():
+    rng = np.random.default_rng(1)
+    p, q = rng.normal(size=(7, 9)), rng.normal(size=(7, 9))
+    found = integrate(p, q)
+    # the plain twin: least squares over differences of neighbours
+    rows, right = [], []
+    for r in range(7):
+        for c in range(9):
+            for slope, (dr, dc) in ((p, (0, 1)), (q, (1, 0))):
+                if r + dr < 7 and c + dc < 9:
+                    row = np.zeros((7, 9))
+                    row[r, c], row[r + dr, c + dc] = -1.0, 1.0
+                    rows.append(row.ravel())
+                    right.append(0.5 * (slope[r, c] + slope[r + dr, c + dc]))
+    twin = np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0].reshape(7, 9)
+    np.testing.assert_allclose(found - found.mean(), twin - twin.mean(), atol=1e-9)
+
+
+@pytest.mark.parametrize("gel", [digit_gel((60, 80)), flat_gel(60, 2e-4)], ids=["curved, pinhole", "flat, parallel"])
+def test_slopes_of_normals_integrate_to_the_depth(gel):
+    v, u = np.mgrid[0 : gel.height, 0 : gel.width]
+    square = ((u - gel.width / 2) / 12.0) ** 2 + ((v - gel.height / 2) / 15.0) ** 2
+    depth = 0.001 * np.exp(-square)
+    pressed, rest = slopes(gel.normals(depth), gel), slopes(gel.untouched_normals, gel)
+    change = integrate(pressed[0] - rest[0], pressed[1] - rest[1])
+    change -= np.median(change[square > 6.0])
+    found = -change if gel.distance is None else -(gel.distance + gel.surface) * np.expm1(change)
+    assert np.abs(found - depth).max() < 5e-5
+
+
+def test_membrane_of_an_ellipse_is_its_cap():
+    v, u = np.mgrid[0:120, 0:120]
+    square = ((u - 60) / 45.0) ** 2 + ((v - 60) / 25.0) ** 2
+    cap = np.clip(1.0 - square, 0.0, None)
+    assert np.abs(membrane(square < 1.0, 60) - cap).max() < 0.1
+    assert np.isfinite(membrane(np.ones((20, 20), dtype=bool))).all()
+    assert not membrane(np.zeros((20, 20), dtype=bool)).any()
+
+
+# ---- height from colours
+
+
+@pytest.mark.parametrize(("radius", "depth"), [(0.003, 0.0006), (0.010, 0.0008), (0.02, 0.0004)])
+def test_height_from_colour_is_within_a_tenth_of_a_millimetre(digit, radius, depth):
+    rng = np.random.default_rng(11)
+    true = ball_depth(digit, radius, depth, 120, 170)
+    pressed = indentation_of(photograph_gel(digit, bridged(true, digit), rng), digit)
+    step = digit.working_step
+    on = true[::step, ::step] > 1e-4
+    assert pressed.measured
+    assert np.sqrt(np.mean((pressed.depth - true[::step, ::step])[on] ** 2)) < 1e-4
+    assert pressed.touched[on].mean() > 0.6
+
+
+def test_without_a_calibration_the_outline_tells_place_extent_and_axes():
+    rng = np.random.default_rng(5)
+    gel = lit_digit(rng)
+    model = library.make("cylinder")
+    axis = np.array([0.0, 0.0, 1.0])
+    side = max(float(np.abs(model.vertices[:, 0]).max()), 0.01)
+    # the cylinder's side on the gel, its axis along the image's rows
+    rotation = np.stack([np.cross(axis, [-1.0, 0.0, 0.0]), axis, [-1.0, 0.0, 0.0]], axis=1)
+    object_from_sensor = se3.make_pose(rotation, (side - 0.0009, 0.0, 0.0))
+    true = pressed_by(model, object_from_sensor, gel)
+    assert true.max() > 5e-4
+    pressed = indentation_of(photograph_gel(gel, bridged(true, gel), rng), gel)
+    assert not pressed.measured
+    found = patch_of("g", pressed)
+    on = gel.points(true)[true > 2e-4]
+    assert np.linalg.norm(found.points[:, :2].mean(axis=0) - on[:, :2].mean(axis=0)) < 0.001
+    spread = np.linalg.eigh(np.cov(found.points[:, :2].T))[1][:, 1]
+    expected = np.linalg.eigh(np.cov(on[:, :2].T))[1][:, 1]
+    assert abs(spread @ expected) > np.cos(np.deg2rad(15.0))
+
+
+def test_a_known_contact_scales_the_outline():
+    rng = np.random.default_rng(6)
+    gel = lit_digit(rng)
+    true = ball_depth(gel, 0.008, 0.0012, 120, 160)
+    image = photograph_gel(gel, bridged(true, gel), rng)
+    known = indentation_of(image, gel, known=(120, 160, float(true[160, 120])))
+    assert abs(known.depth[160 // gel.working_step, 120 // gel.working_step] - true[160, 120]) < 1e-4
+    assert indentation_of(image, gel).sigma.max() > known.sigma.max()
+
+
+def test_an_untouched_gel_feels_nothing(digit):
+    rng = np.random.default_rng(9)
+    pressed = indentation_of(photograph_gel(digit, np.zeros((320, 240)), rng), digit)
+    assert not pressed.touched.any()
+    patch = patch_of("g", pressed)
+    assert len(patch) == 0
+    assert len(patch.silent) > 10
+    assert (patch_rows([patch]).rows[:, GATE_ABOVE] == 0.0).all()
+    assert len(gel_contacts([patch])) == 0
+
+
+def test_micrometres_are_taken_as_they_are():
+    gel = flat_gel()
+    counts = np.zeros((160, 160), dtype=np.uint16)
+    counts[60:100, 50:110] = 800
+    pressed = indentation_of(counts, gel)
+    assert pressed.measured
+    patch = patch_of("g", pressed)
+    np.testing.assert_allclose(patch.points[:, 2], -0.0008, atol=1e-9)
+    flat = np.abs(patch.normals[:, 2]) > 0.99
+    assert flat.mean() > 0.5
+    assert (patch.normals[flat, 2] < 0).all()  # out of the object, into the finger
+
+
+# ---- bad input: one line each
+
+
+def test_bad_images_are_refused(digit):
+    image = photograph_gel(digit, np.zeros((320, 240)), np.random.default_rng(1))
+    with pytest.raises(InputError, match="g: expected the untouched background"):
+        indentation_of(image, replace(digit, background=None), "g")
+    with pytest.raises(InputError, match=r"g: expected an image of 240x320 pixels as the gel's, got 240x100"):
+        indentation_of(image[:100], digit, "g")
+    bright = image.copy()
+    bright[:, :, 1] = 255
+    with pytest.raises(InputError, match="got green saturated in 100 %"):
+        indentation_of(bright, digit, "g")
+    with pytest.raises(InputError, match="one colour all over"):
+        indentation_of(np.zeros_like(image), digit, "g")
+    with pytest.raises(InputError, match=r"expected indentations up to the gel's 5 mm, got 9 mm"):
+        indentation_of(np.full((320, 240), 9000, dtype=np.uint16), digit, "g")
+
+
+def test_a_wrong_ball_is_refused():
+    rng = np.random.default_rng(4)
+    gel = lit(flat_gel(200), rng)
+    images = ball_presses(gel, BALL, 0.0008, 3, rng)
+    assert calibrate(images, gel, BALL).presses == 3
+    with pytest.raises(InputError, match=r"press 0: expected the outline of a ball of 2 mm or less"):
+        calibrate(images, gel, 0.001)
+    with pytest.raises(InputError, match=r"is the radius right"):
+        calibrate(images, gel, 0.09)
+    with pytest.raises(InputError, match=r"expected a radius from 0.1 to 100 mm"):
+        calibrate(images, gel, float("nan"))
+    with pytest.raises(InputError, match="press 0: expected a press of the ball, got an image like the background"):
+        calibrate([photograph_gel(gel, np.zeros((200, 200)), rng)], gel, BALL)
+    with pytest.raises(InputError, match="expected images of presses, got none"):
+        calibrate([], gel, BALL)
+
+
+def test_a_calibration_is_read_back_or_refused(digit):
+    entry = dict(digit.calibration)
+    again = Photometry.from_json(entry, "c")
+    assert again.to_json() == entry
+    for key, value in (("format", "x"), ("coefficients", [[1.0]]), ("darkest", 0.0), ("size", "a")):
+        with pytest.raises(InputError, match=r"^c: expected"):
+            Photometry.from_json({**entry, key: value}, "c")
+    image = photograph_gel(digit, np.zeros((320, 240)), np.random.default_rng(1))
+    with pytest.raises(InputError, match="expected a calibration of"):
+        indentation_of(image, replace(digit, calibration={**entry, "size": [10, 10]}))
+
+
+# ---- patches, proposals, the object
+
+
+def test_bending_of_known_shapes():
+    rng = np.random.default_rng(2)
+    x, y = rng.uniform(-0.004, 0.004, size=(2, 400))
+    for radius_x, radius_y in ((0.02, 0.02), (0.02, 1e9), (1e9, 1e9)):
+        z = -(x**2) / (2 * radius_x) - y**2 / (2 * radius_y)
+        normals = np.stack([x / radius_x, y / radius_y, np.ones_like(x)], axis=1)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        _, frame, bends = bend_of(np.stack([x, y, z], axis=1), normals)
+        np.testing.assert_allclose(bends, sorted([1 / radius_x, 1 / radius_y])[::-1], atol=3.0)
+        assert frame[2, 2] > 0.999
+        assert np.linalg.det(frame) == pytest.approx(1.0)
+        if radius_y > 1:
+            assert radius_x > 1 or abs(frame[0, 0]) > 0.99
+
+
+def three_presses(model, truth, gel, seed):
+    """Patches of three far places, noise only in the images."""
+    rng = np.random.default_rng(seed)
+    points, normals = model.sample_surface(60, seed=seed)
+    chosen = [0]
+    while len(chosen) < 3:
+        chosen.append(int(np.argmax(np.min([np.linalg.norm(points - points[i], axis=1) for i in chosen], axis=0))))
+    out = []
+    for i in chosen:
+        z = -normals[i]
+        x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
+        x /= np.linalg.norm(x)
+        pose = se3.make_pose(np.stack([x, np.cross(z, x), z], axis=1), points[i] - 0.0009 * normals[i])
+        image = photograph_gel(gel, bridged(pressed_by(model, pose, gel), gel), rng)
+        out.append(patch_of(f"g{i}", indentation_of(image, gel)).moved(truth @ pose))
+    return [patch for patch in out if len(patch)]
+
+
+def test_three_presses_find_the_object(digit):
+    model = library.make("drill")
+    truth = se3.exp(np.array([0.4, -1.0, 0.7, 0.1, 0.2, 0.3]))
+    patches = three_presses(model, truth, digit, 4)
+    assert len(patches) == 3
+    residual, _, _ = model.surface.closest(se3.apply(se3.inverse(truth), np.concatenate([p.points for p in patches])))
+    assert np.median(np.abs(residual)) < 2.5e-4
+    found = localize_gels(model, patches, seed=1)
+    errors = [se3.difference(mode.pose[None], truth, model.centroid)[0] for mode in found.modes]
+    assert min(np.linalg.norm(e[:3]) for e in errors) < np.deg2rad(10.0)
+    assert min(np.linalg.norm(e[3:]) for e in errors) < 0.010
+    again = localize_gels(model, patches, seed=1)
+    np.testing.assert_array_equal(found.pose, again.pose)
+
+
+def test_one_press_proposes_the_truth(digit):
+    model = library.make("l_block")
+    truth = np.eye(4)
+    patch = three_presses(model, truth, digit, 2)[0]
+    proposals = propose(model, patch)
+    assert 100 < len(proposals) <= 2500
+    assert np.isfinite(proposals).all()
+    assert len(propose(model, replace(patch, points=patch.points[:3], normals=patch.normals[:3]))) == 0
+
+
+def test_no_touch_is_refused():
+    nothing = Patch("g", *np.zeros((2, 0, 3)), *np.zeros((2, 0)), np.zeros((4, 3)), np.eye(4))
+    with pytest.raises(InputError, match="expected at least one gel that touches something"):
+        localize_gels(library.make("box"), [nothing])
+
+
+# ---- frames
+
+
+def test_a_frame_feels_its_gels(hand):
+    held = with_gels(hand, 3)
+    name = "index_tip_gel"
+    gel = held.sensors[name].gel
+    joints = dict.fromkeys(held.joint_names, 0.1)
+    true = ball_depth(gel, 0.02, 0.0006, gel.width // 2, gel.height // 2)
+    image = photograph_gel(gel, bridged(true, gel), np.random.default_rng(0))
+    frame = Frame(0, "f", hand=held, joints=joints, world_from_hand=np.eye(4), gels={name: image})
+    felt = feel(frame)
+    assert felt.contacts.sensors == [name]
+    at = (held.hand_from_sensor(joints)[name])[:3, 3]
+    assert np.linalg.norm(felt.contacts.points[0] - at) < 0.003
+    # a contact of the same sensor speaks for the gel: one touch is one contact
+    spoken = replace(frame, contacts=Contacts(at[None], sensors=[name]))
+    assert len(feel(spoken).contacts) == 1
+    with pytest.raises(CaptureError, match="need a hand, its joints and its pose"):
+        patches_of(replace(frame, hand=None))
+    with pytest.raises(CaptureError, match="expected a gel of the hand"):
+        patches_of(replace(frame, gels={"index_tip": image}))

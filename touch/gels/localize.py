@@ -1,0 +1,111 @@
+"""Where is the object, from gels alone? Shapes of patches and pairs of contacts propose, all rows judge."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.errors import InputError
+from scenes.evidence import table as tables
+from scenes.evidence.align import AlignSettings, Prior, align, costs
+from scenes.evidence.modes import ModeSettings, distinct_modes
+from scenes.evidence.point_pairs import pair_table
+from scenes.evidence.search import SearchStage, search
+from scenes.evidence.table import Evidence
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+from touch.answers import Localization, contact_index, verdict_of
+from touch.gels.patches import Patch
+from touch.gels.proposals import GelProposalSettings, bending_table, propose
+from touch.gels.rows import GelRowSettings, gel_contacts, patch_rows
+from touch.multistart import contact_starts
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class GelSearchSettings:
+    """The search over patches. Values by judgement."""
+
+    rows: GelRowSettings = field(default_factory=GelRowSettings)
+    proposals: GelProposalSettings = field(default_factory=GelProposalSettings)
+    # Proposals of pairs of contacts, and starts that only put one contact onto the surface.
+    pairs: int = 4000
+    loose: int = 800
+    # Blur (share of the object's radius, rad) under which all proposals are ranked, and how many go on.
+    rank_blur: tuple[float, float] = (0.05, 0.25)
+    ranked: int = 400
+    # Of the rows, every so many tell good proposals from bad.
+    ranking_step: int = 6
+    # Passes of the alignment: blur (share of the radius, rad), steps, survivors.
+    passes: tuple[tuple[float, float, int, int], ...] = ((0.04, 0.2, 10, 160), (0.01, 0.06, 12, 80))
+    # Shaken by this much (rad, share of the radius), so that other seeds look at other places.
+    jitter: float = 0.03
+    modes: ModeSettings = field(default_factory=ModeSettings)
+
+
+def gel_starts(
+    model: ObjectModel, patches: Sequence[Patch], rng: np.random.Generator, settings: GelSearchSettings | None = None
+) -> Array:
+    """(n, 4, 4) poses that patches' shapes, pairs of contacts and single contacts speak for; the patches' frame."""
+    settings = settings or GelSearchSettings()
+    contacts = gel_contacts(patches, settings.rows)
+    parts = [propose(model, patch, settings.proposals) for patch in patches]
+    if len(contacts) >= 2:
+        rotations, origins = pair_table(model).hypotheses(contacts, settings.pairs)
+        if len(rotations):
+            parts.append(se3.make_poses(rotations, origins))
+    if len(contacts):
+        parts.append(contact_starts(model, contacts, settings.loose, rng))
+    starts = np.concatenate(parts)
+    widths = np.repeat([settings.jitter, settings.jitter * model.radius], 3)
+    return se3.perturb(starts, widths * rng.normal(size=(len(starts), 6)), model.centroid)
+
+
+def localize_gels(
+    model: ObjectModel,
+    patches: Sequence[Patch],
+    seed: int = 0,
+    prior: Prior | None = None,
+    extra: Evidence | None = None,
+    settings: GelSearchSettings | None = None,
+) -> Localization:
+    """The object from patches in one frame, anywhere; the answer is frame_from_object.
+
+    prior: a Gaussian on the pose; extra: more rows in the same frame. Raises InputError when no gel touches anything.
+    """
+    settings = settings or GelSearchSettings()
+    contacts = gel_contacts(patches, settings.rows)
+    if not len(contacts):
+        raise InputError("gels: expected at least one gel that touches something, got none")
+    model.field  # noqa: B018  (built once per object, not part of the search's time)
+    pair_table(model)
+    for box in settings.proposals.boxes:
+        bending_table(model, box, settings.proposals)
+    begin = time.perf_counter()
+    rng = np.random.default_rng(seed)
+    rows = patch_rows(patches, settings.rows)
+    if extra is not None:
+        rows = tables.stack(rows, extra)
+    starts = gel_starts(model, patches, rng, settings)
+    if prior is not None:
+        starts = np.concatenate([prior.pose[None], starts])
+    blur, blur_normal = settings.rank_blur
+    rough = AlignSettings(blur=blur * model.radius, blur_normal=blur_normal)
+    few = rows.take(np.arange(0, len(rows), settings.ranking_step)).reweighted(settings.ranking_step)
+    merits = costs(model, few, starts, prior, rough)
+    keep = np.argsort(merits, kind="stable")[: settings.ranked]
+    stages = tuple(SearchStage(b * model.radius, angle, 10**9, steps, n) for b, angle, steps, n in settings.passes)
+    found = search(model, rows, starts[keep], stages, prior)
+    result = align(model, rows, found.poses, prior)
+    modes = distinct_modes(model, result, settings.modes)
+    pose = modes[0].pose
+    sigma = float(np.sqrt(np.mean(contacts.sigma_point**2)))
+    seconds = time.perf_counter() - begin
+    return Localization(
+        pose, modes, contact_index(model, contacts, pose), sigma, verdict_of(modes, model), seconds, "gels"
+    )
