@@ -29,7 +29,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PredictionSettings:
-    """How a predicted image is scored. Tuned on generated captures and on recorded frames that are not reported."""
+    """How a predicted image is scored. By judgement, on generated captures and on nine recorded frames, which are
+    therefore no independent test of it.
+    """
 
     # Rays along each side of the box around the outline: some six in ten of their square meet the object.
     side: int = 16
