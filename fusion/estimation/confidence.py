@@ -29,7 +29,7 @@ class ConfidenceSettings:
 
     # Error (ADD-S, m) that is good enough when the caller does not say.
     tolerance: float = 0.005
-    # Confidence from which an answer is `ok`.
+    # Confidence (a probability, no unit) from which an answer is `ok`.
     sure: float = 0.80
     # Factors, no unit, of the first mode's weight and of the shares of the predicted picture that agree, are seen past,
     # are hidden by something unknown, by the robot's hand, and of the outline that runs on.

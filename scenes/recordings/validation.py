@@ -224,5 +224,5 @@ def _depth_at(frame: Frame, centre: Array, diameter: float) -> float | None:
     rows = slice(max(0, int(v - reach)), max(0, int(v + reach) + 1))
     columns = slice(max(0, int(u - reach)), max(0, int(u + reach) + 1))
     patch = frame.depth[rows, columns]
-    patch = patch[patch > 0]
+    patch = patch[np.isfinite(patch) & (patch > 0)]
     return float(np.median(patch)) if len(patch) >= FEWEST_POINTS else None

@@ -74,7 +74,7 @@ def test_an_estimate_by_touch_looks_at_no_more_rows(work, block):
     assert 0 < work.rows <= 931_000
 
 
-@pytest.mark.parametrize(("with_start", "limit"), [(True, 947_000), (False, 442_000)])
+@pytest.mark.parametrize(("with_start", "limit"), [(True, 947_000), (False, 698_000)])
 def test_an_estimate_by_vision_looks_at_no_more_rows(work, with_start, limit):
     frame = view() if with_start else replace(view(), prior=None)
     estimate(frame, library.make("drill"))
