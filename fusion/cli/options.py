@@ -193,13 +193,12 @@ def set_volume(verbose: int, quiet: bool) -> None:
     """What -v and -q ask for: -v says on standard error what is done, -vv how; -q says nothing but errors."""
     global _QUIET
     _QUIET = quiet
-    if verbose:
-        handler = logging.StreamHandler(sys.stderr)
-        handler.setFormatter(logging.Formatter("%(name)s: %(message)s"))
-        for package in PACKAGES:
-            logger = logging.getLogger(package)
-            logger.handlers = [handler]  # a second command of the same process does not say all twice
-            logger.setLevel(logging.INFO if verbose == 1 else logging.DEBUG)
+    handler = logging.StreamHandler(sys.stderr) if verbose else logging.NullHandler()
+    handler.setFormatter(logging.Formatter("%(name)s: %(message)s"))
+    for package in PACKAGES:
+        logger = logging.getLogger(package)
+        logger.handlers = [handler]  # what an earlier command of the same process asked for is over
+        logger.setLevel((logging.NOTSET, logging.INFO, logging.DEBUG)[min(verbose, 2)])
 
 
 def number(value: float | None, digits: int = 2) -> str:

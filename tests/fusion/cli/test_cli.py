@@ -229,7 +229,7 @@ def test_bad_use(capture, contacts, tmp_path, capsys):
             "expected five-finger, gripper, none or a URDF",
         ),
         (("synth", ROOT / "scenes", "--object", "box"), "holds other files"),
-        (("localize", contacts), "required: --object"),
+        (("localize", contacts), "expected --object NAME|MESH"),
         (("localize", tmp_path / "no.csv", "--object", "box"), "found no file"),
         (("localize", contacts, "--object", "box", "--method", "guess"), "expected one of multistart"),
         (("localize", contacts, "--object", "box", "--unit", "furlong", "--object", contacts), "furlong"),

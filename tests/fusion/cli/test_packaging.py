@@ -111,7 +111,7 @@ def test_a_folder_of_our_names_is_no_package(tmp_path):
     (tmp_path / "vision").mkdir()
     paths = os.pathsep.join([str(tmp_path), str(ROOT)])
     subprocess.run(
-        [sys.executable, "-c", "import fusion, vision; vision.segment"], cwd=tmp_path,
+        [sys.executable, "-c", "import fusion, vision; vision.look"], cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": paths}, check=True,
     )  # fmt: skip
 
