@@ -1,11 +1,9 @@
 """What several test files share: settings of property tests, data that may be absent, frames slow to make."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import settings
+from shared_data import DATA
 
 from scenes.synthesis import library
 
@@ -14,8 +12,6 @@ from scenes.synthesis import library
 settings.register_profile("palpate", deadline=None, max_examples=40, derandomize=True)
 settings.register_profile("explore", deadline=None, max_examples=400)
 settings.load_profile("palpate")
-
-DATA = Path(os.environ.get("PALPATE_DATA", Path(__file__).resolve().parents[1].parent / "shared" / "data"))
 
 
 @pytest.fixture(scope="session")

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from commands import refused
-from conftest import DATA
 from made_frames import plain_view
+from shared_data import DATA
 
 from fusion.benchmarks.printing.tables import BenchSettings
 from fusion.benchmarks.real import bench, frames

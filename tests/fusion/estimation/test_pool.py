@@ -1,0 +1,114 @@
+"""One pool of proposals: what touch and the table add, what convinces, and joint solutions that the picture refuses."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fusion import estimate
+from fusion.estimation.confidence import ConfidenceSettings, confidence, spread_of
+from fusion.estimation.ranking import guarded
+from fusion.estimation.settings import EstimateSettings
+from fusion.estimation.solve.joint import JointResult
+from fusion.truth.errors import Judge
+from scenes.evidence.modes import Mode
+from scenes.geometry import poses
+from scenes.synthesis import library
+from scenes.synthesis.recording import synthesize_frames
+from scenes.synthesis.settings import SynthesisSettings
+from vision.predicted import Prediction
+
+SETTINGS = SynthesisSettings(rgb=False)
+
+
+def add_s(model, answer, frame):
+    return Judge(model).errors(answer.pose, frame.camera_from_object_truth, answer.covariance).add_s
+
+
+@pytest.mark.parametrize("hidden", [0.6, 0.9])
+def test_fused_is_as_good_as_touch_where_unknown_fingers_hide_the_object(hidden):
+    """Loose fingers that nobody has a model of fill the image; what all contacts explain is proposed and wins."""
+    model = library.make("bottle")
+    frames = synthesize_frames(model, None, 2, hidden, noise="lab", seed=71, settings=SETTINGS)
+    for frame in frames:
+        both, touch = estimate(frame, model), estimate(frame, model, use=("touch",))
+        assert add_s(model, both, frame) < max(0.005, 1.2 * add_s(model, touch, frame))
+
+
+def test_an_object_on_a_table_is_found_without_a_mask_and_without_a_start():
+    model = library.make("mug")
+    frame = synthesize_frames(
+        model, None, 1, 0.0, touch=(), noise="lab", seed=5, occluders="none", settings=SETTINGS, scene="table"
+    )[0]
+    near = estimate(frame, model)
+    anywhere = estimate(replace(frame, prior=None), model)
+    assert add_s(model, near, frame) < 0.005
+    assert add_s(model, anywhere, frame) < 0.005 or anywhere.verdict != "ok"
+
+
+def test_few_starts_that_convince_end_the_search(lab_frame, drill):
+    answer = estimate(replace(lab_frame, prior=lab_frame.camera_from_object_truth), drill)
+    search = next(stage for stage in answer.trace if stage.name == "search")
+    assert search.why.startswith("32 of 320 starts")
+
+
+def result(pose, scale=0.0):
+    return JointResult(pose, 1e-6 * np.eye(6), np.ones(6), np.zeros(3), scale, 0.0, 0.0, 1.0, as_seen=pose)
+
+
+def test_a_joint_solution_that_the_picture_refuses_is_not_taken(drill):
+    start = poses.make_pose(None, [0.0, 0.0, 0.5])
+    moved = poses.make_pose(None, [0.02, 0.0, 0.0]) @ start
+    judge = SimpleNamespace(sees=True, costs=lambda candidates: 1e4 * np.abs(candidates[:, 0, 3]))
+    pool = SimpleNamespace(model=drill, predictor=judge)
+    kept = guarded(pool, [result(moved)], [start], None, EstimateSettings())[0]
+    np.testing.assert_array_equal(kept.pose, start)
+    assert not kept.xi.any()
+    assert np.sqrt(kept.covariance[3, 3]) > 0.019  # as wide as the two are apart
+    near = poses.make_pose(None, [0.002, 0.0, 0.0]) @ start
+    assert guarded(pool, [result(near)], [start], None, EstimateSettings())[0].pose is near
+
+
+def picture(**shares):
+    usual = {"seen": 0.9, "agree": 0.95, "past": 0.0, "hidden": 0.0, "behind_hand": 0.0, "outline": 0.0}
+    values = usual | shares
+    return Prediction(*(np.array([values[k]]) for k in values), np.array([200]))
+
+
+def sure(model, sigma, **shares):
+    covariance = np.diag(np.repeat([(sigma / model.radius) ** 2, sigma**2], 3))
+    modes = (Mode(np.eye(4), 1.0, 0.0, covariance),)
+    return confidence(model, modes, picture(**shares), (), 0.0)
+
+
+def test_confidence_falls_with_spread_and_contradictions(drill):
+    good = sure(drill, 0.0005)
+    assert good > ConfidenceSettings().sure
+    assert sure(drill, 0.005) < good
+    assert sure(drill, 0.0005, past=0.5, agree=0.4) < 0.5 * good
+    assert sure(drill, 0.0005, agree=0.3, outline=0.5) < 0.7 * good
+    for extreme in (0.0, 1e-9, 1e3):
+        assert 0.0 <= sure(drill, extreme) <= 1.0
+
+
+def test_without_a_picture_the_posterior_speaks(drill):
+    narrow = (Mode(np.eye(4), 0.7, 0.0, 1e-12 * np.eye(6)),)
+    assert confidence(drill, narrow, None, (), 0.0) == pytest.approx(0.7)
+    wide = (Mode(np.eye(4), 1.0, 0.0, np.eye(6)),)
+    assert confidence(drill, wide, None, (), 0.0) < 0.02
+
+
+def test_turns_about_an_objects_own_axis_are_no_spread():
+    can = library.make("cylinder")
+    axis = can.symmetries.axes[0].direction
+    free = np.zeros((6, 6))
+    free[:3, :3] = np.outer(axis, axis)
+    assert spread_of(can, np.eye(4), free) < 1e-9
+    assert spread_of(library.make("drill"), np.eye(4), free) > 0.01
+
+
+def test_the_answer_says_how_sure_it_is(lab_frame, drill):
+    answer = estimate(lab_frame, drill)
+    assert 0.0 <= answer.confidence <= 1.0
+    assert answer.to_json()["confidence"] == pytest.approx(answer.confidence)

@@ -1,0 +1,151 @@
+"""What a camera would have to see of a pose: shares, costs, pixels and emptiness against rendered scenes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_frames import plain_view
+
+from scenes.geometry import poses
+from scenes.geometry.rendering import Renderer
+from scenes.recordings.beliefs import DepthModel
+from scenes.synthesis import library
+from vision.look.look import look
+from vision.predicted import PredictionSettings, Predictor
+
+AWAY = poses.make_pose(None, [0.0, 0.0, 0.03])
+
+
+def predictor(frame, model, **known):
+    return Predictor(frame, model, DepthModel(), **known)
+
+
+@pytest.mark.parametrize("name", ["box", "mug", "drill"])
+def test_the_true_pose_is_seen_and_others_are_not(name):
+    frame, model = plain_view(name), library.make(name)
+    truth = frame.camera_from_object_truth
+    behind, before = AWAY @ truth, poses.inverse(AWAY) @ truth
+    found = predictor(frame, model).predict(np.array([truth, behind, before]))
+    assert found.agree[0] > 0.97
+    assert found.seen[0] > 0.95
+    assert found.past[0] < 0.03
+    assert found.hidden[0] < 0.01
+    # farther than it is, the object would be hidden by itself; nearer, the camera looks through it
+    assert found.hidden[1] > 0.3
+    assert found.past[2] > 0.3
+    assert (found.count > 60).all()
+
+
+def test_rays_meet_what_a_renderer_draws():
+    frame, model = plain_view("mug"), library.make("mug")
+    pose = frame.camera_from_object_truth
+    view = predictor(frame, model)._view(pose[None], 24)
+    drawn = Renderer({"object": (model.vertices, model.faces)}).render(frame.camera, {"object": pose}).depth
+    hit = view.hit[0]
+    np.testing.assert_allclose(view.expected[0, hit], drawn[view.v[0, hit], view.u[0, hit]], atol=2e-6)
+
+
+def test_the_cost_rises_with_distance_from_the_truth(rng):
+    frame, model = plain_view("drill"), library.make("drill")
+    truth = frame.camera_from_object_truth
+    near = [poses.displaced(truth, np.deg2rad(4), 0.008, model.centroid, rng) for _ in range(12)]
+    far = [poses.displaced(truth, np.deg2rad(20), 0.04, model.centroid, rng) for _ in range(12)]
+    costs = predictor(frame, model).costs(np.array([truth, *near, *far]))
+    assert costs[0] < costs[1:].min()
+    assert np.median(costs[1:13]) < np.median(costs[13:])
+
+
+def test_what_the_known_hand_hides_is_no_wonder(lab_frame, drill):
+    truth = lab_frame.camera_from_object_truth[None]
+    seen = look(replace(lab_frame, mask=None), drill, start=truth[0])
+    known = predictor(lab_frame, drill, hand=seen.seen_hand).predict(truth)
+    unknown = predictor(lab_frame, drill).predict(truth)
+    assert known.behind_hand[0] > 0.4
+    assert known.hidden[0] < 0.15
+    assert unknown.behind_hand[0] == 0.0
+    assert unknown.hidden[0] > 0.4
+
+
+def on_a_table(model):
+    """A box on a table that fills the image, seen at a slant, its lower face on the table; the table's plane."""
+    from scenes.geometry.cameras import Camera
+    from scenes.recordings.frames import Frame
+
+    camera = Camera(285.0, 285.0, 159.5, 119.5, 320, 240)
+    tilt = poses.make_pose(poses.exp_rotation([np.deg2rad(130.0), 0.0, 0.0]), [0.0, 0.02, 0.6])
+    low = float(model.vertices[:, 2].min())
+    pose = tilt @ poses.make_pose(None, [0.0, 0.0, -low])
+    table = ([[-2, -2, 0], [2, -2, 0], [2, 2, 0], [-2, 2, 0]], [[0, 1, 2], [0, 2, 3]])
+    drawn = Renderer({"object": (model.vertices, model.faces), "table": table})
+    depth = drawn.render(camera, {"object": pose, "table": tilt}).depth
+    normal = tilt[:3, 2] * np.sign(-tilt[:3, 2] @ tilt[:3, 3])
+    return Frame(0, camera=camera, depth=depth), pose, np.append(normal, -normal @ tilt[:3, 3])
+
+
+def test_nothing_is_under_the_table_and_a_table_is_no_object():
+    model = library.make("box")
+    frame, pose, plane = on_a_table(model)
+    sunk = poses.make_pose(None, -0.03 * plane[:3]) @ pose
+    beside = poses.make_pose(None, [0.2, 0.0, 0.0]) @ sunk
+    blind, told = predictor(frame, model), predictor(frame, model, plane=plane)
+    assert told.predict(pose[None]).agree[0] > 0.9
+    # flush with the table, beside the box: a smooth surface at the right depth, and not the object's
+    assert told.predict(beside[None]).agree[0] < 0.2
+    assert told.costs(beside[None])[0] > blind.costs(beside[None])[0]
+    assert told.costs(pose[None])[0] < told.costs(np.array([sunk, beside])).min()
+
+
+def test_one_piece_of_the_image_has_one_bounded_word():
+    frame, model = plain_view("box"), library.make("box")
+    truth = frame.camera_from_object_truth[None]
+    pieces = np.where(frame.depth[::3, ::3] > 0, 0, -1)
+    settings = PredictionSettings()
+    bounded = predictor(frame, model, pieces=pieces).costs(truth)[0]
+    assert predictor(frame, model).costs(truth)[0] < -1.8 * settings.cells
+    assert bounded == pytest.approx(-settings.most_of_piece, abs=10.0)
+
+
+def test_pixels_inside_the_outline_lie_on_the_surface(lab_frame, drill):
+    truth = lab_frame.camera_from_object_truth
+    pixels = predictor(lab_frame, drill).seen_pixels(truth)
+    assert len(pixels) > 100
+    local = poses.apply(poses.inverse(truth), pixels.points)
+    assert np.median(np.abs(drill.field.distance(local))) < 0.004
+    assert lab_frame.mask[pixels.uv[:, 1], pixels.uv[:, 0]].mean() > 0.9
+
+
+def test_what_is_seen_past_is_empty():
+    frame, model = plain_view("box"), library.make("box")
+    frame = replace(frame, depth=np.where(frame.depth > 0, frame.depth, 1.5).astype(np.float32))
+    truth = frame.camera_from_object_truth
+    shifted = poses.make_pose(None, [0.03, 0.0, 0.0]) @ truth
+    rows = predictor(frame, model).empty_rows(shifted)
+    assert len(rows) > 10
+    assert (model.field.distance(poses.apply(poses.inverse(truth), rows.points)) > 0).all()
+    assert model.field.distance(poses.apply(poses.inverse(shifted), rows.points)).min() < 0
+    assert len(predictor(frame, model).empty_rows(truth)) < 0.2 * len(rows)
+
+
+@pytest.mark.parametrize("place", [[5.0, 0.0, 0.5], [0.0, 0.0, -0.5], [0.0, 0.0, 0.02]])
+def test_poses_that_no_camera_sees_cost_a_number(place):
+    frame, model = plain_view("box"), library.make("box")
+    pose = poses.make_pose(None, place)
+    found = predictor(frame, model)
+    assert np.isfinite(found.costs(pose[None])).all()
+    assert found.costs(pose[None])[0] > found.costs(frame.camera_from_object_truth[None])[0]
+    assert len(found.seen_pixels(pose)) == 0
+
+
+def test_without_an_image_every_pose_costs_nothing(drill):
+    from scenes.recordings.frames import Frame
+
+    found = predictor(Frame(0), drill)
+    assert not found.sees
+    assert (found.costs(np.eye(4)[None]) == 0.0).all()
+
+
+def test_an_empty_image_neither_sees_nor_contradicts():
+    frame, model = plain_view("box"), library.make("box")
+    empty = replace(frame, depth=np.zeros_like(frame.depth))
+    shares = predictor(empty, model).predict(frame.camera_from_object_truth[None])
+    assert shares.agree[0] == shares.past[0] == shares.hidden[0] == 0.0
