@@ -44,7 +44,7 @@ demo: install
 	@$(BIN)/palpate demo --out $(OUT)/demo
 
 test: install-test
-	@$(BIN)/python -m pytest -m "not slow"
+	@$(BIN)/python -m pytest -m "not slow" -n auto
 
 test-slow: install-test
 	@$(BIN)/python -m pytest -m slow
