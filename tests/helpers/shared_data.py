@@ -1,4 +1,4 @@
-"""Where data for local use are: recorded contacts, frames and grasps, beside the checkout or where PALPATE_DATA says."""
+"""Where data for local use are: recorded contacts, frames, grasps; beside the checkout or where PALPATE_DATA says."""
 
 import os
 from pathlib import Path
