@@ -72,6 +72,8 @@ class PredictionSettings:
     runs_on: float = 60.0
     smooth: float = 0.003
     smooth_share: float = 0.004
+    # A mask is right to so many pixels: what is seen outside of it is not the object.
+    mask_margin: int = 6
     # The hand is drawn at every so many pixels; a reading this near (m) to it is the hand's.
     hand_step: int = 3
     hand_margin: float = 0.006
@@ -140,6 +142,7 @@ class Predictor:
         """
         self._plane, self._pieces = plane, pieces
         self.settings = settings or PredictionSettings()
+        self._mask = None if frame.mask is None else _widened(frame.mask, self.settings.mask_margin)
         self.model = model
         self.camera: Camera | None = frame.camera
         self._depth = None if frame.camera is None else frame.depth
@@ -228,8 +231,9 @@ class Predictor:
         assert self._nearest is not None
         beside = np.where(known, self._nearest[np.where(inside, v, 0), np.where(inside, u, 0)], np.inf) < z + tolerance
         past_share = np.where(past & beside & (off > 0), s.past_beside, 1.0) * past
-        near = known & ~by_hand & ~plane & (np.abs(off) <= tolerance)
-        hidden = known & ~by_hand & ~past & (plane | (off < -tolerance))
+        other = plane if self._mask is None else plane | ~self._mask[np.where(inside, v, 0), np.where(inside, u, 0)]
+        near = known & ~by_hand & ~other & (np.abs(off) <= tolerance)
+        hidden = known & ~by_hand & ~past & ~near
         fade = np.exp(-0.5 * np.square(off / (s.fading * smooth))) * near
         return _View(u, v, hit, expected, read, seen, near, past_share, hidden, by_hand & ~past, fade)
 
@@ -325,6 +329,13 @@ class Predictor:
                 smooth += (edge & goes_on).sum(axis=(1, 2))
                 border += (hit & beyond).sum(axis=(1, 2))
         return np.asarray(smooth / np.maximum(border, 1.0))
+
+
+def _widened(mask: NDArray[np.bool_], margin: int) -> NDArray[np.bool_]:
+    """(h, w) the mask and what is within `margin` pixels of it along either axis."""
+    import cv2
+
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((2 * margin + 1,) * 2, np.uint8)) > 0)
 
 
 def _nearest_around(depth: NDArray[np.float32], reach: int) -> NDArray[np.float32]:

@@ -181,6 +181,8 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> 
         nats = float(costs(model, felt.rows, pose[None])[0]) if contacts else 0.0
         sure = confidence(model, modes, picture, residuals, nats, settings=settings.confidence)
         word, why = posterior.verdict(model, modes, residuals, share, seeing, settings.verdict)
+        if word == "ok" and nats > settings.verdict.most_contradicted * max(contacts, 1):
+            word, why = "lost", "the contacts, or their normals, contradict every pose"
         if word == "ok" and picture is not None and sure < settings.confidence.sure:
             word, why = "ambiguous", f"only {sure:.0%} sure to be within {1e3 * settings.confidence.tolerance:.0f} mm"
         stage.note(len(rows), why)

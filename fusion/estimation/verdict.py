@@ -34,6 +34,8 @@ class VerdictSettings:
     outlier_distance: float = 0.004
     # Least share of contacts, and of the pixels taken for the object, that an answer must explain.
     least_contacts: float = 0.5
+    # Nats a contact, on average, from which what is felt contradicts the answer: a false contact costs about eight.
+    most_contradicted: float = 5.5
     least_pixels: float = 0.3
     # Share of the object's own pixels through which the camera may see, noise at the outline included.
     most_violated: float = 0.25
