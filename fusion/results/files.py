@@ -146,6 +146,7 @@ def _answer(entry: dict[str, Any]) -> Estimate:
         ),
         contacts=contacts,
         notes=tuple(map(str, entry.get("notes", []))),
+        confidence=_number(entry.get("confidence")),
     )
 
 
