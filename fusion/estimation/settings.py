@@ -37,8 +37,8 @@ class EstimateSettings:
     # those that are reported) the wrong one cost up to 8 nats less in 26.
     pixel_temperature: float = 4.0
     # Nats by which the picture may speak more against a joint solution than against where it began: it moves by what
-    # calibration and depth are off, which the picture does not know. Of 54 solutions (tuning families) those up to here
-    # were nearer to the truth than where they began in 34.
+    # calibration and depth are off, which the picture does not know; most of those up to here were
+    # nearer to the truth than where they began (54 solutions of tuning families).
     most_worse: float = 35.0
     look: LookSettings = field(default_factory=LookSettings)
     touch: TouchSettings = field(default_factory=TouchSettings)
