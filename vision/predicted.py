@@ -47,7 +47,7 @@ class PredictionSettings:
     empty_gate: float = 3.0
     # Points of the surface whose projections bound the outline.
     bounding: int = 200
-    # Independent cells that a whole outline amounts to: neighbouring pixels share what is in front of them. With 100 the
+    # Independent cells that a whole outline amounts to: neighbours share what is in front of them. With 100 the
     # few that are seen at 90 % hidden outvoted touch (tuning family `d435`); with 50 nothing else changed there.
     cells: float = 50.0
     # Nats that one cell earns when it is seen where it must be, costs when the camera sees past it, and costs when
