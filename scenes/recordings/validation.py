@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 # Sizes or distances that disagree by more than this were written in different units (the closest confusion is m and
 # cm, a factor of 10; a half-hidden view or a rough start explains a factor of 2).
 SUSPICIOUS_RATIO = 5.0
+# What hides an object is not this many times nearer to the lens; a unit mistaken makes 100 or 1000 of it.
+NEAREST_RATIO = 50.0
 # A cloud may show the whole scene: only a size that no table-top has is suspicious then.
 LARGEST_SCENE_RATIO = 50.0
 # Focal lengths (of the image's larger side) between a fisheye's and a telescope's; anything else is not in pixels.
@@ -191,7 +193,8 @@ def _pose_problem(frame: Frame, pose: Array, model: ObjectModel, source: str) ->
         if away > SUSPICIOUS_RATIO * diameter:
             return _says("contacts no nearer than", away, f"the centre, by the {source}, of an object of", diameter)
     seen = _depth_at(frame, centre, diameter)
-    if seen is not None and max(seen / centre[2], centre[2] / seen) > SUSPICIOUS_RATIO:
+    # what is seen may be something near the lens that hides the object, but not something far behind it
+    if seen is not None and (seen / centre[2] > SUSPICIOUS_RATIO or centre[2] / seen > NEAREST_RATIO):
         hint = "are depth_scale and the pose's unit right?"
         return _says("depth readings about", seen, f"an object, by the {source}, at", float(centre[2]), hint)
     return None

@@ -10,8 +10,9 @@ from made_frames import some_frame
 
 from scenes.errors import CaptureError
 from scenes.geometry import poses
+from scenes.geometry.cameras import Camera
 from scenes.recordings.captures import write_capture
-from scenes.recordings.frames import Contacts
+from scenes.recordings.frames import Contacts, Frame
 from scenes.recordings.validation import check_scale, scale_problem, validate
 from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.library import make
@@ -76,3 +77,14 @@ def test_contacts_far_from_their_sensors_are_a_problem(tmp_path):
     assert "got 1.2 m off: is its pose inverted?" in said(inverted)
     strangers = replace(inverted, contacts=Contacts(points, sensors=["a", "b", "c"]))
     assert "the hand's sensors" not in said(strangers)
+
+
+def test_something_near_the_lens_is_no_wrong_unit():
+    """A forearm at 9 cm hides an object at half a metre: the frame is as it should be."""
+    model = make("drill")
+    pose = poses.make_pose(translation=[0.0, 0.0, 0.56])
+    camera = Camera(80.0, 82.0, 31.5, 23.5, 64, 48)
+    frame = Frame(0, camera=camera, depth=np.full((48, 64), 0.09, np.float32), prior=pose)
+    assert scale_problem(frame, model) is None
+    assert scale_problem(replace(frame, depth=np.full((48, 64), 0.09e-2, np.float32)), model) is not None
+    assert scale_problem(replace(frame, depth=np.full((48, 64), 9.0, np.float32)), model) is not None
