@@ -55,10 +55,7 @@ class ProposalSettings:
 
 def search_stages(blur: float, passes: Passes) -> tuple[SearchStage, ...]:
     """The passes with their blurs in metres."""
-    return tuple(
-        SearchStage(blur / 3 if share == 1 / 3 else share * blur, angle, rows, steps, keep)
-        for share, angle, rows, steps, keep in passes
-    )
+    return tuple(SearchStage(share * blur, angle, rows, steps, keep) for share, angle, rows, steps, keep in passes)
 
 
 def starts_of(
