@@ -320,7 +320,7 @@ def _hand_depth(camera: Camera, hand: HandView, settings: PredictionSettings) ->
 
 
 def _box_of(camera: Camera, hand: HandView, step: int) -> tuple[int, int, int, int]:
-    """Columns and rows (u0, v0, u1, v1), of every `step` pixels, that can see the hand; all when it is at the camera."""
+    """Columns and rows (u0, v0, u1, v1), of every `step` pixels, that can see the hand; all when it is near."""
     columns, rows = -(-camera.width // step), -(-camera.height // step)
     ends = hand.surface.bounds
     corners = np.array([[ends[i][0], ends[j][1], ends[k][2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fusion.estimation.pool import Pool
 from fusion.estimation.search import Found, PlanSettings, find_modes
+from scenes.evidence.modes import Mode
 from scenes.evidence.search import SearchStage
 from scenes.evidence.table import Evidence
 
@@ -31,7 +32,8 @@ def modes_near(
         return find_modes(pool.model, rows, starts, stages, pool.prior, pool.sight.costs, plan, pool.modes)
     whole, descents = replace(plan, skipping=False), pool.settings.descents
     ends = [k for k in plan.rounds if k < len(starts)] if plan.skipping else []
-    begin, modes = 0, ()
+    begin = 0
+    modes: tuple[Mode, ...] = ()
     for end, descending in zip([*ends, len(starts)], [*descents[: len(ends)], descents[-1]]):
         fresh, before = starts[begin:end], modes
         found = find_modes(pool.model, rows, fresh, stages, pool.prior, pool.sight.costs, whole, pool.modes)

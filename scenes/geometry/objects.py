@@ -159,8 +159,7 @@ class ObjectModel:
         return {key: value for key, value in self.__dict__.items() if key != "surface"}
 
     def sample_surface(self, count: int, seed: int = 0) -> tuple[Array, Array]:
-        """Points (count, 3) uniform over the surface's area and their outward normals (count, 3); not to be written to.
-        """
+        """Points (count, 3) uniform over the area and their outward normals (count, 3); not to be written to."""
         if (count, seed) in self._sampled:
             return self._sampled[count, seed]
         rng = np.random.default_rng(seed)

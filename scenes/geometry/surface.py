@@ -26,7 +26,7 @@ class Surface:
     def __init__(self, vertices: Array, faces: NDArray[np.int64]) -> None:
         """Vertices (n, 3) metres, faces (m, 3) wound outwards."""
         o3d = open3d()
-        # of the box around the mesh; centred, because the ray caster works in float32 and loses digits far from the origin
+        # of the box around the mesh, about which all is: single precision loses digits far from the origin
         self.middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
         self._corners = (vertices - self.middle)[faces]
         self._scene = o3d.t.geometry.RaycastingScene()

@@ -11,12 +11,12 @@ import numba
 def mark_cells(low, high, origin, cell, covered):
     """Mark in covered (i, j, k) the cells of size `cell` (m) from origin (3,) that any box low, high (m, 3) reaches."""
     for n in range(low.shape[0]):
-        i0 = int(math.floor((low[n, 0] - origin[0]) / cell))
-        j0 = int(math.floor((low[n, 1] - origin[1]) / cell))
-        k0 = int(math.floor((low[n, 2] - origin[2]) / cell))
-        i1 = int(math.floor((high[n, 0] - origin[0]) / cell)) + 1
-        j1 = int(math.floor((high[n, 1] - origin[1]) / cell)) + 1
-        k1 = int(math.floor((high[n, 2] - origin[2]) / cell)) + 1
+        i0 = math.floor((low[n, 0] - origin[0]) / cell)
+        j0 = math.floor((low[n, 1] - origin[1]) / cell)
+        k0 = math.floor((low[n, 2] - origin[2]) / cell)
+        i1 = math.floor((high[n, 0] - origin[0]) / cell) + 1
+        j1 = math.floor((high[n, 1] - origin[1]) / cell) + 1
+        k1 = math.floor((high[n, 2] - origin[2]) / cell) + 1
         for i in range(max(i0, 0), min(i1, covered.shape[0])):
             for j in range(max(j0, 0), min(j1, covered.shape[1])):
                 for k in range(max(k0, 0), min(k1, covered.shape[2])):
