@@ -184,7 +184,7 @@ def test_no_point_that_is_near_is_sorted_out_as_far(name, distance):
 
 
 def test_cells_near_a_mesh_are_those_that_its_widened_boxes_reach(rng):
-    model, distance = library.make("l_block"), 0.01
+    model, distance = library.make("l_block"), 0.0093
     corners = model.vertices[model.faces]
     low, high = corners.min(axis=1) - distance, corners.max(axis=1) + distance
     origin, extent = low.min(axis=0), np.ptp(np.concatenate([low, high]), axis=0)
