@@ -34,16 +34,14 @@ class MomentSettings:
     share: float = 0.2
     # Vision rows that stand for all (see alignment.search.thin), and samples: with a third of them effective the error
     # of a standard deviation is 6 % of it.
-    rows: int = 160
+    rows: int = 100
     samples: int = 400
     # Fewer effective samples than this tell nothing: the Gaussian stays.
     effective: float = 20.0
     # Directions this many times as wide (variance) as Laplace's method has them are changed.
     wider: float = 1.5
-    # When so many of the first half of the samples are effective, and they make no direction wider than this, there is
-    # nothing to change and the other half is not drawn.
+    # When so many of the first half of the samples are effective, and they change nothing, the rest is not drawn.
     clear: float = 50.0
-    clearly_narrow: float = 1.25
     # Width of a direction that nothing else bounds: rad, and shares of the object's radius (as for modes).
     widest_angle: float = 1.0
     widest_share: float = 1.0
@@ -115,7 +113,7 @@ def moments(
     weights = np.exp(first - first.max())
     weights /= weights.sum()
     effective = float(1.0 / np.sum(weights**2))
-    if effective >= settings.clear and np.linalg.eigvalsh(_weighted(z, weights)[1])[-1] < settings.clearly_narrow:
+    if effective >= settings.clear and np.linalg.eigvalsh(_weighted(z, weights)[1])[-1] < settings.wider:
         return Moments(pose, covariance, effective, 0)
     z, weights = _sampled_on(log_target, proposals, (z, log, first), settings, rng)
     effective = float(1.0 / np.sum(weights**2))

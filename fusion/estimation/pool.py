@@ -41,12 +41,11 @@ class PoolSettings:
     descents: tuple[int, ...] = (12, 24, 32)
     descent: tuple[float, ...] = (0.02, 0.01, 0.005, 0.002)
     descent_steps: int = 6
-    descent_rows: int = 160
-    # Poses, the best first, that are fitted to the pixels inside their own outlines; how often, by how many
-    # rays along each side; the fewest such pixels.
+    descent_rows: int = 100
+    # Poses, the best first, that are fitted to the pixels inside their own outlines; by how many rays along each side
+    # in the first round, which sorts out, and in the last; the fewest such pixels.
     fitted: int = 6
-    rounds: int = 2
-    side: int = 40
+    sides: tuple[int, ...] = (28, 40)
     least_pixels: int = 25
     # A pose that costs so many nats more than the best after a fit is not fitted again.
     hopeless: float = 40.0
@@ -64,7 +63,7 @@ class PoolSettings:
     sure_share: float = 0.9
     # What agrees with at least this share of the whole is clearly seen: then nothing more is proposed.
     clearly_shown: float = 0.35
-    contact_nats: float = 2.5
+    contact_nats: float = 3.5
     # Poses nearer to each other than this share of the distance at which modes are one go on as one.
     together: float = 0.5
 
@@ -158,17 +157,16 @@ class Pool:
         best, _ = leaders(self.model, candidates[order], self.apart)
         poses = candidates[order[best[: s.fitted]]]
         tried = Alignment(poses, np.full(len(poses), np.inf), np.zeros((len(poses), 6, 6)), np.zeros(len(poses), int))
-        for _ in range(s.rounds):
-            tried = self._fitted(tried)
+        for side in s.sides:
+            tried = self._fitted(tried, side)
             order = np.argsort(tried.costs, kind="stable")
             order = order[leaders(self.model, tried.poses[order], self.apart)[0]]
             tried = tried.take(order[tried.costs[order] <= tried.costs[order[0]] + s.hopeless])
         return distinct_modes(self.model, tried, self.modes)
 
     def is_same(self, modes: tuple[Mode, ...], before: tuple[Mode, ...]) -> bool:
-        """Whether the first mode is where the first of those before was, and no likelier than within a nat."""
-        both = np.array([modes[0].pose, before[0].pose])
-        return len(leaders(self.model, both, self.apart)[0]) == 1 and before[0].cost - modes[0].cost < 1.0
+        """Whether the first mode is where the first of those before was."""
+        return len(leaders(self.model, np.array([modes[0].pose, before[0].pose]), self.apart)[0]) == 1
 
     def convinces(self, modes: tuple[Mode, ...], shown: float | None = None) -> bool:
         """Whether the first mode explains what is seen and felt, at least the share `shown` of it all, and no other
@@ -187,14 +185,15 @@ class Pool:
         felt = float(costs(self.model, self.felt, pose)[0])
         return bool(picture and felt <= s.contact_nats * max(contacts, 1))
 
-    def _fitted(self, tried: Alignment) -> Alignment:
+    def _fitted(self, tried: Alignment, side: int) -> Alignment:
         """Each pose fitted to the pixels that it predicts, its steps counted; where it was if that is likelier. What
-        took no step in the round before is not fitted again. Costs: the pool's, inf for what was never fitted.
+        took no step in the round before is not fitted again. Costs: the pool's, inf for what was never fitted. side:
+        rays along each side of an outline.
         """
         poses, hessians, steps = tried.poses.copy(), tried.hessians.copy(), np.zeros_like(tried.iterations)
         fresh = np.isinf(tried.costs)
         for k in np.flatnonzero(fresh | (tried.iterations > 0)):
-            rows = tables.stack(self.evidence(tried.poses[k], self.settings.side), self.felt)
+            rows = tables.stack(self.evidence(tried.poses[k], side), self.felt)
             if len(rows):
                 found = align(self.model, rows, tried.poses[k : k + 1], self.prior, self.settings.fit)
                 poses[k], hessians[k], steps[k] = found.poses[0], found.hessians[0], found.iterations[0]
