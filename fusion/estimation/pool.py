@@ -41,11 +41,11 @@ class PoolSettings:
     descents: tuple[int, ...] = (12, 24, 32)
     descent: tuple[float, ...] = (0.02, 0.01, 0.005, 0.002)
     descent_steps: int = 6
-    descent_rows: int = 100
+    descent_rows: int = 160
     # Poses, the best first, that are fitted to the pixels inside their own outlines; by how many rays along each side
-    # in the first round, which sorts out, and in the last; the fewest such pixels.
+    # in each round; the fewest such pixels.
     fitted: int = 6
-    sides: tuple[int, ...] = (28, 40)
+    sides: tuple[int, ...] = (40, 40)
     least_pixels: int = 25
     # A pose that costs so many nats more than the best after a fit is not fitted again.
     hopeless: float = 40.0
@@ -61,6 +61,8 @@ class PoolSettings:
     least_agree: float = 0.8
     least_shown: float = 0.12
     sure_share: float = 0.9
+    # Nats that a round may gain where it ends in the pose of the one before, for that to be the end.
+    as_likely: float = 3.0
     # What agrees with at least this share of the whole is clearly seen: then nothing more is proposed.
     clearly_shown: float = 0.35
     contact_nats: float = 3.5
@@ -165,8 +167,9 @@ class Pool:
         return distinct_modes(self.model, tried, self.modes)
 
     def is_same(self, modes: tuple[Mode, ...], before: tuple[Mode, ...]) -> bool:
-        """Whether the first mode is where the first of those before was."""
-        return len(leaders(self.model, np.array([modes[0].pose, before[0].pose]), self.apart)[0]) == 1
+        """Whether the first mode is where the first of those before was, and about as likely."""
+        near = len(leaders(self.model, np.array([modes[0].pose, before[0].pose]), self.apart)[0]) == 1
+        return near and before[0].cost - modes[0].cost < self.settings.as_likely
 
     def convinces(self, modes: tuple[Mode, ...], shown: float | None = None) -> bool:
         """Whether the first mode explains what is seen and felt, at least the share `shown` of it all, and no other

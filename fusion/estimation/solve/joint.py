@@ -141,6 +141,7 @@ def answered(settled: Settled) -> JointResult:
         covariance = gain + inverse @ inverse.T
     vision = system.vision(here, unknown)[0] if len(problem.seen) else 0.0
     misfit = system.misfit()
+    independent, shared = _split(system, here, settled.normal)
     covariance = misfit * covariance + system.excess_spread(whole[:free, :free], misfit) + _mesh_spread(problem)
     return JointResult(
         here,
@@ -152,7 +153,8 @@ def answered(settled: Settled) -> JointResult:
         settled.log_evidence,
         settled.level,
         vision,
-        *(misfit * part for part in _split(system, here, settled.normal)),
+        independent=misfit * independent,
+        shared=misfit * shared,
         as_seen=_as_seen(system, here, unknown),
     )
 
