@@ -188,8 +188,9 @@ def _within(
     fine = AlignSettings()
     one_each = (rows.take([n]) for n in range(len(points)))
     information = np.array([terms(model, row, answer.pose, settings=fine)[2] for row in one_each])
-    scale = np.sqrt(np.maximum(np.diag(answer.covariance), 1e-30))
-    before = answer.covariance / scale / scale[:, None]
+    here = answer.modes[0].covariance
+    scale = np.sqrt(np.maximum(np.diag(here), 1e-30))
+    before = here / scale / scale[:, None]
     told = information * scale * scale[:, None]
     # I + L' H L is symmetric and at least the identity, whatever the covariance is
     lower = np.linalg.cholesky(before + 1e-9 * np.eye(6))
