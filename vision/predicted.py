@@ -60,9 +60,8 @@ class PredictionSettings:
     hidden_by_unknown: float = 0.2
     most_of_piece: float = 30.0
     piece_step: int = 3
-    # A pixel that is seen past counts this share where something within so many pixels is as near as the object.
+    # A pixel that is seen past counts this share beside the edge of something that is as near as the object.
     past_beside: float = 0.25
-    edge_pixels: int = 4
     # Of what gives no reading this share is left out of the count.
     unread: float = 0.7
     # A cell's depth agrees within so many sigmas (noise, smooth bias and scale); seen fades with so many (no scale).
@@ -148,7 +147,7 @@ class Predictor:
         self.camera: Camera | None = frame.camera
         self._depth = None if frame.camera is None else frame.depth
         self._belief = depth
-        self._nearest = None if self._depth is None else _nearest_around(self._depth, self.settings.edge_pixels)
+        self._nearest = None if self._depth is None else _nearest_around(self._depth, depth.edge_pixels)
         self._points = model.sample_surface(self.settings.bounding)[0]
         self._hand = None if self._depth is None or hand is None else _hand_depth(self.camera, hand, self.settings)
 

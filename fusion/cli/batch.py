@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion.cli.config import add_config, read_config
+from fusion.cli.config import add_config, read_config, told
 from fusion.cli.options import (
+    add_beliefs,
     add_object,
     add_prior,
     add_trust,
@@ -39,6 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--use", metavar="SENSES", type=names, default=("vision", "touch"), help="vision,touch (default)"
     )
     add_prior(parser)
+    add_beliefs(parser)
     add_config(parser)
     parser.add_argument("--out", metavar="DIR", type=Path, help="where to write (default out/NAME of the folder)")
     parser.add_argument("--no-report", action="store_true", help="skip the captures' report.html")
@@ -50,30 +52,30 @@ def run(args: argparse.Namespace) -> int:
     from fusion.estimation.asked import check_senses
     from fusion.results.batch import Job, Outcome, find_captures, finished
     from fusion.results.batch_files import write_all
-    from fusion.results.runs import prior_setter
+    from fusion.results.runs import frame_setter
     from fusion.results.summary import summary_of
     from scenes.files.whole import sweep
 
     use = tuple(sorted(check_senses(args.use), reverse=True))
-    prior_setter(args.prior, args.seed)  # a mistake in it is one line now, not one a capture
+    believed = tuple(told(args))
+    frame_setter(args.prior, args.seed, believed)  # a mistake in it is one line now, not one a capture
     paths = find_captures(args.folder)
     out = out_folder(args, args.folder.resolve().name)
-    told: dict[str, Any] = {
+    asked: dict[str, Any] = {
         "use": use,
         "prior": args.prior,
         "object": args.object,
         "unit": args.unit,
         "report": not args.no_report,
     }
-    told["trust_paths"] = args.trust_paths
+    asked |= {"trust_paths": args.trust_paths, "told": believed}
     if args.config is not None:
-        config = read_config(args.config)
-        told |= {"settings": config.estimate, "beliefs": config.believed}
+        asked["settings"] = read_config(args.config).estimate
     jobs = []
     for path in paths:
         name = path.relative_to(args.folder).as_posix()
         name = args.folder.resolve().name if name == "." else name
-        jobs.append(Job(str(path.resolve()), name, str((out / name).resolve()), seed=args.seed, **told))
+        jobs.append(Job(str(path.resolve()), name, str((out / name).resolve()), seed=args.seed, **asked))
     found: dict[str, Outcome] = {}
     for job in jobs:
         sweep(Path(job.out))  # what an earlier run was killed over

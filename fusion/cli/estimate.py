@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 
-from fusion.cli.config import add_config, read_config
+from fusion.cli.config import add_config, read_config, told
 from fusion.cli.options import (
+    add_beliefs,
     add_run,
     announce_compiling,
     length_and_angle,
@@ -18,7 +19,7 @@ from fusion.cli.options import (
     show_table,
     write_run,
 )
-from fusion.results.runs import estimates, load_object, prior_setter
+from fusion.results.runs import estimates, frame_setter, load_object
 
 # Frames whose reasons are printed; result.json has all of them.
 MOST_REMARKS = 5
@@ -29,6 +30,7 @@ MOST_POSES = 10
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
     add_run(parser)
+    add_beliefs(parser)
     add_config(parser)
     parser.add_argument(
         "--tolerance", metavar="MM,DEG", type=length_and_angle, help="good enough, like 1,2: work beyond is skipped"
@@ -45,16 +47,16 @@ def run(args: argparse.Namespace) -> int:
 
     senses = tuple(sorted(check_senses(args.use), reverse=True))
     config = read_config(args.config)
+    prepare = frame_setter(args.prior, args.seed, told(args))
     capture = read_capture(args.capture, args.trust_paths)
     out_folder(args, capture.name)  # before the work, not after it
     model = load_object(args.object, args.unit) if args.object else capture.model
-    prepare = prior_setter(args.prior, args.seed)
     judge = Judge(model)
     frames, answers, errors, rows = [], [], [], []
     announce_compiling()
     shown = progress(capture, len(capture), "estimating")
     limits = args.tolerance, args.budget_ms
-    for frame, answer in estimates(shown, model, prepare, senses, args.seed, *limits, config.estimate, config.believed):
+    for frame, answer in estimates(shown, model, prepare, senses, args.seed, *limits, config.estimate):
         frames.append(frame)
         answers.append(answer)
         errors.append(frame_errors(judge, frame, answer))

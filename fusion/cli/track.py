@@ -5,8 +5,18 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from fusion.cli.config import add_config, read_config
-from fusion.cli.options import add_run, announce_compiling, number, out_folder, progress, say, show_table, write_run
+from fusion.cli.config import add_config, read_config, told
+from fusion.cli.options import (
+    add_beliefs,
+    add_run,
+    announce_compiling,
+    number,
+    out_folder,
+    progress,
+    say,
+    show_table,
+    write_run,
+)
 from fusion.results.runs import load_object, prior_setter
 
 if TYPE_CHECKING:
@@ -21,6 +31,7 @@ LONG = 40
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
     add_run(parser)
+    add_beliefs(parser)
     add_config(parser)
 
 
@@ -31,17 +42,19 @@ def run(args: argparse.Namespace) -> int:
     from fusion.tracking.tracker import Tracker
     from fusion.truth.errors import Judge
     from scenes.recordings.captures import read_capture
+    from scenes.recordings.telling import believed
     from scenes.recordings.validation import check_scale
 
     senses = tuple(sorted(check_senses(args.use), reverse=True))
-    config = read_config(args.config)
+    config, said = read_config(args.config), told(args)
     capture = read_capture(args.capture, args.trust_paths)
+    beliefs = believed(capture.beliefs, said)
     out_folder(args, capture.name)  # before the work, not after it
     model = load_object(args.object, args.unit) if args.object else capture.model
     prepare = prior_setter(args.prior, args.seed)
 
     def new_tracker() -> Tracker:
-        return Tracker(model, use=senses, seed=args.seed, settings=config.track, beliefs=config.believed)
+        return Tracker(model, use=senses, seed=args.seed, settings=config.track, beliefs=beliefs)
 
     judge, tracker = Judge(model), new_tracker()
     announce_compiling()
