@@ -12,15 +12,18 @@ from fusion.cli.options import (
     add_beliefs,
     add_object,
     add_prior,
+    add_sure,
     add_trust,
     announce_compiling,
     names,
     number,
     out_folder,
+    percent,
     positive,
     progress,
     say,
     show_table,
+    with_sure,
     write_json,
 )
 
@@ -40,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--use", metavar="SENSES", type=names, default=("vision", "touch"), help="vision,touch (default)"
     )
     add_prior(parser)
+    add_sure(parser)
     add_beliefs(parser)
     add_config(parser)
     parser.add_argument("--out", metavar="DIR", type=Path, help="where to write (default out/NAME of the folder)")
@@ -69,8 +73,8 @@ def run(args: argparse.Namespace) -> int:
         "report": not args.no_report,
     }
     asked |= {"trust_paths": args.trust_paths, "told": believed}
-    if args.config is not None:
-        asked["settings"] = read_config(args.config).estimate
+    if args.config is not None or args.sure_within is not None:
+        asked["settings"] = with_sure(read_config(args.config).estimate, args)
     jobs = []
     for path in paths:
         name = path.relative_to(args.folder).as_posix()
@@ -115,14 +119,15 @@ def _outcomes(args: argparse.Namespace, jobs: list[Job]) -> Iterator[Outcome]:
 def _show(outcomes: list[Outcome], summary: dict[str, Any]) -> None:
     from fusion.results.summary import median
 
-    heads = ("capture", "frames", "ok", "ambiguous", "lost", "ADD-S mm", "rot °", "time ms")
+    heads = ("capture", "frames", "ok", "ambiguous", "lost", "sure", "ADD-S mm", "rot °", "time ms")
     rows = []
     for outcome in outcomes:
         if outcome.status == "error":
             continue
         counts = [str(sum(row["verdict"] == word for row in outcome.rows)) for word in ("ok", "ambiguous", "lost")]
-        middle = [median([row[name] for row in outcome.rows]) for name in ("add_s_mm", "rotation_deg", "time_ms")]
-        measured = [number(middle[0]), number(middle[1]), number(middle[2], 0)]
+        names_of = ("confidence", "add_s_mm", "rotation_deg", "time_ms")
+        middle = [median([row[name] for row in outcome.rows]) for name in names_of]
+        measured = [percent(middle[0]), number(middle[1]), number(middle[2]), number(middle[3], 0)]
         rows.append((outcome.job.name, str(len(outcome.rows)), *counts, *measured))
     if rows:
         show_table(heads, rows)

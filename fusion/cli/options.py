@@ -21,6 +21,7 @@ from scenes.errors import InputError, unknown
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from fusion.estimation.settings import EstimateSettings
     from scenes.recordings.telling import Told
 
 
@@ -86,6 +87,23 @@ def add_beliefs(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--mesh", metavar="MM", type=positive_number, help="sigma of what the mesh leaves out (default 0.4)"
     )
+
+
+def add_sure(parser: argparse.ArgumentParser) -> None:
+    """--sure-within."""
+    parser.add_argument(
+        "--sure-within",
+        metavar="MM",
+        type=positive_number,
+        help="`sure` is the probability that ADD-S is below this (default 5)",
+    )
+
+
+def with_sure(settings: EstimateSettings, args: argparse.Namespace) -> EstimateSettings:
+    """The settings with what --sure-within says."""
+    from fusion.estimation.asked import sure_to_be_within
+
+    return sure_to_be_within(settings, None if args.sure_within is None else 1e-3 * args.sure_within)
 
 
 def beliefs_told(args: argparse.Namespace) -> list[Told]:
@@ -253,6 +271,11 @@ def set_volume(verbose: int, quiet: bool) -> None:
         logger = logging.getLogger(package)
         logger.handlers = [handler]  # a second command of the same process says nothing twice, and is as loud as asked
         logger.setLevel({0: logging.NOTSET, 1: logging.INFO}.get(verbose, logging.DEBUG))
+
+
+def percent(value: float | None) -> str:
+    """A share for a table, in per cent; a dash for what is not known."""
+    return "–" if value is None or math.isnan(value) else f"{100 * value:.0f} %"
 
 
 def number(value: float | None, digits: int = 2) -> str:

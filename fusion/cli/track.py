@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from fusion.cli.config import add_config, read_config, told
 from fusion.cli.options import (
     add_beliefs,
     add_run,
+    add_sure,
     announce_compiling,
     number,
     out_folder,
+    percent,
     progress,
     say,
     show_table,
+    with_sure,
     write_run,
 )
 from fusion.results.runs import load_object, prior_setter
@@ -31,6 +35,7 @@ LONG = 40
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
     add_run(parser)
+    add_sure(parser)
     add_beliefs(parser)
     add_config(parser)
 
@@ -49,12 +54,13 @@ def run(args: argparse.Namespace) -> int:
     config, said = read_config(args.config), told(args)
     capture = read_capture(args.capture, args.trust_paths)
     beliefs = believed(capture.beliefs, said)
+    settings = replace(config.track, first=with_sure(config.track.first, args))
     out_folder(args, capture.name)  # before the work, not after it
     model = load_object(args.object, args.unit) if args.object else capture.model
     prepare = prior_setter(args.prior, args.seed)
 
     def new_tracker() -> Tracker:
-        return Tracker(model, use=senses, seed=args.seed, settings=config.track, beliefs=beliefs)
+        return Tracker(model, use=senses, seed=args.seed, settings=settings, beliefs=beliefs)
 
     judge, tracker = Judge(model), new_tracker()
     announce_compiling()
@@ -81,7 +87,7 @@ def _show(answers: list[TrackedEstimate], errors: list[Errors | None]) -> None:
     """The table of frames, and the track in two lines."""
     import numpy as np
 
-    heads = ("frame", "how", "verdict", "in the hand", "ADD-S mm", "rot °", "trans mm", "time ms", "not known")
+    heads = ("frame", "how", "verdict", "sure", "in the hand", "ADD-S mm", "rot °", "trans mm", "time ms", "not known")
     rows = []
     for answer, error in zip(answers, errors):
         told = answer.moved_in_hand or answer.how != "tracked" or answer.verdict != "ok"
@@ -93,8 +99,8 @@ def _show(answers: list[TrackedEstimate], errors: list[Errors | None]) -> None:
         measured = [number(value) for value in values]
         slip = "slips" if answer.slip else "moves" if answer.moved_in_hand else "–"
         unknown = ", ".join(answer.unobservable) or "–"
-        row = (str(answer.frame), answer.how, answer.verdict, slip, *measured, number(answer.time_ms, 0), unknown)
-        rows.append(row)
+        said = str(answer.frame), answer.how, answer.verdict, percent(answer.confidence), slip
+        rows.append((*said, *measured, number(answer.time_ms, 0), unknown))
     title = None if len(answers) <= LONG else f"{len(rows)} of {len(answers)} frames in which something happened"
     show_table(heads, rows, title)
     known = [error for error in errors if error is not None]

@@ -41,6 +41,7 @@ COLUMNS = (
     "object",
     "status",
     "verdict",
+    "confidence",
     "add_s_mm",
     "rotation_deg",
     "translation_mm",
@@ -164,7 +165,7 @@ def _row(job: Job, name: str, answer: Any, error: Any) -> Row:
     row: Row = dict.fromkeys(COLUMNS)
     row |= {"capture": job.name, "frame": answer.frame, "object": name, "status": "done", "verdict": answer.verdict}
     row |= {key: told.get(key) for key in ("add_s_mm", "rotation_deg", "translation_mm")}
-    row |= {"visible_fraction": answer.visible_fraction, "time_ms": answer.time_ms}
+    row |= {"confidence": answer.confidence, "visible_fraction": answer.visible_fraction, "time_ms": answer.time_ms}
     return row | {"contacts": len(answer.contacts), "modes": len(answer.modes)}
 
 

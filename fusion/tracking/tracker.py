@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
-from fusion.estimation.asked import as_prior, check_senses
+from fusion.estimation.asked import as_prior, check_senses, sure_to_be_within
 from fusion.estimation.estimate import estimate
 from fusion.estimation.solve.joint import JointResult
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import solve_modes
 from fusion.estimation.solve.settings import Rig
+from fusion.estimation.tolerance import share_within
 from fusion.estimation.trace import Trace
 from fusion.tracking.answer import TrackedEstimate, TrackSettings, as_carried, as_tracked
 from fusion.tracking.filter import Belief, Measurement, moved_modes, update
@@ -59,15 +60,17 @@ def track(
     seed: int = 0,
     settings: TrackSettings | None = None,
     beliefs: Beliefs | None = None,
+    sure_within: float | None = None,
 ) -> Iterator[TrackedEstimate]:
     """Where is the object in each of these frames?
 
     prior: of the first frame, as for `estimate`; default the frame's own. use: the senses allowed. Yields one answer a
     frame, in their order; a frame whose index is below its predecessors' came late: it corrects the present, and its
     answer is for its own time. beliefs: what the sensors are worth; default what the first frame says of its own.
+    sure_within (m): what an answer's confidence is about, as for `estimate`.
     Raises InputError as `estimate` does.
     """
-    tracker = Tracker(model, prior, use, seed, settings, beliefs)
+    tracker = Tracker(model, prior, use, seed, settings, beliefs, sure_within)
     for frame in frames:
         yield tracker.step(frame)
 
@@ -83,10 +86,12 @@ class Tracker:
         seed: int = 0,
         settings: TrackSettings | None = None,
         beliefs: Beliefs | None = None,
+        sure_within: float | None = None,
     ) -> None:
         """As `track`."""
         self.model = model
-        self.settings = settings or TrackSettings()
+        settings = settings or TrackSettings()
+        self.settings = replace(settings, first=sure_to_be_within(settings.first, sure_within))
         self._senses = check_senses(use)
         self._prior = as_prior(prior, self.settings.first)
         self._seed = seed
@@ -109,6 +114,7 @@ class Tracker:
         self._unseen = 0
         self._lost_for = 0
         self._usual: float | None = None
+        self._found = 0.0
         self._rigs: list[float] = []
 
     def step(self, frame: Frame) -> TrackedEstimate:
@@ -118,11 +124,19 @@ class Tracker:
                 self._believe(frame.beliefs)
             return self._begin(frame)
         with one_blas_thread():
-            answer = self._follow(frame, self._belief)
+            answer = self._sure(self._follow(frame, self._belief))
         if answer.how == "lost":
             self._lost_for += 1
             return self._recover(frame, answer)
         return answer
+
+    def _sure(self, answer: TrackedEstimate) -> TrackedEstimate:
+        """With its confidence: how sure it was when the object was found, which the picture told then, times what the
+        posterior says of being within the tolerance now. What is lost is not to be trusted at all.
+        """
+        how = self.settings.first.confidence
+        near = 0.0 if answer.how == "lost" else share_within(self.model, answer.modes[0], how.tolerance)
+        return replace(answer, confidence=self._found * near, sure_within=how.tolerance)
 
     # --- beginning, and beginning again
 
@@ -138,6 +152,7 @@ class Tracker:
         share = self.settings.first_lasting
         self._belief = Belief(answer.pose, (1 - share) * answer.covariance, share * answer.covariance)
         self._modes = answer.modes[: self.settings.modes]
+        self._found = answer.confidence
         self._index, self._unseen, self._lost_for, self._usual = frame.index, 0, 0, None
         contacts = self._feel(frame).reported_contacts
         self._hand = HandState.of(frame, contacts)

@@ -1,4 +1,4 @@
-"""--camera, --calibration, --joints, --mesh: over --config, and that over what a capture says; bad ones are one line."""
+"""--camera, --calibration, --joints, --mesh: over --config, and that over what a capture says."""
 
 from __future__ import annotations
 
