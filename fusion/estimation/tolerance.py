@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
 
 from fusion.estimation.answer import Estimate
-from fusion.estimation.confidence import spread_of
 from fusion.estimation.settings import EstimateSettings
 from scenes.evidence.modes import Mode
 from scenes.geometry import poses as se3
@@ -57,12 +55,3 @@ def good_enough(
 ) -> bool:
     """Whether an answer is sure and its largest standard deviations are within tolerance (m, rad)."""
     return answer.verdict == "ok" and is_within(model, answer.modes, tolerance, settings)
-
-
-def share_within(model: ObjectModel, mode: Mode, tolerance: float) -> float:
-    """Probability that the surface is within the tolerance (m) of where a mode has it, of its weight and covariance
-    alone: its error is about a normal vector's length, whose mean square is the spread's.
-    """
-    spread = spread_of(model, mode.pose, mode.covariance)
-    inside = math.erf(max(tolerance, 1e-9) / (math.sqrt(2.0) * max(spread, 1e-9)))
-    return float(np.clip(mode.weight, 0.0, 1.0)) * inside

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import as_prior, check_senses, sure_to_be_within
+from fusion.estimation.confidence import within
 from fusion.estimation.estimate import estimate
 from fusion.estimation.solve.joint import JointResult
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import solve_modes
 from fusion.estimation.solve.settings import Rig
-from fusion.estimation.tolerance import share_within
 from fusion.estimation.trace import Trace
 from fusion.tracking.answer import TrackedEstimate, TrackSettings, as_carried, as_tracked
 from fusion.tracking.filter import Belief, Measurement, moved_modes, update
@@ -131,12 +131,12 @@ class Tracker:
         return answer
 
     def _sure(self, answer: TrackedEstimate) -> TrackedEstimate:
-        """With its confidence: how sure it was when the object was found, which the picture told then, times what the
-        posterior says of being within the tolerance now. What is lost is not to be trusted at all.
+        """With its confidence: that the object was found at all, which the picture told then, times what the posterior
+        says now of its mode and of being within the tolerance. What is lost is not to be trusted at all.
         """
-        how = self.settings.first.confidence
-        near = 0.0 if answer.how == "lost" else share_within(self.model, answer.modes[0], how.tolerance)
-        return replace(answer, confidence=self._found * near, sure_within=how.tolerance)
+        how, first = self.settings.first.confidence, answer.modes[0]
+        near = 0.0 if answer.how == "lost" else within(self.model, first.pose, first.covariance, how.tolerance, how)
+        return replace(answer, confidence=self._found * first.weight * near, sure_within=how.tolerance)
 
     # --- beginning, and beginning again
 
@@ -152,7 +152,9 @@ class Tracker:
         share = self.settings.first_lasting
         self._belief = Belief(answer.pose, (1 - share) * answer.covariance, share * answer.covariance)
         self._modes = answer.modes[: self.settings.modes]
-        self._found = answer.confidence
+        first, how = answer.modes[0], self.settings.first.confidence
+        explained = first.weight * within(self.model, first.pose, first.covariance, how.tolerance, how)
+        self._found = min(1.0, answer.confidence / explained) if explained > 1e-9 else 0.0
         self._index, self._unseen, self._lost_for, self._usual = frame.index, 0, 0, None
         contacts = self._feel(frame).reported_contacts
         self._hand = HandState.of(frame, contacts)
