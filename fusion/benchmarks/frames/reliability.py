@@ -112,9 +112,9 @@ def _summary_table() -> Table:
     columns = [Column("family"), Column("role"), Column("sense"), Column("answers", 0), Column("stated %", 1)]
     columns += [Column("right"), Column("calibration error %", 1), Column("of it by chance %", 1)]
     note = (
-        f"With a start and without. stated: mean confidence that ADD-S is below {1e3 * WRONG:g} mm; right: the share"
-        " that was. Calibration error: mean gap between the two over the bins of the next table; by chance: what a right"
-        " answerer of the same confidences shows with so few answers."
+        f"With a start and without. stated: mean confidence that ADD-S is below {1e3 * WRONG:g} mm; right: the share of"
+        " which it was. Calibration error: mean gap between the two over the bins of the next table; by chance: what a"
+        " right answerer of the same confidences shows with so few answers."
     )
     return Table("Confidence against the truth", columns, note=note)
 
