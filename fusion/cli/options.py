@@ -81,12 +81,10 @@ def add_beliefs(parser: argparse.ArgumentParser) -> None:
         "--calibration",
         metavar="MM,DEG",
         type=length_and_angle,
-        help="sigma per axis of where the camera has the robot (default 2,0.3)",
+        help="sigma per axis of where the camera has the robot",
     )
-    group.add_argument("--joints", metavar="DEG", type=positive_number, help="sigma of a finger's joint (default 0.3)")
-    group.add_argument(
-        "--mesh", metavar="MM", type=positive_number, help="sigma of what the mesh leaves out (default 0.4)"
-    )
+    group.add_argument("--joints", metavar="DEG", type=positive_number, help="sigma of a finger's joint")
+    group.add_argument("--mesh", metavar="MM", type=positive_number, help="sigma of what the mesh leaves out")
 
 
 def add_sure(parser: argparse.ArgumentParser) -> None:

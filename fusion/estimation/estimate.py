@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import as_prior, check_limits, check_senses, sure_to_be_within
-from fusion.estimation.confidence import rightness, whole_covariance, within
+from fusion.estimation.confidence import chances, whole_covariance, within
 from fusion.estimation.moments import moments
 from fusion.estimation.pool import Pool
 from fusion.estimation.proposals import search_stages, starts_of
@@ -119,8 +119,8 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> 
     if len(rows) == 0 or (believed is None and not len(looked.pixels) and not contacts):
         nothing = posterior.no_answer(frame, model, believed, trace.stages, settings.modes, settings.verdict)
         first, how_sure = nothing.modes[0], settings.confidence
-        sure = first.weight * within(model, first.pose, first.covariance, how_sure.tolerance, how_sure)
-        return replace(nothing, confidence=sure, sure_within=how_sure.tolerance)
+        near = within(model, first.pose, first.covariance, how_sure.tolerance, how_sure.felt.nearest)
+        return replace(nothing, confidence=first.weight * near, sure_within=how_sure.tolerance)
 
     sight = Sight(viewed, model, beliefs.depth, settings.sight)
     # something that nobody has a model of touches the object, and may be what is seen
@@ -184,8 +184,8 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> 
         seeing = visibility(viewed, model, pose, beliefs.depth)
         picture = predictor.predict(pose[None]) if predictor.sees else None
         nats = float(costs(model, felt.rows, pose[None])[0]) if contacts else 0.0
-        right = rightness(model, modes, picture, residuals, nats, settings.confidence)
-        sure = right * within(model, pose, modes[0].covariance, settings.confidence.tolerance, settings.confidence)
+        right, near = chances(model, modes, picture, residuals, nats, settings=settings.confidence)
+        sure = right * near
         word, why = posterior.verdict(model, modes, residuals, share, seeing, settings.verdict)
         if word == "ok" and nats > settings.verdict.most_contradicted * max(contacts, 1):
             word, why = "lost", "the contacts, or their normals, contradict every pose"

@@ -135,8 +135,13 @@ class Tracker:
         says now of its mode and of being within the tolerance. What is lost is not to be trusted at all.
         """
         how, first = self.settings.first.confidence, answer.modes[0]
-        near = 0.0 if answer.how == "lost" else within(self.model, first.pose, first.covariance, how.tolerance, how)
+        near = 0.0 if answer.how == "lost" else self._near(first)
         return replace(answer, confidence=self._found * first.weight * near, sure_within=how.tolerance)
+
+    def _near(self, mode: Mode) -> float:
+        """Probability that the object is within the tolerance of a mode, if that is the right one."""
+        how = self.settings.first.confidence
+        return within(self.model, mode.pose, mode.covariance, how.tolerance, how.seen.nearest)
 
     # --- beginning, and beginning again
 
@@ -152,8 +157,7 @@ class Tracker:
         share = self.settings.first_lasting
         self._belief = Belief(answer.pose, (1 - share) * answer.covariance, share * answer.covariance)
         self._modes = answer.modes[: self.settings.modes]
-        first, how = answer.modes[0], self.settings.first.confidence
-        explained = first.weight * within(self.model, first.pose, first.covariance, how.tolerance, how)
+        explained = answer.modes[0].weight * self._near(answer.modes[0])
         self._found = min(1.0, answer.confidence / explained) if explained > 1e-9 else 0.0
         self._index, self._unseen, self._lost_for, self._usual = frame.index, 0, 0, None
         contacts = self._feel(frame).reported_contacts

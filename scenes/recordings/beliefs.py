@@ -64,7 +64,7 @@ class DepthModel:
     # mixed light of time of flight.
     edge_pixels: int = 4
     # Smooth bias of the surface, metres, and the correlation length of that bias in pixels: exp(-d^2 / (2 length^2)).
-    bias_sigma: float = 0.002
+    bias_sigma: float = 0.0025
     bias_length: float = 40.0
     # In the search rows are weighed down instead: rows within this many pixels count as one. A bias so smooth moves and
     # tilts what is seen but leaves its shape, hence less than its length; but where neither mask nor hand model tells
@@ -76,7 +76,7 @@ class DepthModel:
     cloud_sigma: float = 0.0035
     cloud_patches: float = 30.0
     # Relative error of the depth scale.
-    scale_sigma: float = 0.005
+    scale_sigma: float = 0.006
 
     def __post_init__(self) -> None:
         """Refuse what is no size."""
@@ -104,8 +104,8 @@ class CalibrationModel:
     """How far the robot may be from where it says it is, seen from the camera. By judgement."""
 
     # camera_from_robot after a usual hand-eye calibration: metres and radians per axis, at the camera.
-    translation_sigma: float = 0.002
-    rotation_sigma: float = float(np.deg2rad(0.3))
+    translation_sigma: float = 0.0028
+    rotation_sigma: float = float(np.deg2rad(0.42))
 
     def __post_init__(self) -> None:
         """Refuse what is no size."""
@@ -119,8 +119,8 @@ class TouchModel:
     # What a contact is worth beside another sense when its recording does not say, metres: kinematics, calibration and
     # fingertip shape together (iCub's fingertips are some millimetres off its stereo cloud).
     unknown_sigma: float = 0.004
-    # Error of the finger joints between palm and fingertip, metres (0.3 degrees at three joints).
-    fingertip_sigma: float = 0.0008
+    # Error of the finger joints between palm and fingertip, metres (0.4 degrees at three joints).
+    fingertip_sigma: float = 0.0011
 
     def __post_init__(self) -> None:
         """Refuse what is no size."""
@@ -135,7 +135,7 @@ class Beliefs:
     calibration: CalibrationModel = field(default_factory=CalibrationModel)
     touch: TouchModel = field(default_factory=TouchModel)
     # What a mesh and its lattice leave out of a real object, metres: scans of products agree to half a millimetre.
-    mesh_sigma: float = 0.0004
+    mesh_sigma: float = 0.0006
 
     def __post_init__(self) -> None:
         """Refuse what is no size."""

@@ -10,19 +10,17 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, fields, replace
 from typing import Any
 
-import numpy as np
-
 from scenes.errors import InputError, unknown
 from scenes.files.merged import merged
-from scenes.recordings.beliefs import Beliefs, DepthModel, TouchModel
+from scenes.recordings.beliefs import Beliefs, DepthModel
 from scenes.recordings.depth_cameras import DEPTH_CAMERAS
 
 # One table with the words that begin messages about it: a file, a flag.
 Told = tuple[str, Mapping[str, Any]]
 
 # What a joint's error (rad) moves a fingertip by, metres per radian: three joints 0.12, 0.08 and 0.04 m away, as those
-# of a person-sized finger are, add up to this as a root of squares. The default's 0.8 mm are 0.3 degrees.
-JOINT_LEVER = TouchModel().fingertip_sigma / float(np.deg2rad(0.3))
+# of a person-sized finger are, add up to this as a root of squares.
+JOINT_LEVER = 0.15
 
 
 def believed(base: Beliefs | None, told: Iterable[Told]) -> Beliefs:

@@ -57,7 +57,7 @@ def test_flags_are_stronger_than_a_file_and_that_than_the_capture(capsys, tmp_pa
     assert told.depth == DEPTH_CAMERAS["d435"]
     assert told.calibration.translation_sigma == pytest.approx(0.001)
     assert told.calibration.rotation_sigma == pytest.approx(np.deg2rad(0.2))
-    assert told.touch.fingertip_sigma == pytest.approx(0.0016)
+    assert told.touch.fingertip_sigma == pytest.approx(0.15 * np.deg2rad(0.6))
     assert told.mesh_sigma == pytest.approx(0.0001)
 
 

@@ -108,7 +108,7 @@ def test_the_later_table_is_laid_over_the_earlier():
     assert made.depth == DEPTH_CAMERAS["d435"]  # another camera: nothing of the first is left
     assert made.mesh_sigma == 0.001
     assert made.calibration == OTHERS.calibration
-    assert made.touch.fingertip_sigma == pytest.approx(0.0016)
+    assert made.touch.fingertip_sigma == pytest.approx(0.15 * np.deg2rad(0.6))
     assert believed(None, [("", beliefs_json(made))]) == made
 
 
