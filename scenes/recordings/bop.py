@@ -233,15 +233,19 @@ def model_json(vertices: Array, diameter: float, symmetries: Symmetries) -> dict
 
 def write_poses(path: str | Path, rows: Iterable[PoseRow]) -> None:
     """Write poses.csv in BOP's format: R row-major, t in millimetres, time in seconds; whole or not at all."""
+    replace_file(Path(path), f"{','.join(POSES_HEADER)}\n{pose_lines(rows)}".encode())
+
+
+def pose_lines(rows: Iterable[PoseRow]) -> str:
+    """The rows as lines of a poses.csv, without its header."""
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(POSES_HEADER)
     for row in rows:
         rotation = " ".join(repr(x) for x in row.pose[:3, :3].ravel().tolist())
         translation = " ".join(repr(x) for x in (row.pose[:3, 3] / MM).tolist())
         cells = (row.scene_id, row.im_id, row.obj_id, repr(float(row.score)), rotation, translation)
         writer.writerow([*cells, repr(float(row.time))])
-    replace_file(Path(path), text.getvalue().encode())
+    return text.getvalue()
 
 
 def read_poses(path: str | Path) -> list[PoseRow]:
