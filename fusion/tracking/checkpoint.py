@@ -6,7 +6,8 @@ numbers, texts, arrays with their type and layout, lists, tuples, dicts, sets, d
 our own classes made of these; two attributes that are one object stay one. Two things are not kept:
 
 - what is *given*: the object model and the hand (and what these own), found again by name in whoever restores;
-- what is *remade* (`REMADE`): caches that hold what no file can, which their class makes anew where it finds None.
+- what is *remade* (`REMADE`): caches that hold what no file can, which their class makes anew where it finds None, and
+  what a step leaves lying about that no later one reads.
 
 Anything else (an open file, a thread, a ray-casting scene, a function) is refused with its place in the tracker when
 the state is saved, so a tracker that grows such an attribute fails the tests at once. No pickle: arrays in an .npz and
@@ -37,8 +38,9 @@ FORMAT = "palpate-tracker"
 VERSION = 1
 # Classes come from these packages only.
 PACKAGES = ("scenes", "vision", "touch", "fusion")
-# Attributes that come back as None because their class makes them anew when it needs them, bit by bit the same.
-REMADE: dict[type, tuple[str, ...]] = {Looker: ("_surface",)}
+# Attributes that come back as None because their class makes them anew when it needs them, bit by bit the same: a
+# hand's laid-out mesh of the last joints, what the last frame was looked at for.
+REMADE: dict[type, tuple[str, ...]] = {Looker: ("_surface",), Tracker: ("_sensed",)}
 
 _PLAIN = (type(None), bool, int, float, str)
 

@@ -248,11 +248,12 @@ function show(entry) {
 }
 
 function play(on) {
+  const played = state.timer !== null;
   clearInterval(state.timer);
   state.timer = on ? setInterval(() => { if (state.row + 1 < count) go(state.row + 1); else play(false); }, 1000 / 30) : null;
   $("play").textContent = on ? "❚❚" : "▶";
   $("play").setAttribute("aria-label", on ? "Pause" : "Play");
-  if (!on && count) go(state.row);
+  if (!on && played) go(state.row);  // with its tables
 }
 
 function drawMoments() {
@@ -284,7 +285,7 @@ function drawMoments() {
     return;
   }
   $("slider").max = String(count - 1);
-  $("slider").addEventListener("input", (e) => { play(false); go(Number(e.target.value)); });
+  $("slider").addEventListener("input", (e) => { const row = Number(e.target.value); play(false); go(row); });
   $("play").addEventListener("click", () => { if (state.timer === null && state.row === count - 1) state.row = 0; play(state.timer === null); });
   $("previous").addEventListener("click", () => { play(false); go(state.row - 1); });
   $("next").addEventListener("click", () => { play(false); go(state.row + 1); });

@@ -132,6 +132,6 @@ def test_settings_are_alike_when_they_are():
     from fusion.tracking.answer import TrackSettings
 
     assert plain_state(TrackSettings()) == plain_state(TrackSettings())
-    assert plain_state(TrackSettings()) != plain_state(TrackSettings(modes=4))
+    assert plain_state(TrackSettings()) != plain_state(TrackSettings(coast=31))
     with pytest.raises(InputError, match="expected what a state can keep"):
         plain_state(Alien())
