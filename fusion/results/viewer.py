@@ -36,8 +36,8 @@ REACH = 6.0
 # Length (m) of a contact's normal, and frames a second of playing.
 NORMAL = 0.02
 RATE = 10.0
-# The first view: what is shown of the hand reaches so many of the object's radii from its middle; the camera looks from so
-# far (rad) beside and above the real one's direction, as the report's tilted view, and leaves this share as a margin.
+# The first view: the hand counts up to so many of the object's radii from its middle; the camera looks from so far (rad)
+# beside and above the real one's direction, as in the report's tilted view, and leaves this share as a margin.
 HELD = 2.0
 ASIDE, ABOVE = 0.5, 0.42
 MARGIN = 1.15
@@ -94,7 +94,11 @@ class Viewer:
         self.slider.on_update(lambda _: self.show(int(self.slider.value)))
         for toggle in self.toggles.values():
             toggle.on_update(lambda _: self._apply_toggles())
-        again.on_click(lambda _: [self._frame(client) for client in self.server.get_clients().values()])
+        again.on_click(lambda _: self._frame_all())
+
+    def _frame_all(self) -> None:
+        for client in self.server.get_clients().values():
+            self._frame(client)
 
     def _frame(self, client: Any) -> None:
         """Turn a browser's camera to the object and what holds it, whatever its window's shape."""
