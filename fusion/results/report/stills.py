@@ -20,8 +20,9 @@ from scenes.recordings.frames import Frame
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-# As in the report: the estimate, its truth, contacts.
-AFTER, TRUTH, TOUCH, RIM = (67, 224, 210), (157, 182, 255), (255, 95, 185), (255, 255, 255)
+# As in the report: the estimate, other poses that fit, the truth, contacts and their rim.
+AFTER, OTHER, TRUTH = (67, 224, 210), (255, 178, 122), (157, 182, 255)
+TOUCH, RIM = (255, 95, 185), (255, 255, 255)
 # Fixed-point digits of OpenCV's drawing: an eighth of a pixel.
 SHIFT = 3
 # A still is made at the least so wide (pixels) before it is made small: lines of one width on every size.
@@ -32,12 +33,20 @@ VERDICTS = ("lost", "ambiguous", "ok")
 
 
 def still(
-    frame: Frame, model: ObjectModel, estimate: Estimate | None, wide: int, kind: str = "depth", truth: bool = False
+    frame: Frame,
+    model: ObjectModel,
+    estimate: Estimate | None,
+    wide: int,
+    kind: str = "depth",
+    truth: bool = False,
+    modes: int = 0,
+    outlines: bool = True,
 ) -> Image | None:
     """A 4:3 picture of `wide` pixels around the object: depth or colour with the estimate's outline and the contacts.
 
-    kind: "depth" or "colour", the other where the frame has it alone. truth: also the known pose's outline. None for a
-    frame without an image.
+    kind: "depth" or "colour", the other where the frame has it alone. truth: also the known pose's outline. modes: as many
+    of the other poses that fit, at most. outlines: without them the picture is of the same place. None for a frame without
+    an image.
     """
     import cv2
 
@@ -47,13 +56,16 @@ def still(
     shown: list[tuple[Array, tuple[int, int, int], int]] = []
     if truth and frame.camera_from_object_truth is not None:
         shown.append((frame.camera_from_object_truth, TRUTH, 2))
+    if estimate is not None:
+        others = [mode.pose for mode in estimate.modes[1 : 1 + modes] if np.isfinite(mode.pose).all()]
+        shown += [(pose, OTHER, 2) for pose in reversed(others)]
     if estimate is not None and np.isfinite(estimate.pose).all():
         shown.append((estimate.pose, AFTER, 3))
     renderer = Renderer({"object": (model.vertices, model.faces)})
-    outlines = [silhouette(renderer, "object", camera, pose) for pose, _, _ in shown]
+    traced = [silhouette(renderer, "object", camera, pose) for pose, _, _ in shown]
     contacts = frame.contacts.moved(frame.camera_from_world).points
     marks = camera.project(contacts)[0] if len(contacts) else np.zeros((0, 2))
-    around = [polygon for polygons in outlines for polygon in polygons]
+    around = [polygon for polygons in traced for polygon in polygons]
     crop = pictures.choose_crop(np.concatenate([*around, marks]), (camera.width, camera.height), wide=NATURAL)
     if frame.depth is not None and (kind == "depth" or frame.rgb is None):
         window = frame.depth[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
@@ -69,7 +81,7 @@ def still(
         return np.rint(np.clip(inside, -1e4, 1e4) * 2**SHIFT).astype(np.int32)
 
     larger = float(np.clip(0.6 * NATURAL / wide, 1.0, 3.0))  # on what is made small
-    for (_, colour, width), polygons in zip(shown, outlines):
+    for (_, colour, width), polygons in zip(shown, traced if outlines else ()):
         lines, thick = [at(polygon) for polygon in polygons], round(larger * width)
         cv2.polylines(image, lines, True, (0, 0, 0), thick + 3, cv2.LINE_AA, SHIFT)
         cv2.polylines(image, lines, True, colour, thick, cv2.LINE_AA, SHIFT)
