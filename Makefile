@@ -48,6 +48,7 @@ test: install-test
 	@$(BIN)/python -m pytest -m "not slow" -n auto
 
 test-slow: install-test
+	@$(PIP) install --no-compile --editable '.[docs]'
 	@$(BIN)/python -m pytest -m slow
 
 lint: install-test

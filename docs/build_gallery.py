@@ -1,7 +1,7 @@
-"""Writes docs/gallery.md and its pictures: twelve scenes, the commands that make them, and what each sense made of them.
+"""Write docs/gallery.md and its pictures: twelve scenes, the commands that make them, and what each sense made of them.
 
-`python docs/build_gallery.py` (or `make gallery`) does all of it in a folder of its own; with names of scenes, only their
-pictures are looked at again: nothing else of the page is kept.
+`python docs/build_gallery.py` (or `make gallery`) does all of it in a folder of its own; with names of scenes it draws
+these alone and prints their part of the page.
 """
 
 from __future__ import annotations
@@ -28,12 +28,13 @@ HEAD = """# Gallery: twelve grasps, from easy to hopeless
 
 <!-- written by docs/build_gallery.py -->
 
-Each scene is made and answered by the commands under it, which run as they stand. Left the colour image with the contacts
-(pink); right the depth image with the outlines of the answer (teal), of the truth (blue) and, where there are any, of other
-poses that fit as well (orange). The tables say what each sense makes of the scene alone and what both make of it together:
-the mean distance of the two surfaces (ADD-S), and the standard deviations that the answer claims in its worst direction.
-`open` means that nothing sensed tells of some direction, or that several poses fit. The scenes were chosen to show one thing
-each: how often an answer is right, and how often one is wrong and `ok`, is in [the benchmarks](benchmarks.md).
+Each scene is made and answered by the commands under it, which run as they stand. Left the colour image with the
+contacts (pink); right the depth image with the outlines of the answer (teal), of the truth (blue) and, where there are
+any, of other poses that fit as well (orange). The tables say what each sense makes of the scene alone and what both
+make of it together: the mean distance of the two surfaces (ADD-S), and the standard deviations that the answer claims
+in its worst direction. `open` means that nothing sensed tells of some direction, or that several poses fit. The scenes
+were chosen to show one thing each: how often an answer is right, and how often one is wrong and `ok`, is in
+[the benchmarks](benchmarks.md).
 """
 
 
@@ -69,8 +70,8 @@ SCENES = (
     Scene(
         "can",
         "A can in plain view",
-        "Nothing hides it and the camera is a good one. Vision needs no help; that the can may be turned about its axis is "
-        "declared, so nobody asks for it.",
+        "Nothing hides it and the camera is a good one. Vision needs no help; that the can may be turned about its "
+        "axis is declared, so nobody asks for it.",
         "--object cylinder --occlusion 0.05 --noise clean --seed 1",
     ),
     Scene(
@@ -89,8 +90,8 @@ SCENES = (
     Scene(
         "box",
         "A box, half hidden",
-        "A five-finger hand hides half of it. Five fingertips on flat faces leave the box free to slide: touch alone cannot "
-        "say where along its faces it is held.",
+        "A five-finger hand hides half of it. Five fingertips on flat faces leave the box free to slide: touch alone "
+        "cannot say where along its faces it is held.",
         "--object box --occlusion 0.5 --seed 2",
     ),
     Scene(
@@ -127,14 +128,14 @@ SCENES = (
     Scene(
         "blind",
         "No camera at all",
-        "The same hand on a mug, only its contacts, and no coarse start: several poses fit, and each of them is listed.",
+        "The same hand on a mug, only its contacts, and no coarse start: several poses fit, and each is listed.",
         "--object mug --occlusion 0.6 --seed 11",
         "--use touch --prior none",
     ),
     Scene(
         "one",
         "One contact",
-        "One fingertip on a mug, in the dark. There is nearly nothing to know, and palpate says so instead of guessing.",
+        "One fingertip on a mug, in the dark. There is nearly nothing to know, and palpate says so.",
         "--object mug --occlusion 0.6 --seed 12",
         "--use touch",
         ("sed -i '3,$d' captures/one/contacts.csv   # the head and the first contact stay",),
@@ -142,7 +143,7 @@ SCENES = (
     Scene(
         "lost",
         "Another object",
-        "Asked for a wine glass, where a kettle is held: no pose explains what is seen and felt, and no pose is sold as one.",
+        "Asked for a wine glass, where a kettle is held: no pose explains what is seen and felt.",
         "--object kettle --occlusion 0.3 --seed 13",
         "--object wine_glass --prior none",
     ),
@@ -194,9 +195,9 @@ def _made(scene: Scene) -> str:
         one = estimate(frame, model, use=use)
         error = Judge(model).errors(one.pose, frame.camera_from_object_truth) if right else None
         rows.append(f"| {name} | {one.verdict} | {_claimed(one, None if error is None else 1e3 * error.add_s)} |")
-    lines = scene.lines[:-1] + [scene.lines[-1] + ("  # exit code 1: lost" if code == 1 else "")]
-    seen = "" if answer.visible_fraction is None or math.isnan(answer.visible_fraction) else (
-        f" The camera sees {100 * answer.visible_fraction:.0f} % of it.")  # fmt: skip
+    lines = [*scene.lines[:-1], scene.lines[-1] + ("  # exit code 1: lost" if code == 1 else "")]
+    share = answer.visible_fraction
+    seen = "" if share is None or math.isnan(share) else f" The camera sees {100 * share:.0f} % of it."
     reason = "" if answer.verdict == "ok" else f" because: {answer.notes[0]}"
     table = ["| | verdict | ADD-S | σ position | σ rotation |", "|---|---|---|---|---|", *rows]
     return "\n".join(
@@ -239,7 +240,8 @@ def _draw(path: Path, frame: Any, model: Any, answer: Any, right: bool) -> None:
 
     left = stills.still(frame, model, answer, WIDE, "colour", truth=right, outlines=False)
     depth = stills.still(frame, model, answer, WIDE, "depth", truth=right, modes=MODES)
-    assert left is not None and depth is not None, "synth always writes both images"
+    if left is None or depth is None:
+        raise RuntimeError(f"{path.stem}: expected an image")
     gap = np.full((len(left), GAP, 3), 255, np.uint8)
     path.write_bytes(pictures.jpeg(np.concatenate([left, gap, depth], axis=1), 82))
 

@@ -36,8 +36,8 @@ REACH = 6.0
 # Length (m) of a contact's normal, and frames a second of playing.
 NORMAL = 0.02
 RATE = 10.0
-# The first view: the hand counts up to so many of the object's radii from its middle; the camera looks from so far (rad)
-# beside and above the real one's direction, as in the report's tilted view, and leaves this share as a margin.
+# The first view: the hand counts up to so many of the object's radii from its middle; the camera looks from so far
+# (rad) beside and above the real one's direction, as in the report's tilted view, and leaves this share as a margin.
 HELD = 2.0
 ASIDE, ABOVE = 0.5, 0.42
 MARGIN = 1.15

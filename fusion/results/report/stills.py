@@ -44,9 +44,9 @@ def still(
 ) -> Image | None:
     """A 4:3 picture of `wide` pixels around the object: depth or colour with the estimate's outline and the contacts.
 
-    kind: "depth" or "colour", the other where the frame has it alone. truth: also the known pose's outline. modes: as many
-    of the other poses that fit, at most. outlines: without them the picture is of the same place. None for a frame without
-    an image.
+    kind: "depth" or "colour", the other where the frame has it alone. truth: also the known pose's outline. modes: as
+    many of the other poses that fit, at most. outlines: without them the picture is of the same place. None for a frame
+    without an image.
     """
     import cv2
 
