@@ -70,7 +70,7 @@ SCENES = (
     Scene(
         "can",
         "A can in plain view",
-        "Nothing hides it and the camera is a good one. Vision needs no help; that the can may be turned about its "
+        "Little hides it and the camera is a good one. Vision needs no help; that the can may be turned about its "
         "axis is declared, so nobody asks for it.",
         "--object cylinder --occlusion 0.05 --noise clean --seed 1",
     ),
