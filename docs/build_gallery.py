@@ -192,7 +192,7 @@ def _made(scene: Scene) -> str:
     _draw(PICTURES / f"{scene.name}.jpg", frame, model, answer, right)
     rows = []
     for name, use in scene.senses:
-        one = estimate(frame, model, use=use)
+        one = answer if use == scene.senses[-1][1] else estimate(frame, model, use=use)
         error = Judge(model).errors(one.pose, frame.camera_from_object_truth) if right else None
         rows.append(f"| {name} | {one.verdict} | {_claimed(one, None if error is None else 1e3 * error.add_s)} |")
     lines = [*scene.lines[:-1], scene.lines[-1] + ("  # exit code 1: lost" if code == 1 else "")]

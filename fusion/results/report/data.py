@@ -34,12 +34,13 @@ Json = dict[str, Any]
 
 TENTHS_OF_MM = 1e4  # per metre
 
-# What a page of a hundred frames can carry in 10 MB; the model comes once a page.
+# A page of thirty frames stays below 2 MB, one of a hundred below 5; the model comes once a page.
 MODEL_FACES = 5000
 HAND_FACES = 2200
 CLOUD_POINTS = 2600
 PICTURE_WIDTH = 640
-FEW_FRAMES = 40  # beyond this many frames, each is given less
+SMALLEST_SHARE = 0.5  # of the pictures' width, however many frames there are
+FEW_FRAMES = 12  # beyond this many frames, each is given less
 
 # Cloud points farther from the object than this many of its radii are not shown.
 CLOUD_REACH = 2.2
@@ -172,7 +173,7 @@ class _FrameBuilder:
         outlines = {name: silhouette(self.renderer, "object", camera, pose) for name, pose in shown.items()}
         marks = camera.project(contacts)[0] if len(contacts) else np.zeros((0, 2))
         around = [polygon for polygons in outlines.values() for polygon in polygons]
-        wide = round(PICTURE_WIDTH * max(0.7, self.share))
+        wide = round(PICTURE_WIDTH * max(SMALLEST_SHARE, self.share))
         crop = pictures.choose_crop(np.concatenate([*around, marks]), (camera.width, camera.height), wide=wide)
         origin = np.array([crop.left, crop.top]) - 0.5
         out: Json = {
