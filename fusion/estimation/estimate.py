@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import as_prior, check_limits, check_senses
-from fusion.estimation.confidence import rightness, whole_covariance, within
+from fusion.estimation.confidence import chances, whole_covariance
 from fusion.estimation.moments import moments
 from fusion.estimation.pool import Pool
 from fusion.estimation.proposals import search_stages, starts_of
@@ -179,8 +179,8 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> 
         seeing = visibility(viewed, model, pose, beliefs.depth)
         picture = predictor.predict(pose[None]) if predictor.sees else None
         nats = float(costs(model, felt.rows, pose[None])[0]) if contacts else 0.0
-        right = rightness(model, modes, picture, residuals, nats, settings.confidence)
-        sure = right * within(model, pose, modes[0].covariance, settings.confidence.tolerance, settings.confidence)
+        right, near = chances(model, modes, picture, residuals, nats, settings=settings.confidence)
+        sure = right * near
         word, why = posterior.verdict(model, modes, residuals, share, seeing, settings.verdict)
         if word == "ok" and nats > settings.verdict.most_contradicted * max(contacts, 1):
             word, why = "lost", "the contacts, or their normals, contradict every pose"
