@@ -14,7 +14,7 @@ import shlex
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -177,7 +177,6 @@ def _made(scene: Scene) -> str:
     from fusion.results.runs import load_object, prior_setter
     from fusion.truth.errors import Judge
     from scenes.recordings.captures import read_capture
-    from scenes.recordings.frames import Contacts
 
     code = [_typed(line) for line in scene.lines][-1]
     capture = read_capture(Path("captures") / scene.name)
@@ -188,7 +187,7 @@ def _made(scene: Scene) -> str:
     frame = prior_setter(prior, 0)(capture[0], model)
     right = model.name == capture.model.name
     if "--use vision" in scene.asked:
-        frame = replace(frame, contacts=Contacts())  # nothing that is not used is drawn
+        frame = frame.without_touch()  # nothing that is not used is drawn
     _draw(PICTURES / f"{scene.name}.jpg", frame, model, answer, right)
     rows = []
     for name, use in scene.senses:
