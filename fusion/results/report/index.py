@@ -97,7 +97,7 @@ def _row(folder: Path, outcome: Outcome) -> str:
         outcome.job.name,
         None if failed else rows[0]["object"] if rows else None,
         None if failed else len(rows),
-        None if failed or not found else 100.0 * sum(found) / len(found),
+        None if failed or not found else round(100 * sum(found) / len(found)),
         *(median([row[name] for row in rows]) for name in ("add_s_mm", "rotation_deg", "time_ms")),
         said,
     ]
