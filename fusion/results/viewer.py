@@ -169,7 +169,7 @@ class Viewer:
         points = points[:: max(1, len(points) // MOST_POINTS)]
         if len(points):
             self.shown["cloud"] = scene.add_point_cloud(
-                "/cloud", points.astype(np.float32), COLOURS["cloud"], point_size=0.001
+                "/cloud", points.astype(np.float32), COLOURS["cloud"], point_size=0.0006
             )
         if frame.camera_from_object_truth is not None:
             self.shown["truth"] = self._placed("/truth", frame.camera_from_object_truth, "truth", wireframe=True)
