@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     out_folder(args, capture.name)  # before the work, not after it
     model = load_object(args.object, args.unit) if args.object else capture.model
     prepare = prior_setter(args.prior, args.seed)
-    judge = Judge(model)
+    judge = Judge.of(model)
     frames, answers, errors, rows = [], [], [], []
     announce_compiling()
     shown = progress(capture, len(capture), "estimating")

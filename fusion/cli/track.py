@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     def new_tracker() -> Tracker:
         return Tracker(model, use=senses, seed=args.seed, settings=config.track, beliefs=config.believed)
 
-    judge, tracker = Judge(model), new_tracker()
+    judge, tracker = Judge.of(model), new_tracker()
     announce_compiling()
     frames: list[Frame] = []
     answers: list[TrackedEstimate] = []

@@ -132,7 +132,7 @@ def run_capture(job: Job) -> list[Row]:
 
     capture = read_capture(job.path, job.trust_paths)
     model = load_object(job.object, job.unit) if job.object else capture.model
-    prepare, judge = prior_setter(job.prior, job.seed), Judge(model)
+    prepare, judge = prior_setter(job.prior, job.seed), Judge.of(model)
     frames, answers, errors = [], [], []
     how: dict[str, Any] = {"settings": job.settings, "beliefs": job.beliefs}
     for frame, answer in estimates(capture, model, prepare, job.use, job.seed, **how):
