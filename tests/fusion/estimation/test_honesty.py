@@ -43,7 +43,7 @@ def held_at_least(count: int, share: float = HELD) -> int:
 
 
 def bounds(count: int, dof: int, largest: float = LARGEST, least: float = 0.2) -> tuple[float, float]:
-    """Least and largest mean NEES per degree of freedom of `count` right answers, times what is measured in the large."""
+    """Least and largest mean NEES per degree of freedom of `count` right answers, by what is measured in the large."""
     low, high = chi2.ppf([RARE, 1.0 - RARE], count * dof) / (count * dof)
     return least * float(low), largest * float(high)
 
@@ -85,7 +85,7 @@ def thin(rng, centre, widest=0.02, narrow=0.0005):
 
 @pytest.mark.parametrize("count", [7, 9, 12])
 def test_few_contacts_and_a_correlated_prior_are_as_wrong_as_they_say(count):
-    """7 to 12 contacts of 1 mm, a start drawn from a prior of 20 mm along one direction and half a millimetre across."""
+    """Contacts of 1 mm, a start drawn from a prior of 20 mm along one direction and half a millimetre across."""
     drill = library.make("drill")
     ratios, shares = [], []
     for seed in range(12):
@@ -142,7 +142,7 @@ def test_how_sure_does_not_depend_on_a_files_axes(name, seed):
 
 @pytest.mark.parametrize("name", ["drill", "mug"])
 def test_the_chance_of_being_near_is_the_share_that_is(name):
-    """Errors drawn from a covariance: as many are within a tolerance as is said, to a tenth, for the usual `nearest`."""
+    """Errors drawn from a covariance: as many are within a tolerance as is said, to a tenth."""
     model = library.make(name)
     judge, rng = Judge(model), np.random.default_rng(0)
     pose = poses.make_pose(poses.random_rotations(1, rng)[0], [0.0, 0.0, 0.6])
