@@ -99,8 +99,8 @@ def _show(answers: list[TrackedEstimate], errors: list[Errors | None]) -> None:
         measured = [number(value) for value in values]
         slip = "slips" if answer.slip else "moves" if answer.moved_in_hand else "–"
         unknown = ", ".join(answer.unobservable) or "–"
-        said = str(answer.frame), answer.how, answer.verdict, percent(answer.confidence), slip
-        rows.append((*said, *measured, number(answer.time_ms, 0), unknown))
+        first = str(answer.frame), answer.how, answer.verdict, percent(answer.confidence), slip
+        rows.append((*first, *measured, number(answer.time_ms, 0), unknown))
     title = None if len(answers) <= LONG else f"{len(rows)} of {len(answers)} frames in which something happened"
     show_table(heads, rows, title)
     known = [error for error in errors if error is not None]
