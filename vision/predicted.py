@@ -238,7 +238,7 @@ class Predictor:
             v,
             (self._depth, mask, *self._hand, plane),
             camera,
-            (m.axial_floor, m.axial_from, m.axial_growth, m.bias_sigma, m.scale_sigma),
+            (m.axial_floor, m.axial_growth, m.axial_from, m.bias_sigma, m.scale_sigma),
             (
                 s.tolerance,
                 s.fading,

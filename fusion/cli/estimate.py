@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     capture = read_capture(args.capture, args.trust_paths)
     out_folder(args, capture.name)  # before the work, not after it
     model = load_object(args.object, args.unit) if args.object else capture.model
-    judge = Judge(model)
+    judge = Judge.of(model)
     frames, answers, errors, rows = [], [], [], []
     announce_compiling()
     shown = progress(capture, len(capture), "estimating")

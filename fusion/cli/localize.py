@@ -105,6 +105,8 @@ def run(args: argparse.Namespace) -> int:
         trials.append(found)
         verdicts.append(found["verdict"])
     _show(trials, cloud is not None)
+    for note in dict.fromkeys(note for trial in trials for note in trial.get("notes", [])):
+        say(note)
     best = min(range(len(trials)), key=lambda i: trials[i]["index_mm"])
     said, matrix = pose_lines(trials[best]["pose"])
     which = f", trial {best}" if len(trials) > 1 else ""
@@ -229,6 +231,7 @@ def _by_touch(model: ObjectModel, used: Contacts, every: Contacts, method: str, 
         "time_s": found.time_s,
         "modes": len(found.modes),
         "verdict": found.verdict,
+        "notes": list(found.notes),
     }
 
 

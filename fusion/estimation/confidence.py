@@ -63,27 +63,27 @@ class ConfidenceSettings:
     sure: float = 0.85
     # Whether the first mode is the right one, with a picture of it and by touch alone.
     seen: Regression = Regression(
-        weight=0.35,
-        agree=11.2,
-        past=-33.1,
-        behind_hand=0.71,
-        outline=-23.6,
-        touch=2.46,
-        outliers=-4.6,
-        spread=-1.74,
-        constant=-3.3,
+        weight=0.47,
+        agree=9.5,
+        past=-28.6,
+        behind_hand=1.0,
+        outline=-26.2,
+        touch=2.0,
+        outliers=-3.1,
+        spread=-1.57,
+        constant=-3.2,
         nearest=0.48,
     )
     felt: Regression = Regression(weight=0.4, constant=1.76, nearest=0.36)
     # Share of the picture above which agreement speaks for an answer, and the most of what is seen past and of the
     # outline that runs on (shares) that speaks against one: cameras that blend edges draw surfaces on.
     agreeing: float = 0.8
-    most_past: float = 0.15
+    most_past: float = 0.3
     most_outline: float = 0.15
     # Bounds on the log odds of modes, on nats a contact, and on the spread over the radius, whose logarithm counts.
     most_odds: float = 6.0
     most_nats: float = 8.0
-    narrowest: float = 0.005
+    narrowest: float = 0.03
     widest: float = 1.0
     # Where the object is, as far as is known, when the first mode is not the right one: rad, and shares of its radius,
     # when no prior says so.

@@ -37,6 +37,7 @@ from scenes.recordings.validation import check_scale
 from scenes.threads import one_blas_thread
 from touch.contacts import feel
 from vision.look.look import look, look_closer, surfaces
+from vision.look.looked import Looked
 from vision.plausibility import doubts
 from vision.predicted import Predictor
 from vision.sight import Sight
@@ -47,7 +48,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Asked:
-    """One question: senses allowed, prior, tolerance (m, rad), seed; and how it is answered."""
+    """One question: senses allowed, prior, tolerance (m, rad), seed; and how it is answered. or_none: only when the
+    rows alone are within the tolerance.
+    """
 
     senses: frozenset[str]
     prior: Prior | None
@@ -55,6 +58,7 @@ class _Asked:
     seed: int
     beliefs: Beliefs
     settings: EstimateSettings
+    or_none: bool = False
 
 
 def estimate(
@@ -92,23 +96,36 @@ def estimate(
         pair_table(model)
     trace = Trace(budget_ms)
     with one_blas_thread():
+        looked = _look(frame, model, asked, trace)
         if tolerance is not None and senses == {"vision", "touch"} and frame.depth is not None:
-            alone = _estimate(frame, model, replace(asked, senses=frozenset({"vision"})), trace)
-            if good_enough(model, alone, tolerance, settings):
+            light = replace(settings, plan=replace(settings.plan, refined=settings.plan.tolerant))
+            by_vision = replace(asked, senses=frozenset({"vision"}), settings=light, or_none=True)
+            alone = _estimate(frame, model, by_vision, trace, looked)
+            if alone is not None and good_enough(model, alone, tolerance, settings):
                 return trace.skipping(alone, "feel", "vision alone is within the tolerance")
-        return _estimate(frame, model, asked, trace)
+        answer = _estimate(frame, model, asked, trace, looked)
+    assert answer is not None
+    return answer
 
 
-def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> Estimate:
+def _look(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> Looked:
+    """What the camera saw, once for all that is asked about it."""
+    settings, start = asked.settings.look, asked.prior.pose if asked.prior is not None else None
+    viewed = frame if "vision" in asked.senses else frame.without_vision()
+    with trace.stage("look", "vision" in asked.senses, "vision not asked for") as stage:
+        looked = look(viewed, model, asked.beliefs, start, settings)
+        count = len(looked.rows(asked.beliefs.depth, settings.rows))
+        stage.note(count, f"{len(looked.pixels)} object pixels, {len(looked.of_hand)} of the hand{looked.how}")
+    return looked
+
+
+def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace, looked: Looked) -> Estimate | None:
     settings, beliefs, believed = asked.settings, asked.beliefs, asked.prior
     viewed = frame if "vision" in asked.senses else frame.without_vision()
     touched = frame if "touch" in asked.senses else frame.without_touch()
     start = believed.pose if believed is not None else None
 
-    with trace.stage("look", "vision" in asked.senses, "vision not asked for") as stage:
-        looked = look(viewed, model, beliefs, start, settings.look)
-        seen = looked.rows(beliefs.depth, settings.look.rows)
-        stage.note(len(seen), f"{len(looked.pixels)} object pixels, {len(looked.of_hand)} of the hand{looked.how}")
+    seen = looked.rows(beliefs.depth, settings.look.rows)
     with trace.stage("feel", "touch" in asked.senses, "touch not asked for") as stage:
         hand = looked.seen_hand
         felt = feel(touched, hand.correct() if hand is not None else None, beliefs, looked.region, settings.touch)
@@ -155,6 +172,8 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> 
     modes = found.modes
     rough = with_shared_errors(model, modes, viewed, beliefs.depth)
     spent, settled = trace.over_budget, is_within(model, rough, asked.tolerance, settings)
+    if asked.or_none and not settled:
+        return None  # before anything is solved for that touch will change
     why_not = "the time budget is spent" if spent else "the rows alone are within the tolerance"
     finish = not (spent or settled)
     modes = modes if finish else rough

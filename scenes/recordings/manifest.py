@@ -65,7 +65,7 @@ def read_model(folder: Path, manifest: Manifest) -> ObjectModel:
             f"{path}: expected a diameter of {stated / bop.MM:.4g} mm as models_info.json says, got"
             f" {model.diameter / bop.MM:.4g} mm when its numbers are read as {manifest.unit}: is the unit right?"
         )
-    return ObjectModel(model.name, model.vertices, model.faces, symmetries, model.mended)
+    return model.with_symmetries(symmetries)
 
 
 def recording_hint(folder: Path) -> str:

@@ -43,7 +43,7 @@ def held_at_least(count: int, share: float = HELD) -> int:
 
 
 def bounds(count: int, dof: int, largest: float = LARGEST, least: float = 0.2) -> tuple[float, float]:
-    """Least and largest mean NEES per degree of freedom of `count` right answers, by what is measured in the large."""
+    """Least and largest mean NEES per degree of freedom of `count` right answers, times what is measured."""
     low, high = chi2.ppf([RARE, 1.0 - RARE], count * dof) / (count * dof)
     return least * float(low), largest * float(high)
 
@@ -85,7 +85,7 @@ def thin(rng, centre, widest=0.02, narrow=0.0005):
 
 @pytest.mark.parametrize("count", [7, 9, 12])
 def test_few_contacts_and_a_correlated_prior_are_as_wrong_as_they_say(count):
-    """Contacts of 1 mm, a start drawn from a prior of 20 mm along one direction and half a millimetre across."""
+    """7 to 12 contacts of 1 mm, a start from a prior of 20 mm along one direction, half a millimetre across."""
     drill = library.make("drill")
     ratios, shares = [], []
     for seed in range(12):
