@@ -9,20 +9,25 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from fusion.cli.config import add_config, read_config
+from fusion.cli.config import add_config, read_config, told
 from fusion.cli.options import (
+    add_beliefs,
     add_run,
+    add_sure,
     announce_compiling,
     is_quiet,
     non_negative,
     number,
     out_folder,
+    percent,
     positive_number,
     say,
     show_table,
     warn,
+    with_sure,
 )
 from fusion.results.runs import load_object, prior_setter
 
@@ -40,6 +45,8 @@ INTERRUPTED = 130
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
     add_run(parser)
+    add_sure(parser)
+    add_beliefs(parser)
     add_config(parser)
     parser.add_argument("--resume", action="store_true", help="go on where an interrupted track into --out has ended")
     parser.add_argument(
@@ -56,21 +63,24 @@ def run(args: argparse.Namespace) -> int:
     from fusion.results.track.running import RunOptions, TrackRun, asked_for
     from fusion.tracking.tracker import Tracker
     from scenes.recordings.captures import read_capture
+    from scenes.recordings.telling import believed
 
     senses = tuple(sorted(check_senses(args.use), reverse=True))
-    config = read_config(args.config)
+    config, said = read_config(args.config), told(args)
     capture = read_capture(args.capture, args.trust_paths)
+    beliefs = believed(capture.beliefs, said)
+    settings = replace(config.track, first=with_sure(config.track.first, args))
     out = out_folder(args, capture.name)  # before the work, not after it
     model = load_object(args.object, args.unit) if args.object else capture.model
     prepare = prior_setter(args.prior, args.seed)
-    asked = asked_for(capture, model, senses, args.prior, args.seed, config.track, config.believed)
+    asked = asked_for(capture, model, senses, args.prior, args.seed, settings, beliefs)
 
     def new_tracker() -> Tracker:
-        return Tracker(model, use=senses, seed=args.seed, settings=config.track, beliefs=config.believed)
+        return Tracker(model, use=senses, seed=args.seed, settings=settings, beliefs=beliefs)
 
     announce_compiling()
-    settings = RunOptions(args.checkpoint, args.realtime, not args.no_report)
-    with TrackRun(capture, model, out, new_tracker, prepare, asked, settings, args.resume) as track:
+    options = RunOptions(args.checkpoint, args.realtime, not args.no_report)
+    with TrackRun(capture, model, out, new_tracker, prepare, asked, options, args.resume) as track:
         if args.resume:
             say(
                 f"resumed after {track.done} of {len(capture)} frames"
@@ -200,7 +210,7 @@ def _show(columns: Columns, last: dict[str, Any]) -> None:
     """The table of frames, and the track in a few lines."""
     import numpy as np
 
-    heads = ("frame", "how", "verdict", "in the hand", "ADD-S mm", "rot °", "trans mm", "time ms", "σ mm")
+    heads = ("frame", "how", "verdict", "sure", "in the hand", "ADD-S mm", "rot °", "trans mm", "time ms", "σ mm")
     told = [
         i
         for i in range(len(columns))
@@ -215,7 +225,8 @@ def _show(columns: Columns, last: dict[str, Any]) -> None:
         measured = [number(float(columns.errors[name][i])) for name in ("add_s_mm", "rotation_deg", "translation_mm")]
         slip = "slips" if columns.slip[i] else "moves" if columns.moved[i] else "–"
         times = number(float(columns.step[i]), 0), number(1e3 * float(columns.sigma[i, 1]))
-        rows.append((str(columns.frame[i]), columns.how[i], columns.verdict[i], slip, *measured, *times))
+        said = str(columns.frame[i]), columns.how[i], columns.verdict[i], percent(float(columns.confidence[i]))
+        rows.append((*said, slip, *measured, *times))
     title = None
     if len(columns) > LONG:
         title = f"{len(told)} of {len(columns)} frames in which something happened"
