@@ -38,6 +38,8 @@ class PairSettings:
     # What counts as alike: the distance as a share of the radius, and the normals' slopes (no unit).
     distance_scale: float = 0.12
     slope_scale: float = 0.25
+    # The nearest are found to this share of their distance: of 250,000 pairs many are as near as noise tells.
+    nearly: float = 0.5
     # Pairs of contacts looked up, the farthest apart first.
     pairs: int = 12
     # Contacts that pairs are made of: all of them would be 5e9 pairs of 1e5 contacts.
@@ -102,7 +104,7 @@ class PairTable:
         pair first[k], second[k] of points (n, 3) with normals (n, 3) that are apart; those of one pair together.
         """
         invariants = self.invariants(points[first], normals[first], points[second], normals[second])
-        _, found = self.tree.query(invariants, k=min(each, len(self.first)))
+        _, found = self.tree.query(invariants, k=min(each, len(self.first)), eps=self.settings.nearly)
         found = found.reshape(len(first), -1)
         a, b = self.first[found].ravel(), self.second[found].ravel()
         rotations, origins = np.zeros((len(a), 3, 3)), np.zeros((len(a), 3))

@@ -108,7 +108,7 @@ def settle(
     here, unknown = pose, system.start() if after is None else after.unknown * (after.level / level)
     free = system.size if problem.ties_depth else SCALE
     cost, gradient, normal = system.terms(here, unknown)
-    damping = 1e-6
+    damping, refused = 1e-6, 0
     for _ in range(problem.settings.steps):
         damped = normal + np.diag(damping * np.diag(normal) + system.width)
         step = np.zeros(system.size)
@@ -128,7 +128,10 @@ def settle(
             if np.abs(step[:3]).max() < 1e-5 and np.abs(step[3:6]).max() < 1e-6:
                 break
         else:
-            damping = max(damping, 1e-5) * 10
+            refused += 1
+            if refused > problem.settings.refused:
+                break
+            damping = max(damping, 1e-5) * 100
     _, log_det = _marginal((normal + np.diag(system.width))[:free, :free])
     return Settled(system, here, unknown, float(cost), normal, float(-cost - 0.5 * log_det), level)
 
