@@ -62,6 +62,10 @@ class PlanSettings:
     wide: Care = Care(0.25, 6, (160, 160))
     # Of poses nearer to each other than this share of that distance the best goes on from pass to pass.
     passes_together: float = 0.25
+    # Minima of a search that are refined with all rows, the best first: all that a search keeps; and fewer where a
+    # tolerance is asked for and vision alone may do: three led to the answer in every easy frame of `bench skipping`.
+    refined: int = 24
+    tolerant: int = 3
     # Most that a pose may cost for what the camera saw past it and what must hide it (negative log likelihood, see
     # vision.sight): 12 are an object all hidden, 16 a half hidden one of which 6 % were seen past.
     past: float = 16.0
@@ -123,7 +127,7 @@ def find_modes(
             return Found(modes, few, "the first agree and explain what was sensed")
     found = search(model, rows, starts, stages, prior, rank=rank, apart=settings.passes_together * merged)
     chosen, _ = leaders(model, found.poses, care.together * merged)
-    refined, _ = _refined(model, rows, found.poses[chosen], prior, rank)
+    refined, _ = _refined(model, rows, found.poses[chosen[: settings.refined]], prior, rank)
     refined = _with_valleys(model, rows, refined, stages[0], prior, rank, settings, mode_settings)
     return Found(distinct_modes(model, refined, mode_settings), len(starts), doubt)
 

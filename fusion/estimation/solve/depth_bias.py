@@ -33,10 +33,7 @@ class DepthBias:
         length = depth.bias_length
         if camera is None or not len(points):
             return DepthBias(camera, np.zeros((0, 2)), np.zeros((0, 0)), length)
-        from scipy.spatial import cKDTree
-
         uv, _ = camera.project(points)
-        near = cKDTree(uv)
         low, high = uv.min(axis=0), uv.max(axis=0)
         step = spacing * length
         while True:
@@ -44,7 +41,7 @@ class DepthBias:
             if counts.prod() <= 4 * most:
                 axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts)]
                 grid = np.stack([x.ravel() for x in np.meshgrid(*axes)], axis=1)
-                grid = grid[near.query(grid)[0] < step]
+                grid = grid[_is_near(grid, uv, step)]
                 if len(grid) <= most:
                     break
             step *= 1.2
@@ -65,6 +62,11 @@ class DepthBias:
             return np.zeros((len(points), len(self)))
         uv, _ = self.camera.project(points)
         return np.asarray(_kernel(uv, self.inducing, self.length) @ self._whitening.T, dtype=np.float64)
+
+
+def _is_near(grid: Array, uv: Array, reach: float) -> NDArray[np.bool_]:
+    """(k,) whether any of uv (n, 2) is nearer than `reach` to grid (k, 2), all pixels."""
+    return np.array([np.square(uv - node).sum(axis=1).min() < reach * reach for node in grid], dtype=bool)
 
 
 def _kernel(a: Array, b: Array, length: float) -> Array:

@@ -21,6 +21,7 @@ from fusion.results.report import pictures, words
 from fusion.results.report.grasps import add_grasps
 from fusion.results.report.outline import silhouette
 from fusion.results.report.rows import comparison_rows, rounded, summary_rows
+from fusion.results.report.shapes import shown_hand, shown_object
 from fusion.truth import metrics
 from fusion.truth.errors import Judge
 from scenes.errors import InputError
@@ -89,14 +90,13 @@ class _FrameBuilder:
         self.model = model
         self.share = min(1.0, FEW_FRAMES / max(1, count)) ** 0.5
         self.renderer = Renderer({"object": (model.vertices, model.faces)})
-        self.judge = Judge(model)
+        self.judge = Judge.of(model)
         self.shown_vertices = np.zeros((0, 3))
         self.hand_faces: str | None = None
-        self._hand_count = 0
 
     def model_mesh(self) -> Json:
         """The model with at most MODEL_FACES triangles, relative to its centroid."""
-        vertices, faces = _reduced(self.model.vertices - self.model.centroid, self.model.faces, MODEL_FACES)
+        vertices, faces = shown_object(self.model, MODEL_FACES)
         self.shown_vertices = vertices + self.model.centroid
         return {"v": _shorts(vertices), "f": _base64(faces.astype("<u2"))}
 
@@ -155,7 +155,8 @@ class _FrameBuilder:
         figure("σ position", 1e3 * translation, "mm", "standard deviation in the worst direction")
         if rotation <= words.FREE_ROTATION:
             figure("σ rotation", float(np.rad2deg(rotation)), "°", "standard deviation about the worst axis")
-        figure("Sure", 100 * estimate.confidence, "%", "probability that the surface is within 5 mm")
+        within = f"probability that the surface error is below {1e3 * estimate.sure_within:.3g} mm"
+        figure("Sure", 100 * estimate.confidence, "%", within)
         figure("Visible", 100 * estimate.visible_fraction, "%", "share of the object that the camera sees")
         figure("Time", estimate.time_ms, "ms", "all stages that ran")
         return out
@@ -218,17 +219,15 @@ class _FrameBuilder:
     def _hand(self, frame: Frame, centre: Array) -> Json | None:
         if frame.hand is None or frame.joints is None or frame.world_from_hand is None:
             return None
-        vertices, faces, _ = frame.hand.mesh(frame.joints)
-        camera_from_hand = frame.camera_from_world @ frame.world_from_hand
-        vertices = poses.apply(camera_from_hand, np.asarray(vertices, dtype=np.float64)) - centre
-        most = round(HAND_FACES * self.share)
-        if len(faces) > most:
-            vertices, faces = _reduced(vertices, np.asarray(faces), most)
-            return {"v": _shorts(vertices), "f": _base64(faces.astype("<u2"))}
+        # hundreds: pages of nearly as many frames share what is kept of a hand
+        local, faces, links = shown_hand(frame.hand, 100 * math.ceil(HAND_FACES * self.share / 100))
+        hand_from_link = np.array(list(frame.hand.forward_kinematics(frame.joints).values()))
+        camera_from_link = (frame.camera_from_world @ frame.world_from_hand @ hand_from_link)[links]
+        vertices = np.einsum("nij,nj->ni", camera_from_link[:, :3, :3], local) + camera_from_link[:, :3, 3] - centre
+        packed = _base64(faces.astype("<u2"))
         if self.hand_faces is None:
-            self.hand_faces, self._hand_count = _base64(faces.astype("<u2")), len(faces)
-        own = {} if len(faces) == self._hand_count else {"f": _base64(faces.astype("<u2"))}
-        return {"v": _shorts(vertices), **own}
+            self.hand_faces = packed
+        return {"v": _shorts(vertices), **({} if packed == self.hand_faces else {"f": packed})}
 
     def _contacts(self, contacts: Any, estimate: Estimate, centre: Array) -> list[Json]:
         """One entry a contact of the frame, then the residuals that no recorded contact belongs to (from wrenches)."""
@@ -309,20 +308,6 @@ def _depth_range(depth: NDArray[np.floating], pose: Array | None, model: ObjectM
         high = middle + 2.6 * model.radius
     low = max(0.0, float(low))
     return low, float(max(high, low + 1e-3))
-
-
-def _reduced(vertices: Array, faces: NDArray[np.integer], most: int) -> tuple[Array, NDArray[np.int64]]:
-    """A mesh of at most `most` triangles with the same look (quadric decimation)."""
-    if len(faces) <= most:
-        return vertices, np.asarray(faces, dtype=np.int64)
-    from scenes._open3d import open3d
-
-    o3d = open3d()
-    mesh = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(vertices), o3d.utility.Vector3iVector(np.asarray(faces, dtype=np.int32))
-    )
-    small = mesh.simplify_quadric_decimation(most)
-    return np.asarray(small.vertices), np.asarray(small.triangles, dtype=np.int64)
 
 
 def _shorts(points: ArrayLike) -> str:

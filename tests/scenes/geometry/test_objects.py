@@ -15,6 +15,24 @@ from scenes.geometry.objects import ObjectModel, check_size
 from scenes.synthesis import library
 
 
+def test_a_mesh_is_read_and_repaired_once(tmp_path, monkeypatch):
+    monkeypatch.setenv("PALPATE_CACHE", str(tmp_path / "cache"))
+    box = trimesh.creation.box((0.08, 0.05, 0.03))
+    open_box = trimesh.Trimesh(box.vertices, box.faces[1:], process=False)
+    path = tmp_path / "box.stl"
+    open_box.export(path)
+    first = ObjectModel.load(path)
+    with pytest.raises(MeshError, match="diameter"):  # the same bytes in another unit are another object
+        ObjectModel.load(path, unit="mm")
+    monkeypatch.setattr(trimesh, "load", None)
+    again = ObjectModel.load(path, name="known")
+    assert again.name == "known"
+    assert again.mended == first.mended != ()
+    assert (again.vertices == first.vertices).all()
+    assert (again.faces == first.faces).all()
+    assert again.diameter == first.diameter == pytest.approx(np.linalg.norm([0.08, 0.05, 0.03]))
+
+
 @pytest.mark.parametrize("name", library.names())
 def test_volume_centroid_and_diameter_against_trimesh(name):
     model = library.make(name)
