@@ -39,8 +39,9 @@ class PredictionSettings:
 
     # Rays along each side of the box around the outline: some six in ten of their square meet the object.
     side: int = 16
-    # The same where pixels are wanted as rows of evidence.
-    side_rows: int = 64
+    # The same where pixels are wanted as rows of evidence: first, and where that shows fewer than so many pixels.
+    sides_rows: tuple[int, int] = (40, 64)
+    enough_rows: int = 450
     # Things of which less than this share of what is seen is off the edge are thin: then edges count, too.
     thin_share: float = 0.4
     # Depths (m) beyond where a ray that is seen past meets the object, at which it must be empty; the distance kept
@@ -259,7 +260,9 @@ class Predictor:
         """
         assert self.camera is not None
         s, camera = self.settings, self.camera
-        side = s.side_rows if side is None else side
+        if side is None:
+            few = self.seen_pixels(pose, s.sides_rows[0], inner)
+            return few if len(few) >= s.enough_rows else self.seen_pixels(pose, s.sides_rows[1], inner)
         view = self._view(pose[None], side)
         core, near = view.has(kernels.HIT).reshape(side, side), view.has(kernels.NEAR)[0]
         for _ in range(inner):

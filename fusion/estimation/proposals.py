@@ -41,7 +41,7 @@ class ProposalSettings:
     # which were sifted (a few hundred that differ).
     near: Passes = ((1.0, 0.5, 80, 4, 120), (1.0, 0.5, 80, 5, 40), (1 / 3, 0.25, 160, 10, 20))
     sifted: Passes = ((1.2, 0.5, 60, 5, 100), (0.7, 0.4, 80, 8, 40), (1 / 3, 0.2, 160, 10, 16))
-    wide: Passes = ((3.0, 0.8, 40, 0, 500), (2.0, 0.6, 40, 4, 160), (1.0, 0.4, 60, 8, 60), (1 / 3, 0.2, 160, 10, 20))
+    wide: Passes = ((3.0, 0.8, 24, 0, 300), (2.0, 0.6, 40, 4, 120), (1.0, 0.4, 60, 7, 50), (1 / 3, 0.2, 160, 9, 16))
     # Starts behind pixels: of all that is seen, and of one piece of the image.
     seen: StartSettings = field(default_factory=StartSettings)
     of_piece: StartSettings = field(

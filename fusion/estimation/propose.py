@@ -57,6 +57,10 @@ def modes_anywhere(pool: Pool, likely: Array, seen: Evidence, starts: Array, pas
     """Modes of a frame of which nothing is known: the search's (n, 4, 4), and what touch alone and each piece of the
     image propose, compete. starts (m, 4, 4): where touch looks.
     """
+    if len(likely):
+        modes = pool.compete(likely)
+        if pool.convinces(modes, pool.settings.clearly_shown):
+            return Found(modes, len(likely), "what all rows say is clearly seen")
     more = [pool.proposed(starts, passes, seen, None, 0), pool.of_pieces()]
     candidates = np.concatenate([likely, *more])
     modes = pool.compete(candidates)

@@ -92,19 +92,23 @@ def solve(problem: JointProblem, pose: Array, level: float, weight: float | None
     return answered(settle(problem, pose, level, weight))
 
 
-def settle(problem: JointProblem, pose: Array, level: float, weight: float | None = None) -> Settled:
+def settle(
+    problem: JointProblem, pose: Array, level: float, weight: float | None = None, after: Settled | None = None
+) -> Settled:
     """Gauss-Newton from `pose` (4, 4) for shared errors `level` times as large as believed.
 
     weight: of a pixel; the least of all rigs' when not told, so that log evidences of levels can be compared. Where
     nothing of known shape ties depth's scale and bias (problem.ties_depth), they are not solved for, because a wrong
     outline is then explained by a wrong scale: they widen the covariance by what they do to the pose (a consider
-    analysis, Schmidt 1966), and move nothing.
+    analysis, Schmidt 1966), and move nothing. after: a solution of another level of the same problem, whose unknowns it
+    begins with.
     """
     system = System(problem, pose, level, problem.settings.least_weight if weight is None else weight)
-    here, unknown = pose, system.start()
+    # what is whitened by a level is in units of it
+    here, unknown = pose, system.start() if after is None else after.unknown * (after.level / level)
     free = system.size if problem.ties_depth else SCALE
     cost, gradient, normal = system.terms(here, unknown)
-    damping = 1e-6
+    damping, refused = 1e-6, 0
     for _ in range(problem.settings.steps):
         damped = normal + np.diag(damping * np.diag(normal) + system.width)
         step = np.zeros(system.size)
@@ -124,7 +128,10 @@ def settle(problem: JointProblem, pose: Array, level: float, weight: float | Non
             if np.abs(step[:3]).max() < 1e-5 and np.abs(step[3:6]).max() < 1e-6:
                 break
         else:
-            damping = max(damping, 1e-5) * 10
+            refused += 1
+            if refused > problem.settings.refused:
+                break
+            damping = max(damping, 1e-5) * 100
     _, log_det = _marginal((normal + np.diag(system.width))[:free, :free])
     return Settled(system, here, unknown, float(cost), normal, float(-cost - 0.5 * log_det), level)
 
