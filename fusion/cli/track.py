@@ -3,10 +3,24 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from fusion.cli.config import add_config, read_config
-from fusion.cli.options import add_run, announce_compiling, number, out_folder, progress, say, show_table, write_run
+from fusion.cli.config import add_config, read_config, told
+from fusion.cli.options import (
+    add_beliefs,
+    add_run,
+    add_sure,
+    announce_compiling,
+    number,
+    out_folder,
+    percent,
+    progress,
+    say,
+    show_table,
+    with_sure,
+    write_run,
+)
 from fusion.results.runs import load_object, prior_setter
 
 if TYPE_CHECKING:
@@ -21,6 +35,8 @@ LONG = 40
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
     add_run(parser)
+    add_sure(parser)
+    add_beliefs(parser)
     add_config(parser)
 
 
@@ -31,17 +47,20 @@ def run(args: argparse.Namespace) -> int:
     from fusion.tracking.tracker import Tracker
     from fusion.truth.errors import Judge
     from scenes.recordings.captures import read_capture
+    from scenes.recordings.telling import believed
     from scenes.recordings.validation import check_scale
 
     senses = tuple(sorted(check_senses(args.use), reverse=True))
-    config = read_config(args.config)
+    config, said = read_config(args.config), told(args)
     capture = read_capture(args.capture, args.trust_paths)
+    beliefs = believed(capture.beliefs, said)
+    settings = replace(config.track, first=with_sure(config.track.first, args))
     out_folder(args, capture.name)  # before the work, not after it
     model = load_object(args.object, args.unit) if args.object else capture.model
     prepare = prior_setter(args.prior, args.seed)
 
     def new_tracker() -> Tracker:
-        return Tracker(model, use=senses, seed=args.seed, settings=config.track, beliefs=config.believed)
+        return Tracker(model, use=senses, seed=args.seed, settings=settings, beliefs=beliefs)
 
     judge, tracker = Judge.of(model), new_tracker()
     announce_compiling()
@@ -68,7 +87,7 @@ def _show(answers: list[TrackedEstimate], errors: list[Errors | None]) -> None:
     """The table of frames, and the track in two lines."""
     import numpy as np
 
-    heads = ("frame", "how", "verdict", "in the hand", "ADD-S mm", "rot °", "trans mm", "time ms", "not known")
+    heads = ("frame", "how", "verdict", "sure", "in the hand", "ADD-S mm", "rot °", "trans mm", "time ms", "not known")
     rows = []
     for answer, error in zip(answers, errors):
         told = answer.moved_in_hand or answer.how != "tracked" or answer.verdict != "ok"
@@ -80,8 +99,8 @@ def _show(answers: list[TrackedEstimate], errors: list[Errors | None]) -> None:
         measured = [number(value) for value in values]
         slip = "slips" if answer.slip else "moves" if answer.moved_in_hand else "–"
         unknown = ", ".join(answer.unobservable) or "–"
-        row = (str(answer.frame), answer.how, answer.verdict, slip, *measured, number(answer.time_ms, 0), unknown)
-        rows.append(row)
+        said = str(answer.frame), answer.how, answer.verdict, percent(answer.confidence), slip
+        rows.append((*said, *measured, number(answer.time_ms, 0), unknown))
     title = None if len(answers) <= LONG else f"{len(rows)} of {len(answers)} frames in which something happened"
     show_table(heads, rows, title)
     known = [error for error in errors if error is not None]
@@ -90,5 +109,5 @@ def _show(answers: list[TrackedEstimate], errors: list[Errors | None]) -> None:
         say(f"ADD-S: median {median:.2f} mm, largest {worst:.2f} mm")
     count = {how: sum(a.how == how for a in answers) for how in ("tracked", "carried", "re-initialised", "lost")}
     times = [a.time_ms for a in answers if a.how == "tracked"]
-    said = ", ".join(f"{n} {how}" for how, n in count.items() if n) or "started"
-    say(f"{len(answers)} frames: {said}" + (f"; median {np.median(times):.0f} ms a tracked frame" if times else ""))
+    went = ", ".join(f"{n} {how}" for how, n in count.items() if n) or "started"
+    say(f"{len(answers)} frames: {went}" + (f"; median {np.median(times):.0f} ms a tracked frame" if times else ""))

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
-from fusion.estimation.asked import as_prior, check_limits, check_senses
-from fusion.estimation.confidence import rightness, whole_covariance, within
+from fusion.estimation.asked import as_prior, check_limits, check_senses, sure_to_be_within
+from fusion.estimation.confidence import chances, whole_covariance, within
 from fusion.estimation.moments import moments
 from fusion.estimation.pool import Pool
 from fusion.estimation.proposals import search_stages, starts_of
@@ -71,6 +71,7 @@ def estimate(
     seed: int = 0,
     settings: EstimateSettings | None = None,
     beliefs: Beliefs | None = None,
+    sure_within: float | None = None,
 ) -> Estimate:
     """Where is the object in this frame?
 
@@ -78,11 +79,12 @@ def estimate(
     allowed. tolerance (m, rad): standard deviations that are good enough; when vision alone is sure and that good,
     touch is skipped, and when the rows are that good before shared errors are solved for, that is
     skipped. budget_ms: once it is spent, the joint solution (calibration, depth scale, bias) is skipped. beliefs: what
-    the sensors are worth; default what the frame says of its own.
+    the sensors are worth; default what the frame says of its own. sure_within (m): the answer's confidence is the
+    probability that its ADD-S is below that, and only a sure answer is `ok`; default 5 mm.
     Returns an Estimate; data that tell nothing give the verdict "lost" and a covariance that says so, not an error.
     Raises CaptureError when the sizes in the frame and the model's tell of a wrong unit.
     """
-    settings, senses = settings or EstimateSettings(), check_senses(use)
+    settings, senses = sure_to_be_within(settings or EstimateSettings(), sure_within), check_senses(use)
     check_limits(tolerance, budget_ms)
     check_scale(frame, model)
     believed = as_prior(prior if prior is not None else frame.prior, settings)
@@ -132,7 +134,10 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace, loo
     rows = tables.stack(seen, felt.rows)
     # emptiness alone tells where the object is not
     if len(rows) == 0 or (believed is None and not len(looked.pixels) and not contacts):
-        return posterior.no_answer(frame, model, believed, trace.stages, settings.modes, settings.verdict)
+        nothing = posterior.no_answer(frame, model, believed, trace.stages, settings.modes, settings.verdict)
+        first, how_sure = nothing.modes[0], settings.confidence
+        near = within(model, first.pose, first.covariance, how_sure.tolerance, how_sure.felt.nearest)
+        return replace(nothing, confidence=first.weight * near, sure_within=how_sure.tolerance)
 
     sight = Sight(viewed, model, beliefs.depth, settings.sight)
     # something that nobody has a model of touches the object, and may be what is seen
@@ -198,13 +203,13 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace, loo
         seeing = visibility(viewed, model, pose, beliefs.depth)
         picture = predictor.predict(pose[None]) if predictor.sees else None
         nats = float(costs(model, felt.rows, pose[None])[0]) if contacts else 0.0
-        right = rightness(model, modes, picture, residuals, nats, settings.confidence)
-        sure = right * within(model, pose, modes[0].covariance, settings.confidence.tolerance, settings.confidence)
+        right, near = chances(model, modes, picture, residuals, nats, settings=settings.confidence)
+        sure = right * near
         word, why = posterior.verdict(model, modes, residuals, share, seeing, settings.verdict)
         if word == "ok" and nats > settings.verdict.most_contradicted * max(contacts, 1):
             word, why = "lost", "the contacts, or their normals, contradict every pose"
         if word == "ok" and sure < settings.confidence.sure:
-            word, why = "ambiguous", f"only {sure:.0%} sure to be within {1e3 * settings.confidence.tolerance:.0f} mm"
+            word, why = "ambiguous", f"only {sure:.0%} sure to be within {1e3 * settings.confidence.tolerance:.3g} mm"
         covariance = modes[0].covariance
         if word != "ok":
             covariance = whole_covariance(model, modes, right, believed, settings.confidence)
@@ -227,4 +232,5 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace, loo
         start=start,
         contributions=posterior.contributions(model, rows, pose, covariance, believed),
         confidence=sure,
+        sure_within=settings.confidence.tolerance,
     )

@@ -147,6 +147,7 @@ def _answer(entry: dict[str, Any]) -> Estimate:
         contacts=contacts,
         notes=tuple(map(str, entry.get("notes", []))),
         confidence=_number(entry.get("confidence")),
+        sure_within=1e-3 * _number(entry.get("sure_within_mm")),
     )
 
 

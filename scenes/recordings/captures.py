@@ -23,6 +23,7 @@ from scenes.files.problems import Problem, Report, refuse
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings import bop
+from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Contacts, EmptyRegions, Frame, GelImage, Wrench
 from scenes.recordings.manifest import read_manifest, read_model
 from scenes.recordings.writing import write_capture
@@ -80,6 +81,11 @@ class Capture:
     def world(self) -> str:
         """What the world frame is: "camera" or "robot base"."""
         return self.manifest.world
+
+    @property
+    def beliefs(self) -> Beliefs | None:
+        """What capture.json says its sensors are worth, None where it says nothing; every frame has the same."""
+        return self.manifest.beliefs
 
     def __len__(self) -> int:
         return len(self.frame_ids)
@@ -149,6 +155,7 @@ class Capture:
             gels=self._gel_images(number),
             prior=self._attempt("prior.json", number, lambda: self._prior(number)),
             camera_from_object_truth=truth[0] if truth else None,
+            beliefs=self.beliefs,
         )
 
     # ---- files of the whole capture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +48,11 @@ class DepthBias:
         kernel = _kernel(grid, grid, length) + 1e-6 * np.eye(len(grid))
         return DepthBias(camera, grid, np.asarray(np.linalg.cholesky(kernel), dtype=np.float64), length)
 
+    @cached_property
+    def _whitening(self) -> Array:
+        """(k, k) the factor's inverse."""
+        return np.asarray(np.linalg.inv(self.factor), dtype=np.float64)
+
     def __len__(self) -> int:
         return len(self.inducing)
 
@@ -55,7 +61,7 @@ class DepthBias:
         if self.camera is None or not len(self) or not len(points):
             return np.zeros((len(points), len(self)))
         uv, _ = self.camera.project(points)
-        return np.asarray(np.linalg.solve(self.factor, _kernel(self.inducing, uv, self.length)).T, dtype=np.float64)
+        return np.asarray(_kernel(uv, self.inducing, self.length) @ self._whitening.T, dtype=np.float64)
 
 
 def _is_near(grid: Array, uv: Array, reach: float) -> NDArray[np.bool_]:
@@ -64,5 +70,6 @@ def _is_near(grid: Array, uv: Array, reach: float) -> NDArray[np.bool_]:
 
 
 def _kernel(a: Array, b: Array, length: float) -> Array:
-    square = np.sum((a[:, None] - b[None]) ** 2, axis=-1)
-    return np.asarray(np.exp(-0.5 * square / length**2), dtype=np.float64)
+    # axis by axis: no array of differences, n by m by 2
+    square = np.square(a[:, None, 0] - b[None, :, 0]) + np.square(a[:, None, 1] - b[None, :, 1])
+    return np.asarray(np.exp(square * (-0.5 / length**2)), dtype=np.float64)
