@@ -62,7 +62,7 @@ def twin_update(model, point, sigma, alpha, kappa, beta, pose, covariance):
         for _ in range(4):
             d, g = field.distance_and_gradient(local)
             local = local - d[:, None] * g / max(float(np.linalg.norm(g)), kernels.SHORTEST_GRADIENT)
-            if abs(d[0]) < field.spacing:
+            if abs(d[0]) < field.spacing or abs(float(np.sum(g**2)) - 1.0) < kernels.STRAIGHT:
                 break
         predicted.append(poses.apply(one, local)[0])
     predicted = np.array(predicted)
