@@ -36,6 +36,7 @@ from scenes.recordings.frames import Frame
 from scenes.recordings.validation import check_scale
 from scenes.threads import one_blas_thread
 from touch.contacts import feel
+from touch.gels.localize import build_tables
 from vision.look.look import look, look_closer, surfaces
 from vision.look.looked import Looked
 from vision.plausibility import doubts
@@ -94,6 +95,8 @@ def estimate(
     near_symmetries(model)
     if believed is None:
         pair_table(model)
+    if believed is None and frame.gels:
+        build_tables(model)
     trace = Trace(budget_ms)
     with one_blas_thread():
         looked = _look(frame, model, asked, trace)
@@ -149,13 +152,16 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace, loo
     pool = Pool(model, felt.rows, believed, predictor, sight, looked, beliefs.depth, rng, *asks)
     how, blur = settings.proposals, settings.proposals.blur(model)
     with trace.stage("search", True, "") as stage:
-        starts = starts_of(model, believed, looked.pixels.points, felt.contacts, rows, sight.costs, how, rng)
+        sensed = looked.pixels.points, felt.contacts, rows, sight.costs, how, rng, felt.patches
+        starts = starts_of(model, believed, *sensed)
         if believed is not None:
             found = modes_near(pool, rows, seen, starts, search_stages(blur, how.near), settings.plan)
         else:
             stages = search_stages(blur, how.wide if contacts else how.sifted)
             found = find_modes(model, rows, starts, stages, None, sight.costs, settings.plan, settings.modes)
-        stage.note(len(rows), f"{found.looked_at} of {len(starts)} starts, blur {1e3 * blur:.1f} mm; {found.why}")
+        gels = f", by {len(felt.patches)} gels too" if felt.patches and believed is None else ""
+        said = f"{found.looked_at} of {len(starts)} starts{gels}, blur {1e3 * blur:.1f} mm; {found.why}"
+        stage.note(len(rows), said)
     wide = believed is None and predictor.sees
     with trace.stage("look again", wide, "the region was narrow") as stage:
         if wide:
