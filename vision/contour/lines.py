@@ -106,18 +106,25 @@ def _edges(colours: NDArray[np.uint8], settings: LineSettings) -> Array:
     """(n, 2 reach + 1) how much samples (n, k) or (n, k, 3) change over two pixels on either side of each offset,
     relative to the image's contrast: 0 for none, saturating at 1.
     """
-    values = colours.reshape(*colours.shape[:2], -1).astype(np.float64)
+    values = colours.reshape(*colours.shape[:2], -1).astype(np.float32)
     pairs = values[:, 1:] + values[:, :-1]
     change = np.abs(pairs[:, 3:] - pairs[:, :-3]).max(axis=2) / 2.0
-    low, high = np.percentile(values, [1.0, 99.0])
+    low, high = _extent(colours)
     change = change[:, settings.beyond - 2 : settings.beyond + 2 * settings.reach - 1]
-    return np.asarray(change / (change + settings.edge_share * max(float(high - low), 1.0)))
+    return np.asarray(change / (change + settings.edge_share * max(high - low, 1.0)), dtype=np.float64)
+
+
+def _extent(values: NDArray[np.uint8]) -> tuple[float, float]:
+    """The darkest and the brightest percent of the values."""
+    below = np.bincount(values.ravel(), minlength=256).cumsum()
+    low, high = np.searchsorted(below, [0.01 * values.size, 0.99 * values.size])
+    return float(low), float(high)
 
 
 def _useless(colours: NDArray[np.uint8], settings: LineSettings) -> str:
     """Why samples (n, k) or (n, k, 3) tell nothing: dark, flat or badly exposed; "" when they do."""
     bright = colours.reshape(*colours.shape[:2], -1).max(axis=2)
-    low, high = np.percentile(bright, [1.0, 99.0])
+    low, high = _extent(bright)
     if high < settings.contrast:
         return f"the image is dark: {high:.0f} of 255 at most around the outline"
     over = float((bright == 255).mean())
@@ -131,13 +138,14 @@ def _useless(colours: NDArray[np.uint8], settings: LineSettings) -> str:
 def _binned(colours: NDArray[np.uint8], grey: bool, settings: LineSettings) -> tuple[NDArray[np.int64], int]:
     """(n, k) the bin of each colour, and how many bins there are; levels lie between the darkest and brightest."""
     levels = settings.greys if grey else settings.levels
-    channels = colours.reshape(*colours.shape[:2], -1).astype(np.float64)
-    low, high = np.percentile(channels, [1.0, 99.0], axis=(0, 1))
-    index = np.clip((channels - low) / np.maximum(high - low, 1.0) * levels, 0, levels - 1).astype(np.int64)
-    out = index[..., 0]
-    for channel in range(1, index.shape[2]):
-        out = out * levels + index[..., channel]
-    return out, levels ** index.shape[2]
+    channels = colours.reshape(*colours.shape[:2], -1)
+    out = np.zeros(channels.shape[:2], dtype=np.int64)
+    for channel in range(channels.shape[2]):
+        own = channels[..., channel]
+        low, high = _extent(own)
+        level = np.clip((np.arange(256) - low) / max(high - low, 1.0) * levels, 0, levels - 1).astype(np.int64)
+        out = out * levels + level[own]
+    return out, int(levels ** channels.shape[2])
 
 
 def _ratios(
@@ -167,7 +175,7 @@ def _ratios(
 
 
 def _smoothed(counts: Array, levels: int) -> Array:
-    """Counts (g, levels^c) with a third of each bin's given to its neighbours along every axis of colour."""
+    """Counts (g, levels^c) with half of each bin's given to its neighbours along every axis of colour."""
     shape = counts.shape
     channels = round(np.log(shape[1]) / np.log(levels))
     grid = counts.reshape(shape[0], *[levels] * channels)

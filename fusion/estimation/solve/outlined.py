@@ -66,7 +66,8 @@ def outlined(
             break
     moved = se3.difference(at, mode.pose, model.centroid)
     tension = float(moved @ np.linalg.solve(mode.covariance, moved))
-    worse = _cost(pool, at, se3.perturb(solved.as_seen, moved, model.centroid)) - _cost(pool, mode.pose, solved.as_seen)
+    as_seen = se3.perturb(solved.as_seen, moved, model.centroid)
+    worse = _worse(pool, (mode.pose, at), (solved.as_seen, as_seen))
     if tension > how.most_moved or worse > settings.most_worse_outlined:
         why = f"outline and depth disagree (chi-square {tension:.0f}, {worse:.0f} nats worse)"
         return Outlined(mode, solved, 0, why)
@@ -80,10 +81,12 @@ def outlined(
     return Outlined(replace(mode, pose=at, covariance=0.5 * (spread + spread.T)), calibrated, lines, why)
 
 
-def _cost(pool: Pool, pose: Array, as_seen: Array) -> float:
-    """Nats that touch and the prior have against a pose (4, 4), and the picture of depth against where it has it."""
-    felt = costs(pool.model, pool.felt, pose[None], pool.prior)
-    return float(felt[0] + pool.predictor.costs(as_seen[None])[0])
+def _worse(pool: Pool, poses: tuple[Array, Array], as_seen: tuple[Array, Array]) -> float:
+    """Nats that touch and the prior have against the second of two poses (4, 4) more than against the first, and the
+    picture of depth against where it has them.
+    """
+    all_of_it = costs(pool.model, pool.felt, np.array(poses), pool.prior) + pool.predictor.costs(np.array(as_seen))
+    return float(all_of_it[1] - all_of_it[0])
 
 
 def _positive(matrix: Array) -> Array:
