@@ -26,6 +26,7 @@ BENCHMARKS = {
     "faults": "fusion.benchmarks.frames.faults",
     "scenes": "fusion.benchmarks.camera.scenes",
     "segmentation": "fusion.benchmarks.camera.segmentation",
+    "colour": "fusion.benchmarks.camera.colour",
     "tracking": "fusion.benchmarks.frames.tracking",
 }
 

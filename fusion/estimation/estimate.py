@@ -22,6 +22,7 @@ from fusion.estimation.propose import modes_anywhere, modes_near
 from fusion.estimation.ranking import guarded, ranked
 from fusion.estimation.search import find_modes, worth_solving
 from fusion.estimation.settings import EstimateSettings
+from fusion.estimation.solve.outlined import outlined
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import solve_modes
 from fusion.estimation.tolerance import good_enough, is_within, with_shared_errors
@@ -202,6 +203,14 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace, loo
             spread = moments(model, rows, first.pose, first.covariance, asked.seed, believed, settings=how_wide)
             modes = (replace(first, pose=spread.pose, covariance=spread.covariance), *modes[1:])
             stage.note(len(rows), f"{spread.effective:.0f} effective samples, directions widened: {spread.widened}")
+    coloured = settings.contour.used and viewed.rgb is not None and predictor.sees
+    useless: tuple[str, ...] = ()
+    with trace.stage("outline", finish and coloured, why_not if coloured else "no colours beside depth") as stage:
+        if finish and coloured:
+            told = outlined(viewed, pool, best, modes[0], beliefs.mesh_sigma, settings)
+            modes, felt = (told.mode, *modes[1:]), felt.corrected(told.solved.correct())
+            useless = () if told.lines else (f"colours are not used: {told.why}",)
+            stage.note(told.lines, told.why)
     with trace.stage("judge", True, "") as stage:
         pose = modes[0].pose
         residuals = posterior.contact_residuals(model, felt.contacts, pose, settings.verdict)
@@ -233,7 +242,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace, loo
         trace=trace.stages,
         contacts=residuals,
         pixel_rms_mm=1e3 * rms,
-        notes=(why, *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility)),
+        notes=(why, *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility), *useless),
         dropped=looked.dropped,
         start=start,
         contributions=posterior.contributions(model, rows, pose, covariance, believed),
