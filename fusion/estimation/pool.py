@@ -138,7 +138,7 @@ class Pool:
         order = np.argsort(self.costs(candidates), kind="stable")
         apart = s.together * self.modes.merge_share * self.model.radius
         best, _ = leaders(self.model, candidates[order], apart)
-        fitted = [self.fitted(pose) for pose in candidates[order[best[: s.fitted]]]]
+        fitted = [self._fitted(pose) for pose in candidates[order[best[: s.fitted]]]]
         poses = np.array([pose for pose, _ in fitted])
         hessians = np.array([hessian for _, hessian in fitted])
         ranked = Alignment(poses, self.costs(poses), hessians, np.zeros(len(poses), dtype=np.int64))
@@ -158,7 +158,7 @@ class Pool:
         felt = float(costs(self.model, self.felt, pose)[0])
         return bool(picture and felt <= s.contact_nats * max(contacts, 1))
 
-    def fitted(self, pose: Array) -> tuple[Array, Array]:
+    def _fitted(self, pose: Array) -> tuple[Array, Array]:
         """A pose after a few fits to the pixels that it predicts, and its Hessian; where it was if that is likelier."""
         tried, hessian = pose, np.zeros((6, 6))
         found: list[tuple[Array, Array]] = []

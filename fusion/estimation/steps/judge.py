@@ -81,7 +81,7 @@ def _fitted(sensed: Sensed, given: Array) -> tuple[Array, Array]:
     """The poses (n, 4, 4) as a search ends with them, and their costs (n,)."""
     pool = sensed.pool
     if pool.predictor.sees:
-        poses = np.array([pool.fitted(pose)[0] for pose in given])
-        return poses, pool.costs(poses)
+        alone = [pool.compete(pose[None])[0] for pose in given]
+        return np.array([mode.pose for mode in alone]), np.array([mode.cost for mode in alone])
     found = align(pool.model, sensed.rows, given, pool.prior, AlignSettings())
     return found.poses, found.costs + sensed.sight.costs(found.poses)
