@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import Asked, check_limits
-from fusion.estimation.confidence import confidence
+from fusion.estimation.confidence import rightness, whole_covariance, within
 from fusion.estimation.moments import moments
 from fusion.estimation.proposals import search_stages, starts_of
 from fusion.estimation.propose import modes_anywhere, modes_near
@@ -138,18 +138,22 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace) -> E
         seeing = visibility(viewed, model, pose, beliefs.depth)
         picture = predictor.predict(pose[None]) if predictor.sees else None
         nats = float(costs(model, felt.rows, pose[None])[0]) if contacts else 0.0
-        sure = confidence(model, modes, picture, residuals, nats, settings=settings.confidence)
+        right = rightness(model, modes, picture, residuals, nats, settings.confidence)
+        sure = right * within(model, pose, modes[0].covariance, settings.confidence.tolerance, settings.confidence)
         word, why = posterior.verdict(model, modes, residuals, share, seeing, settings.verdict)
         if word == "ok" and nats > settings.verdict.most_contradicted * max(contacts, 1):
             word, why = "lost", "the contacts, or their normals, contradict every pose"
-        if word == "ok" and picture is not None and sure < settings.confidence.sure:
+        if word == "ok" and sure < settings.confidence.sure:
             word, why = "ambiguous", f"only {sure:.0%} sure to be within {1e3 * settings.confidence.tolerance:.0f} mm"
+        covariance = modes[0].covariance
+        if word != "ok":
+            covariance = whole_covariance(model, modes, right, believed, settings.confidence)
         stage.note(len(rows), why)
 
     return Estimate(
         frame=frame.index,
         pose=pose,
-        covariance=modes[0].covariance,
+        covariance=covariance,
         modes=modes,
         verdict=word,
         unobservable=posterior.unobservable(model, pose, modes[0].covariance, settings.verdict),
@@ -161,6 +165,6 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace) -> E
         notes=(why, *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility)),
         dropped=looked.dropped,
         start=believed.pose if believed is not None else None,
-        contributions=posterior.contributions(model, rows, pose, modes[0].covariance, believed),
+        contributions=posterior.contributions(model, rows, pose, covariance, believed),
         confidence=sure,
     )
