@@ -25,6 +25,8 @@ SMALLEST_DIAMETER = 0.005
 LARGEST_DIAMETER = 2.0
 # Above this, the hull of all vertices costs seconds and only the outer ones are asked for the largest extent.
 MANY_VERTICES = 100_000
+# Surface samples up to so many are kept, drawn from the first seed: every frame asks for the same again.
+KEPT_SAMPLES = 1000
 
 
 class ObjectModel:
@@ -157,15 +159,31 @@ class ObjectModel:
         return {key: value for key, value in self.__dict__.items() if key != "surface"}
 
     def sample_surface(self, count: int, seed: int = 0) -> tuple[Array, Array]:
-        """Points (count, 3) uniform over the surface's area and their outward normals (count, 3)."""
+        """Points (count, 3) uniform over the surface's area and their outward normals (count, 3); not to be written to.
+        """
+        if (count, seed) in self._sampled:
+            return self._sampled[count, seed]
         rng = np.random.default_rng(seed)
-        corners = self.vertices[self.faces]
-        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        face = rng.choice(len(self.faces), size=count, p=area / area.sum())
+        face = rng.choice(len(self.faces), size=count, p=self._face_shares)
         u, v = rng.random((2, count))
         root = np.sqrt(u)
         weights = np.stack([1 - root, root * (1 - v), root * v], axis=1)
-        return np.einsum("nk,nkd->nd", weights, corners[face]), self.face_normals[face]
+        corners = self.vertices[self.faces[face]]
+        found = np.einsum("nk,nkd->nd", weights, corners), self.face_normals[face]
+        if seed == 0 and count <= KEPT_SAMPLES:
+            self._sampled[count, seed] = found
+        return found
+
+    @cached_property
+    def _sampled(self) -> dict[tuple[int, int], tuple[Array, Array]]:
+        return {}
+
+    @cached_property
+    def _face_shares(self) -> Array:
+        """(m,) shares of the surface's area."""
+        corners = self.vertices[self.faces]
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        return np.asarray(area / area.sum())
 
     def symmetry_poses(self, steps: int = 36) -> Array:
         """(k, 4, 4) object_from_object that leave the object unchanged."""
