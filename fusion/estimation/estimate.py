@@ -90,7 +90,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace) -> E
     with trace.stage("search", True, "") as stage:
         starts = starts_of(model, believed, looked.pixels.points, felt.contacts, rows, sight.costs, how, pool.rng)
         if believed is not None:
-            found = modes_near(pool, rows, seen, starts, search_stages(blur, how.near), settings.plan)
+            found = modes_near(pool, rows, seen, starts, search_stages(blur, how.near), settings.plan, trace)
         else:
             stages = search_stages(blur, how.wide if contacts else how.sifted)
             found = find_modes(model, rows, starts, stages, None, sight.costs, settings.plan, settings.modes)
@@ -106,7 +106,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace) -> E
                 last = search_stages(blur, how.near)[-1:]
                 again = find_modes(model, rows, likely, last, None, sight.costs, settings.plan, settings.modes)
                 likely = np.array([m.pose for m in again.modes])
-            found = modes_anywhere(replace(pool, looked=looked), likely, seen, starts, stages)
+            found = modes_anywhere(replace(pool, looked=looked), likely, seen, starts, stages, trace)
             stage.note(len(rows), f"{len(looked.pixels)} object pixels around {len(likely)} poses; {found.why}")
     modes = found.modes
     rough = with_shared_errors(model, modes, viewed, beliefs.depth)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.proposals import ProposalSettings, search_stages
+from fusion.estimation.proposals import ProposalSettings
 from scenes.evidence import table as tables
 from scenes.evidence.align import Alignment, AlignSettings, Prior, align, costs
 from scenes.evidence.modes import Mode, ModeSettings, distinct_modes
@@ -21,6 +21,7 @@ from scenes.evidence.search import SearchStage, leaders, search, thin
 from scenes.evidence.table import GATE_ABOVE, Evidence
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import DepthModel
+from touch.held import Held
 from vision.look.looked import Looked, RowSettings, free_space_rows, surface_rows
 from vision.predicted import Predictor
 from vision.sight import Sight
@@ -58,6 +59,8 @@ class PoolSettings:
     least_shown: float = 0.12
     sure_share: float = 0.9
     contact_nats: float = 2.5
+    # Contacts that hold an object in place: three points. A picture that so many agree with is no other thing's.
+    tying_contacts: int = 3
     # Poses nearer to each other than this share of the distance at which modes are one go on as one.
     together: float = 0.5
 
@@ -65,7 +68,8 @@ class PoolSettings:
 @dataclass(frozen=True)
 class Pool:
     """What is known of the frame beyond poses: rows of touch as they are believed now, and a prior; `predictor` says
-    what must be seen, `sight` quickly what is seen past. looked and depth: what pixels are worth as rows.
+    what must be seen, `sight` quickly what is seen past. looked and depth: what pixels are worth as rows. held: the
+    robot's own hand, where it is known.
     """
 
     model: ObjectModel
@@ -80,6 +84,7 @@ class Pool:
     proposals: ProposalSettings
     modes: ModeSettings
     settings: PoolSettings
+    held: Held | None = None
 
     def costs(self, candidates: Array) -> Array:
         """(n,) nats of poses (n, 4, 4), up to a constant: touch, prior, and the predicted image."""
@@ -103,22 +108,19 @@ class Pool:
             parts.append(poses)
         return np.concatenate(parts) if parts else np.zeros((0, 4, 4))
 
-    def of_pieces(self) -> Array:
-        """(n, 4, 4) poses that each connected piece of the image proposes by itself: for every piece a search in which
-        the whole predicted image ranks.
-        """
+    def piece_starts(self) -> Array:
+        """(n, 4, 4) starts that each connected piece of the image proposes by itself, those that differ."""
         found = [np.zeros((0, 4, 4))]
-        passes = search_stages(self.proposals.blur(self.model), self.proposals.sifted)
-
-        def rank(poses: Array, blur: float) -> Array:
-            return self.sight.costs(poses, blur)
-
         for piece in self.looked.pieces:
             rows = surface_rows(replace(self.looked, pixels=piece, told_apart=True), self.depth, self.rows)
-            starts = seen_starts(self.model, piece.points, rows, rank, self.rng, self.proposals.of_piece)
-            if len(starts):
-                found.append(search(self.model, rows, starts, passes, self.prior, rank=rank).poses)
+            found.append(
+                seen_starts(self.model, piece.points, rows, self.sight.costs, self.rng, self.proposals.of_piece)
+            )
         return np.concatenate(found)
+
+    def held_starts(self) -> Array:
+        """(n, 4, 4) starts between the fingers; none without a hand whose place and joints are known."""
+        return np.zeros((0, 4, 4)) if self.held is None else self.held.starts(self.model, self.rng, self.proposals.held)
 
     def evidence(self, pose: Array, side: int | None = None) -> Evidence:
         """Vision's rows if the object is at pose (4, 4): pixels inside its outline, and what was seen to be free.

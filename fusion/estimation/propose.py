@@ -1,7 +1,11 @@
-"""The search as a whole: few starts compete first, and all of them only when their best does not convince."""
+"""The search as a whole: one source of proposals after the other, until the best of all that competed convinces.
+
+Cheap sources come first, and the trace has a line for each: run, or skipped and why. Camera frame, metres.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,10 +13,56 @@ from numpy.typing import NDArray
 
 from fusion.estimation.pool import Pool
 from fusion.estimation.search import Found, PlanSettings, find_modes
+from fusion.estimation.steps.walk import walk
+from fusion.estimation.trace import Trace
+from scenes.evidence.modes import Mode
 from scenes.evidence.search import SearchStage
-from scenes.evidence.table import Evidence
+from scenes.evidence.table import GATE_ABOVE, Evidence
 
 Array = NDArray[np.float64]
+
+CONVINCED = "what was proposed convinces"
+
+
+class Competition:
+    """Poses of several sources, of which the likeliest stay. trace: has a line for each source."""
+
+    def __init__(self, pool: Pool, trace: Trace) -> None:
+        """Nothing has been proposed yet."""
+        self.pool, self.trace = pool, trace
+        self.modes: tuple[Mode, ...] = ()
+        self.convinced = False
+        self.proposed = 0
+
+    def enter(self, source: str, propose: Callable[[], Array], why_not: str = "") -> None:
+        """Let a source propose (n, 4, 4), and all that were left compete with its poses; skipped for a reason."""
+        with self.trace.stage(f"propose: {source}", not why_not, why_not) as stage:
+            if why_not:
+                return
+            poses = propose()
+            self.proposed += len(poses)
+            both = np.concatenate([poses, poses_of(self.modes)])
+            if len(both):
+                self.modes = self.pool.compete(both)
+                self.convinced = self.pool.convinces(self.modes)
+            stage.note(
+                len(poses), f"{len(self.modes)} modes are left, {'they convince' * self.convinced or 'in doubt'}"
+            )
+
+    @property
+    def enough(self) -> str:
+        """Why no more need be asked; "" while there is doubt."""
+        return CONVINCED if self.convinced else ""
+
+    def found(self, looked_at: int) -> Found:
+        """What is left. looked_at: starts."""
+        words = "and convince" if self.convinced else "the best in doubt"
+        return Found(self.modes, looked_at, f"{len(self.modes)} of {self.proposed} proposals are left, {words}")
+
+
+def poses_of(modes: tuple[Mode, ...]) -> Array:
+    """(n, 4, 4)."""
+    return np.array([mode.pose for mode in modes]).reshape(-1, 4, 4)
 
 
 def modes_near(
@@ -22,33 +72,58 @@ def modes_near(
     starts: Array,
     stages: tuple[SearchStage, ...],
     plan: PlanSettings,
+    trace: Trace,
 ) -> Found:
-    """Modes of a frame with a prior: every sense proposes from a few of the starts (n, 4, 4); from all when the best of
-    that does not convince. rows: all evidence, seen: vision's.
+    """Modes of a frame with a prior: rows and touch propose from a few of the starts (n, 4, 4); where the best of that
+    does not convince, the whole objective walks from all of them and from between the fingers, and only then are all
+    searched. rows: all evidence, seen: vision's.
     """
-    assert pool.prior is not None
+    prior = pool.prior
+    assert prior is not None
     if not pool.predictor.sees:
-        return find_modes(pool.model, rows, starts, stages, pool.prior, pool.sight.costs, plan, pool.modes)
-    tried = np.zeros((0, 4, 4))
-    some = [plan.first_starts, len(starts)] if plan.skipping and plan.first_starts < len(starts) else [len(starts)]
+        return find_modes(pool.model, rows, starts, stages, prior, pool.sight.costs, plan, pool.modes)
     whole = replace(plan, skipping=False)
-    for count, descents in zip(some, (pool.settings.first_descents, pool.settings.descents)[-len(some) :]):
-        few = starts[:count]
-        found = find_modes(pool.model, rows, few, stages, pool.prior, pool.sight.costs, whole, pool.modes)
-        more = pool.proposed(few, stages, seen, pool.prior.pose, descents)
-        candidates = np.concatenate([np.array([m.pose for m in found.modes]), more, tried])
-        modes = pool.compete(candidates)
-        if pool.convinces(modes):
-            return Found(modes, count, f"{len(modes)} of {len(candidates)} proposals are left and convince")
-        tried = np.array([m.pose for m in modes])
-    return Found(modes, len(starts), f"{len(modes)} of {len(candidates)} proposals are left, the best in doubt")
+    some = plan.first_starts if plan.skipping and plan.first_starts < len(starts) else 0
+    asked = Competition(pool, trace)
+
+    def searched(few: Array, descents: int) -> Array:
+        found = find_modes(pool.model, rows, few, stages, prior, pool.sight.costs, whole, pool.modes)
+        return np.concatenate([poses_of(found.modes), pool.proposed(few, stages, seen, prior.pose, descents)])
+
+    def walked() -> Array:
+        everywhere = np.concatenate([starts, pool.held_starts()])
+        return walk(pool.model, everywhere, pool.costs, pool.rng, pool.proposals.walk)
+
+    if some:
+        asked.enter("rows and touch, few starts", lambda: searched(starts[:some], pool.settings.first_descents))
+    first = asked.convinced
+    asked.enter(f"a walk{' and the hand' * (pool.held is not None)}", walked, asked.enough)
+    asked.enter("rows and touch, all starts", lambda: searched(starts, pool.settings.descents), asked.enough)
+    return asked.found(some if first else len(starts))
 
 
-def modes_anywhere(pool: Pool, likely: Array, seen: Evidence, starts: Array, passes: tuple[SearchStage, ...]) -> Found:
-    """Modes of a frame of which nothing is known: the search's (n, 4, 4), and what touch alone and each piece of the
-    image propose, compete. starts (m, 4, 4): where touch looks.
+def modes_anywhere(
+    pool: Pool, likely: Array, seen: Evidence, starts: Array, passes: tuple[SearchStage, ...], trace: Trace
+) -> Found:
+    """Modes of a frame of which nothing is known: the search's (n, 4, 4), what touch alone proposes, and where the
+    whole objective walks from these, from each piece of the image and from between the fingers. starts (m, 4, 4): where
+    touch looks.
     """
-    more = [pool.proposed(starts, passes, seen, None, 0), pool.of_pieces()]
-    candidates = np.concatenate([likely, *more])
-    modes = pool.compete(candidates)
-    return Found(modes, len(candidates), f"{len(modes)} of {len(candidates)} proposals are left")
+    asked = Competition(pool, trace)
+    contacts = int((pool.felt.rows[:, GATE_ABOVE] > 0).sum())
+    felt = np.zeros((0, 4, 4))
+    asked.enter("rows", lambda: likely)
+    if contacts:
+        felt = pool.proposed(starts, passes, seen, None, 0)
+    asked.enter("touch", lambda: felt, "" if contacts else "nothing is felt")
+    pieces = pool.looked.pieces
+
+    def walked() -> Array:
+        everywhere = np.concatenate([likely, felt, pool.piece_starts(), pool.held_starts()])
+        return walk(pool.model, everywhere, pool.costs, pool.rng, pool.proposals.walk_far)
+
+    sources = ["a walk", *[f"{len(pieces)} pieces"] * bool(pieces), *["the hand"] * (pool.held is not None)]
+    # a picture that convinces may be that of another thing; one that touch agrees with is not
+    agreed = asked.convinced and contacts >= pool.settings.tying_contacts
+    asked.enter(", ".join(sources), walked, "seen and felt agree" if agreed else "")
+    return asked.found(asked.proposed)

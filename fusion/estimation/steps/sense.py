@@ -22,7 +22,8 @@ from scenes.evidence.table import Evidence
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
 from touch.contacts import Felt, feel
-from vision.look.hand import HandView
+from touch.held import Held
+from vision.look.hand import HandView, camera_from_hand
 from vision.look.look import look, surfaces
 from vision.look.looked import Looked
 from vision.predicted import Predictor
@@ -85,8 +86,18 @@ def sense(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace) -> Sense
     predictor = Predictor(viewed, model, beliefs.depth, hand, settings.prediction, looked.plane, pieces)
     asks = settings.look.rows, settings.proposals, settings.modes, settings.pool
     rng = np.random.default_rng(asked.seed)
-    pool = Pool(model, felt.rows, believed, predictor, sight, looked, beliefs.depth, rng, *asks)
+    pool = Pool(
+        model, felt.rows, believed, predictor, sight, looked, beliefs.depth, rng, *asks, held=_held(frame, hand)
+    )
     return Sensed(frame, viewed, touched, looked, felt, seen, tables.stack(seen, felt.rows), sight, pool)
+
+
+def _held(frame: Frame, seen: HandView | None) -> Held | None:
+    """The hand at its joints, where it is seen or else where the robot says that it is."""
+    reported = camera_from_hand(frame)
+    if frame.hand is None or frame.joints is None or reported is None:
+        return None
+    return Held(frame.hand, frame.joints, reported if seen is None else seen.aligned)
 
 
 @dataclass(frozen=True)
