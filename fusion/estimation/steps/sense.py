@@ -81,7 +81,7 @@ def sense(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace) -> Sense
         stage.note(len(felt.reported_rows), f"{contacts} contacts, {len(felt.reported_rows) - contacts} empty points")
     sight = Sight(viewed, model, beliefs.depth, settings.sight)
     # something that nobody has a model of touches the object, and may be what is seen
-    unknown = contacts > 0 and not looked.told_apart and viewed.depth is not None
+    unknown = not looked.told_apart and viewed.depth is not None
     pieces = surfaces(viewed, looked.plane, beliefs, settings.look)[1] if unknown else None
     predictor = Predictor(viewed, model, beliefs.depth, hand, settings.prediction, looked.plane, pieces)
     asks = settings.look.rows, settings.proposals, settings.modes, settings.pool
