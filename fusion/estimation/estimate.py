@@ -116,7 +116,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace) -> E
     modes = modes if finish else rough
     with trace.stage("solve together", finish, why_not) as stage:
         if finish:
-            worth = worth_solving(modes, settings.plan)[: settings.joint.modes]
+            worth = worth_solving(found, settings.plan, settings.joint.modes)
             solved = solve_together(sensed, worth, asked)
             modes = rejudged(model, solved.results, solved.costs, settings)
             first_of = int(np.argmin(solved.costs))

@@ -43,9 +43,10 @@ class PoolSettings:
     descent: tuple[float, ...] = (0.02, 0.01, 0.005, 0.002)
     descent_steps: int = 6
     descent_rows: int = 160
-    # Poses, the best first, that are fitted to the pixels inside their own outlines; how often, by how many
-    # rays along each side; the fewest such pixels.
+    # Poses, the best first, that are fitted to the pixels inside their own outlines, at first and when what competed
+    # does not convince; how often, by how many rays along each side; the fewest such pixels.
     fitted: int = 6
+    fitted_in_doubt: int = 12
     rounds: int = 2
     side: int = 40
     least_pixels: int = 25
@@ -134,13 +135,16 @@ class Pool:
         mine = replace(self.looked, pixels=pixels, told_apart=True)
         return tables.stack(surface_rows(mine, self.depth, self.rows), free)
 
-    def compete(self, candidates: Array) -> tuple[Mode, ...]:
-        """The best of poses (n, 4, 4), n at least 1, each fitted to what is seen inside its own outline, as modes."""
+    def compete(self, candidates: Array, most: int | None = None) -> tuple[Mode, ...]:
+        """The best of poses (n, 4, 4), n at least 1, each fitted to what is seen inside its own outline, as modes.
+
+        most: so many are fitted; default settings.fitted.
+        """
         s = self.settings
         order = np.argsort(self.costs(candidates), kind="stable")
         apart = s.together * self.modes.merge_share * self.model.radius
         best, _ = leaders(self.model, candidates[order], apart)
-        fitted = [self._fitted(pose) for pose in candidates[order[best[: s.fitted]]]]
+        fitted = [self._fitted(pose) for pose in candidates[order[best[: most or s.fitted]]]]
         poses = np.array([pose for pose, _ in fitted])
         hessians = np.array([hessian for _, hessian in fitted])
         ranked = Alignment(poses, self.costs(poses), hessians, np.zeros(len(poses), dtype=np.int64))

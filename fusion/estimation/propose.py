@@ -33,6 +33,7 @@ class Competition:
         self.modes: tuple[Mode, ...] = ()
         self.convinced = False
         self.proposed = 0
+        self._felt: Array | None = None
 
     def enter(self, source: str, propose: Callable[[], Array], why_not: str = "") -> None:
         """Let a source propose (n, 4, 4), and all that were left compete with its poses; skipped for a reason."""
@@ -43,11 +44,25 @@ class Competition:
             self.proposed += len(poses)
             both = np.concatenate([poses, poses_of(self.modes)])
             if len(both):
-                self.modes = self.pool.compete(both)
+                few = not self.modes
+                self.modes = self.pool.compete(both, None if few else self.pool.settings.fitted_in_doubt)
                 self.convinced = self.pool.convinces(self.modes)
             stage.note(
                 len(poses), f"{len(self.modes)} modes are left, {'they convince' * self.convinced or 'in doubt'}"
             )
+
+    def by_touch(self, poses: Array) -> Array:
+        """The same poses (n, 4, 4), of which the first is what touch alone says: it is solved with what is left while
+        there is doubt, because a calibration that is off makes right contacts look wrong until it is solved for.
+        """
+        if len(poses) and self.contacts >= self.pool.settings.tying_contacts:
+            self._felt = poses[0]
+        return poses
+
+    @property
+    def contacts(self) -> int:
+        """How many are felt."""
+        return int((self.pool.felt.rows[:, GATE_ABOVE] > 0).sum())
 
     @property
     def enough(self) -> str:
@@ -57,7 +72,10 @@ class Competition:
     def found(self, looked_at: int) -> Found:
         """What is left. looked_at: starts."""
         words = "and convince" if self.convinced else "the best in doubt"
-        return Found(self.modes, looked_at, f"{len(self.modes)} of {self.proposed} proposals are left, {words}")
+        also: tuple[Array, ...] = ()
+        if not self.convinced and self._felt is not None:
+            also = (self.pool.compete(self._felt[None])[0].pose,)
+        return Found(self.modes, looked_at, f"{len(self.modes)} of {self.proposed} proposals are left, {words}", also)
 
 
 def poses_of(modes: tuple[Mode, ...]) -> Array:
@@ -88,7 +106,8 @@ def modes_near(
 
     def searched(few: Array, descents: int) -> Array:
         found = find_modes(pool.model, rows, few, stages, prior, pool.sight.costs, whole, pool.modes)
-        return np.concatenate([poses_of(found.modes), pool.proposed(few, stages, seen, prior.pose, descents)])
+        more = asked.by_touch(pool.proposed(few, stages, seen, prior.pose, descents))
+        return np.concatenate([poses_of(found.modes), more])
 
     def walked() -> Array:
         everywhere = np.concatenate([starts, pool.held_starts()])
@@ -110,12 +129,9 @@ def modes_anywhere(
     touch looks.
     """
     asked = Competition(pool, trace)
-    contacts = int((pool.felt.rows[:, GATE_ABOVE] > 0).sum())
-    felt = np.zeros((0, 4, 4))
     asked.enter("rows", lambda: likely)
-    if contacts:
-        felt = pool.proposed(starts, passes, seen, None, 0)
-    asked.enter("touch", lambda: felt, "" if contacts else "nothing is felt")
+    felt = asked.by_touch(pool.proposed(starts, passes, seen, None, 0))
+    asked.enter("touch", lambda: felt, "" if len(felt) else "nothing is felt")
     pieces = pool.looked.pieces
 
     def walked() -> Array:
@@ -124,6 +140,6 @@ def modes_anywhere(
 
     sources = ["a walk", *[f"{len(pieces)} pieces"] * bool(pieces), *["the hand"] * (pool.held is not None)]
     # a picture that convinces may be that of another thing; one that touch agrees with is not
-    agreed = asked.convinced and contacts >= pool.settings.tying_contacts
+    agreed = asked.convinced and asked.contacts >= pool.settings.tying_contacts
     asked.enter(", ".join(sources), walked, "seen and felt agree" if agreed else "")
     return asked.found(asked.proposed)

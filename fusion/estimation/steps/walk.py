@@ -29,9 +29,8 @@ class WalkSettings:
     # Standard deviation of the first draws per axis (rad, m): that of a coarse start (T1 section 4.3).
     angle: float = 0.18
     distance: float = 0.02
-    # Poses nearer to each other than this share of the object's radius, which is halved from round to round, go on as
-    # one.
-    apart: float = 0.2
+    # Poses nearer to each other than this share of the object's radius go on as one: valleys, not places in one.
+    apart: float = 0.1
 
 
 def walk(
@@ -58,7 +57,6 @@ def walk(
         drawn = [se3.perturb(pose, rng.normal(size=(draws, 6)) * width, model.centroid) for pose in poses[chosen]]
         fresh = np.concatenate(drawn)
         poses, at = np.concatenate([poses[chosen], fresh]), np.concatenate([at[chosen], costs(fresh)])
-        apart *= 0.5
     order = np.argsort(at, kind="stable")
     best, _ = leaders(model, poses[order], apart)
     return poses[order[best[: s.rounds[-1][0]]]]
