@@ -64,9 +64,8 @@ class PredictionSettings:
     hidden_by_unknown: float = 0.2
     most_of_piece: float = 30.0
     piece_step: int = 3
-    # A pixel that is seen past counts this share where something within so many pixels is as near as the object.
+    # A pixel that is seen past counts this share beside the edge of something that is as near as the object.
     past_beside: float = 0.25
-    edge_pixels: int = 4
     # Of what gives no reading this share is left out of the count.
     unread: float = 0.7
     # A cell's depth agrees within so many sigmas (noise, smooth bias and scale); seen fades with so many (no scale).
@@ -239,12 +238,12 @@ class Predictor:
             v,
             (self._depth, mask, *self._hand, plane),
             camera,
-            (m.axial_floor, m.axial_growth, m.bias_sigma, m.scale_sigma),
+            (m.axial_floor, m.axial_growth, m.axial_from, m.bias_sigma, m.scale_sigma),
             (
                 s.tolerance,
                 s.fading,
                 s.past_beside,
-                s.edge_pixels,
+                self._belief.edge_pixels,
                 s.hand_step,
                 s.hand_margin,
                 s.plane_margin,
@@ -320,7 +319,7 @@ def _hand_depth(camera: Camera, hand: HandView, settings: PredictionSettings) ->
 
 
 def _box_of(camera: Camera, hand: HandView, step: int) -> tuple[int, int, int, int]:
-    """Columns and rows (u0, v0, u1, v1), of every `step` pixels, that can see the hand; all when it is at the camera."""
+    """Columns and rows (u0, v0, u1, v1), of every `step` pixels, that can see the hand; all when it is near."""
     columns, rows = -(-camera.width // step), -(-camera.height // step)
     ends = hand.surface.bounds
     corners = np.array([[ends[i][0], ends[j][1], ends[k][2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])

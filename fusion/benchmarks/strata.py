@@ -41,8 +41,8 @@ WITH_START, WITHOUT_START = ("icp", "vision", "touch", "fused"), ("icp", "fused"
 @dataclass(frozen=True)
 class Answer:
     """One method on one frame. level: hidden share, NaN where a recording does not say; add_s (m); per_dof: NEES per
-    degree of freedom and share: its chi-square probability, NaN without a covariance; verdict "" of ICP; frame: which
-    of the cell's, the same for every method.
+    degree of freedom and share: its chi-square probability, NaN without a covariance; verdict "" of ICP; confidence
+    that it is right, NaN where none is told; frame: which of the cell's, the same for every method.
     """
 
     family: str
@@ -54,6 +54,7 @@ class Answer:
     share: float
     verdict: str
     ms: float = math.nan
+    confidence: float = math.nan
     frame: str = ""
 
     @property
@@ -87,8 +88,9 @@ def answered(row: Row, family: str, level: float, start: bool, symmetries: Symme
     assert row.errors is not None
     count, nees = freedom(symmetries), row.errors.nees
     share = math.nan if row.estimate is None else float(chi2.cdf(nees, count)) if np.isfinite(nees) else 1.0
-    errors, spent = row.errors, row.time_ms
-    return Answer(family, level, row.method, start, errors.add_s, nees / count, share, row.verdict, spent, frame)
+    sure = math.nan if row.estimate is None else row.estimate.confidence
+    told = nees / count, share, row.verdict, row.time_ms, sure, frame
+    return Answer(family, level, row.method, start, row.errors.add_s, *told)
 
 
 def answer_cell(cell: Cell) -> list[Answer]:

@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
-from fusion.estimation.asked import Asked, check_limits
-from fusion.estimation.confidence import rightness, whole_covariance, within
+from fusion.estimation.asked import Asked, check_limits, sure_to_be_within
+from fusion.estimation.confidence import chances, whole_covariance, within
 from fusion.estimation.moments import moments
 from fusion.estimation.proposals import search_stages, starts_of
 from fusion.estimation.propose import modes_anywhere, modes_near
 from fusion.estimation.ranking import rejudged
 from fusion.estimation.search import find_modes, worth_solving
 from fusion.estimation.settings import EstimateSettings
-from fusion.estimation.steps.sense import sense, solve_together
+from fusion.estimation.steps.sense import look_once, sense, solve_together
 from fusion.estimation.tolerance import good_enough, is_within, with_shared_errors
 from fusion.estimation.trace import Trace
 from scenes.evidence import table as tables
@@ -34,6 +34,7 @@ from scenes.recordings.frames import Frame
 from scenes.recordings.validation import check_scale
 from scenes.threads import one_blas_thread
 from vision.look.look import look_closer
+from vision.look.looked import Looked
 from vision.plausibility import doubts
 from vision.visibility import visibility
 
@@ -50,6 +51,7 @@ def estimate(
     seed: int = 0,
     settings: EstimateSettings | None = None,
     beliefs: Beliefs | None = None,
+    sure_within: float | None = None,
 ) -> Estimate:
     """Where is the object in this frame?
 
@@ -57,10 +59,12 @@ def estimate(
     allowed. tolerance (m, rad): standard deviations that are good enough; when vision alone is sure and that good,
     touch is skipped, and when the rows are that good before shared errors are solved for, that is
     skipped. budget_ms: once it is spent, the joint solution (calibration, depth scale, bias) is skipped. beliefs: what
-    the sensors are worth; default what the frame says of its own.
+    the sensors are worth; default what the frame says of its own. sure_within (m): the answer's confidence is the
+    probability that its ADD-S is below that, and only a sure answer is `ok`; default 5 mm.
     Returns an Estimate; data that tell nothing give the verdict "lost" and a covariance that says so, not an error.
     Raises CaptureError when the sizes in the frame and the model's tell of a wrong unit.
     """
+    settings = sure_to_be_within(settings or EstimateSettings(), sure_within)
     check_limits(tolerance, budget_ms)
     check_scale(frame, model)
     asked = Asked.of(frame, prior, use, tolerance, seed, settings, beliefs)
@@ -71,20 +75,28 @@ def estimate(
         pair_table(model)
     trace = Trace(budget_ms)
     with one_blas_thread():
+        looked = look_once(frame, model, asked, trace)
         if tolerance is not None and asked.senses == {"vision", "touch"} and frame.depth is not None:
-            alone = _estimate(frame, model, replace(asked, senses=frozenset({"vision"})), trace)
-            if good_enough(model, alone, tolerance, asked.settings):
+            light = replace(settings, plan=replace(settings.plan, refined=settings.plan.tolerant))
+            by_vision = replace(asked, senses=frozenset({"vision"}), settings=light, or_none=True)
+            alone = _estimate(frame, model, by_vision, trace, looked)
+            if alone is not None and good_enough(model, alone, tolerance, settings):
                 return trace.skipping(alone, "feel", "vision alone is within the tolerance")
-        return _estimate(frame, model, asked, trace)
+        answer = _estimate(frame, model, asked, trace, looked)
+    assert answer is not None
+    return answer
 
 
-def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace) -> Estimate:
+def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: Looked) -> Estimate | None:
     settings, beliefs, believed = asked.settings, asked.beliefs, asked.prior
-    sensed = sense(frame, model, asked, trace)
-    viewed, looked, felt, seen, rows = sensed.viewed, sensed.looked, sensed.felt, sensed.seen, sensed.rows
+    sensed = sense(frame, model, asked, trace, looked)
+    viewed, felt, seen, rows = sensed.viewed, sensed.felt, sensed.seen, sensed.rows
     pool, sight, predictor, contacts = sensed.pool, sensed.sight, sensed.pool.predictor, sensed.contacts
     if sensed.nothing:
-        return posterior.no_answer(frame, model, believed, trace.stages, settings.modes, settings.verdict)
+        nothing = posterior.no_answer(frame, model, believed, trace.stages, settings.modes, settings.verdict)
+        first, how_sure = nothing.modes[0], settings.confidence
+        near = within(model, first.pose, first.covariance, how_sure.tolerance, how_sure.felt.nearest)
+        return replace(nothing, confidence=first.weight * near, sure_within=how_sure.tolerance)
 
     how, blur = settings.proposals, settings.proposals.blur(model)
     with trace.stage("search", True, "") as stage:
@@ -111,6 +123,8 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace) -> E
     modes = found.modes
     rough = with_shared_errors(model, modes, viewed, beliefs.depth)
     spent, settled = trace.over_budget, is_within(model, rough, asked.tolerance, settings)
+    if asked.or_none and not settled:
+        return None  # before anything is solved for that touch will change
     why_not = "the time budget is spent" if spent else "the rows alone are within the tolerance"
     finish = not (spent or settled)
     modes = modes if finish else rough
@@ -138,13 +152,13 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace) -> E
         seeing = visibility(viewed, model, pose, beliefs.depth)
         picture = predictor.predict(pose[None]) if predictor.sees else None
         nats = float(costs(model, felt.rows, pose[None])[0]) if contacts else 0.0
-        right = rightness(model, modes, picture, residuals, nats, settings.confidence)
-        sure = right * within(model, pose, modes[0].covariance, settings.confidence.tolerance, settings.confidence)
+        right, near = chances(model, modes, picture, residuals, nats, settings=settings.confidence)
+        sure = right * near
         word, why = posterior.verdict(model, modes, residuals, share, seeing, settings.verdict)
         if word == "ok" and nats > settings.verdict.most_contradicted * max(contacts, 1):
             word, why = "lost", "the contacts, or their normals, contradict every pose"
         if word == "ok" and sure < settings.confidence.sure:
-            word, why = "ambiguous", f"only {sure:.0%} sure to be within {1e3 * settings.confidence.tolerance:.0f} mm"
+            word, why = "ambiguous", f"only {sure:.0%} sure to be within {1e3 * settings.confidence.tolerance:.3g} mm"
         covariance = modes[0].covariance
         if word != "ok":
             covariance = whole_covariance(model, modes, right, believed, settings.confidence)
@@ -167,4 +181,5 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace) -> E
         start=believed.pose if believed is not None else None,
         contributions=posterior.contributions(model, rows, pose, covariance, believed),
         confidence=sure,
+        sure_within=settings.confidence.tolerance,
     )

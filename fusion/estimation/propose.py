@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,33 +93,43 @@ def modes_near(
     plan: PlanSettings,
     trace: Trace,
 ) -> Found:
-    """Modes of a frame with a prior: rows and touch propose from a few of the starts (n, 4, 4); where the best of that
-    does not convince, the whole objective walks from all of them and from between the fingers, and only then are all
-    searched. rows: all evidence, seen: vision's.
+    """Modes of a frame with a prior: rows and touch propose from a few of the starts (n, 4, 4), and where the best of
+    that does not convince, the whole objective walks from all of them and from between the fingers; then rows and touch
+    again, in rounds of fresh starts, until the best convinces or a round ends where the one before did.
+    rows: all evidence, seen: vision's.
     """
-    prior = pool.prior
+    prior, settings = pool.prior, pool.settings
     assert prior is not None
     if not pool.predictor.sees:
         return find_modes(pool.model, rows, starts, stages, prior, pool.sight.costs, plan, pool.modes)
-    whole = replace(plan, skipping=False)
-    some = plan.first_starts if plan.skipping and plan.first_starts < len(starts) else 0
-    asked = Competition(pool, trace)
+    whole, asked = replace(plan, skipping=False), Competition(pool, trace)
+    ends = [k for k in plan.rounds if k < len(starts)] if plan.skipping else []
+    begin = 0
 
-    def searched(few: Array, descents: int) -> Array:
-        found = find_modes(pool.model, rows, few, stages, prior, pool.sight.costs, whole, pool.modes)
-        more = asked.by_touch(pool.proposed(few, stages, seen, prior.pose, descents))
-        return np.concatenate([poses_of(found.modes), more])
+    def searched(fresh: Array) -> Array:
+        found = find_modes(pool.model, rows, fresh, stages, prior, pool.sight.costs, whole, pool.modes)
+        return poses_of(found.modes)
+
+    def felt(fresh: Array, descending: int) -> Array:
+        return asked.by_touch(pool.proposed(fresh, stages, seen, prior.pose, descending))
 
     def walked() -> Array:
         everywhere = np.concatenate([starts, pool.held_starts()])
         return walk(pool.model, everywhere, pool.costs, pool.rng, pool.proposals.walk)
 
-    if some:
-        asked.enter("rows and touch, few starts", lambda: searched(starts[:some], pool.settings.first_descents))
-    first = asked.convinced
-    asked.enter(f"a walk{' and the hand' * (pool.held is not None)}", walked, asked.enough)
-    asked.enter("rows and touch, all starts", lambda: searched(starts, pool.settings.descents), asked.enough)
-    return asked.found(some if first else len(starts))
+    for end, descending in zip([*ends, len(starts)], [*settings.descents[: len(ends)], settings.descents[-1]]):
+        fresh, before = starts[begin:end], asked.modes
+        asked.enter(f"rows, {len(fresh)} starts", partial(searched, fresh))
+        clear = plan.skipping and not begin and pool.convinces(asked.modes, settings.clearly_shown)
+        asked.enter(
+            "touch and descents", partial(felt, fresh, descending), "what all rows say is clearly seen" if clear else ""
+        )
+        if not begin:
+            asked.enter(f"a walk{' and the hand' * (pool.held is not None)}", walked, asked.enough)
+        begin = end
+        if asked.convinced or (before and pool.is_same(asked.modes, before)):
+            break
+    return asked.found(begin)
 
 
 def modes_anywhere(

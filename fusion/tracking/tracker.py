@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
-from fusion.estimation.asked import as_prior, check_senses
+from fusion.estimation.asked import as_prior, check_senses, sure_to_be_within
+from fusion.estimation.confidence import within
 from fusion.estimation.estimate import estimate
 from fusion.estimation.solve.joint import JointResult
 from fusion.estimation.solve.problem import JointProblem
@@ -59,15 +60,17 @@ def track(
     seed: int = 0,
     settings: TrackSettings | None = None,
     beliefs: Beliefs | None = None,
+    sure_within: float | None = None,
 ) -> Iterator[TrackedEstimate]:
     """Where is the object in each of these frames?
 
     prior: of the first frame, as for `estimate`; default the frame's own. use: the senses allowed. Yields one answer a
     frame, in their order; a frame whose index is below its predecessors' came late: it corrects the present, and its
     answer is for its own time. beliefs: what the sensors are worth; default what the first frame says of its own.
+    sure_within (m): what an answer's confidence is about, as for `estimate`.
     Raises InputError as `estimate` does.
     """
-    tracker = Tracker(model, prior, use, seed, settings, beliefs)
+    tracker = Tracker(model, prior, use, seed, settings, beliefs, sure_within)
     for frame in frames:
         yield tracker.step(frame)
 
@@ -83,10 +86,12 @@ class Tracker:
         seed: int = 0,
         settings: TrackSettings | None = None,
         beliefs: Beliefs | None = None,
+        sure_within: float | None = None,
     ) -> None:
         """As `track`."""
         self.model = model
-        self.settings = settings or TrackSettings()
+        settings = settings or TrackSettings()
+        self.settings = replace(settings, first=sure_to_be_within(settings.first, sure_within))
         self._senses = check_senses(use)
         self._prior = as_prior(prior, self.settings.first)
         self._seed = seed
@@ -109,6 +114,7 @@ class Tracker:
         self._unseen = 0
         self._lost_for = 0
         self._usual: float | None = None
+        self._found = 0.0
         self._rigs: list[float] = []
 
     def step(self, frame: Frame) -> TrackedEstimate:
@@ -118,11 +124,24 @@ class Tracker:
                 self._believe(frame.beliefs)
             return self._begin(frame)
         with one_blas_thread():
-            answer = self._follow(frame, self._belief)
+            answer = self._sure(self._follow(frame, self._belief))
         if answer.how == "lost":
             self._lost_for += 1
             return self._recover(frame, answer)
         return answer
+
+    def _sure(self, answer: TrackedEstimate) -> TrackedEstimate:
+        """With its confidence: that the object was found at all, which the picture told then, times what the posterior
+        says now of its mode and of being within the tolerance. What is lost is not to be trusted at all.
+        """
+        how, first = self.settings.first.confidence, answer.modes[0]
+        near = 0.0 if answer.how == "lost" else self._near(first)
+        return replace(answer, confidence=self._found * first.weight * near, sure_within=how.tolerance)
+
+    def _near(self, mode: Mode) -> float:
+        """Probability that the object is within the tolerance of a mode, if that is the right one."""
+        how = self.settings.first.confidence
+        return within(self.model, mode.pose, mode.covariance, how.tolerance, how.seen.nearest)
 
     # --- beginning, and beginning again
 
@@ -138,6 +157,8 @@ class Tracker:
         share = self.settings.first_lasting
         self._belief = Belief(answer.pose, (1 - share) * answer.covariance, share * answer.covariance)
         self._modes = answer.modes[: self.settings.modes]
+        explained = answer.modes[0].weight * self._near(answer.modes[0])
+        self._found = min(1.0, answer.confidence / explained) if explained > 1e-9 else 0.0
         self._index, self._unseen, self._lost_for, self._usual = frame.index, 0, 0, None
         contacts = self._feel(frame).reported_contacts
         self._hand = HandState.of(frame, contacts)

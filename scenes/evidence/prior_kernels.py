@@ -74,16 +74,13 @@ def prior_terms(rotation, middle, prior, need, hessian, gradient, scratch):
     turned = scratch[4:7]
     for a in range(3):
         for j in range(3):
-            turned[j, a] = (
-                jac[0, a] * information[0, j] + jac[1, a] * information[1, j] + jac[2, a] * information[2, j]
-            )
+            turned[j, a] = jac[0, a] * information[0, j] + jac[1, a] * information[1, j] + jac[2, a] * information[2, j]
     for a in range(3):
         for b in range(a + 1):
             hessian[a, b] += turned[0, a] * jac[0, b] + turned[1, a] * jac[1, b] + turned[2, a] * jac[2, b]
         for b in range(3):
-            hessian[3 + b, a] += (
-                information[3 + b, 0] * jac[0, a] + information[3 + b, 1] * jac[1, a] + information[3 + b, 2] * jac[2, a]
-            )
+            for i in range(3):
+                hessian[3 + b, a] += information[3 + b, i] * jac[i, a]
             if b <= a:
                 hessian[3 + a, 3 + b] += information[3 + a, 3 + b]
     return total

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenes.cache import Arrays, are_triangles, remembered_of_file
 from scenes.errors import MeshError, unknown
 from scenes.files.problems import UNREADABLE
 from scenes.geometry import distance_field, mesh_repair
@@ -27,6 +29,8 @@ LARGEST_DIAMETER = 2.0
 MANY_VERTICES = 100_000
 # Surface samples up to so many are kept, drawn from the first seed: every frame asks for the same again.
 KEPT_SAMPLES = 1000
+# Raised whenever reading, repairing or measuring a mesh changes, so that old cache entries are not read.
+MESH_VERSION = 1
 
 
 class ObjectModel:
@@ -63,8 +67,30 @@ class ObjectModel:
             raise unknown("unit", unit, METRES_PER_UNIT)
         if not path.is_file():
             raise MeshError(f"{path}: expected a mesh file, found none")
-        vertices, faces = _read_mesh(path)
-        return ObjectModel.from_mesh(vertices * METRES_PER_UNIT[unit], faces, name or path.stem, where=str(path))
+
+        def make() -> Arrays:
+            vertices, faces = _read_mesh(path)
+            made = ObjectModel.from_mesh(vertices * METRES_PER_UNIT[unit], faces, where=str(path))
+            mended = np.array(made.mended, dtype=np.str_)
+            parts = {"vertices": made.vertices, "faces": made.faces, "mended": mended}
+            return {**parts, "diameter": np.array(made.diameter)}
+
+        # a mesh seen before needs neither a reader of every format nor a repair: both load for a second
+        try:
+            known = remembered_of_file("mesh", (MESH_VERSION, unit), path, make, _is_model)
+        except OSError as error:
+            raise MeshError(f"{path}: expected a mesh file, it cannot be opened: {error.strerror}") from error
+        model = ObjectModel(
+            name or path.stem, known["vertices"], known["faces"], mended=tuple(map(str, known["mended"]))
+        )
+        vars(model)["diameter"] = float(known["diameter"])
+        return model
+
+    def with_symmetries(self, symmetries: Symmetries) -> ObjectModel:
+        """The same object of which these symmetries are known."""
+        other = copy.copy(self)
+        other.symmetries = symmetries
+        return other
 
     @staticmethod
     def from_mesh(
@@ -138,6 +164,16 @@ class ObjectModel:
         return float(0.5 * np.linalg.norm(cross, axis=1).sum())
 
     @cached_property
+    def surface_moments(self) -> tuple[Array, Array]:
+        """Mean (3,) and second moments (3, 3) of the surface's points about the centroid, metres, object axes."""
+        corners = self.vertices[self.faces] - self.centroid
+        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        share = np.linalg.norm(cross, axis=1) / max(2.0 * self.area, 1e-300)
+        total = corners.sum(axis=1)
+        squares = np.einsum("n,nki,nkj->ij", share, corners, corners) + np.einsum("n,ni,nj->ij", share, total, total)
+        return share @ total / 3.0, squares / 12.0
+
+    @cached_property
     def field(self) -> DistanceField:
         """The signed-distance lattice; built at the first use, then read from the disk cache."""
         return distance_field.load_or_build(self.vertices, self.faces)
@@ -159,8 +195,7 @@ class ObjectModel:
         return {key: value for key, value in self.__dict__.items() if key != "surface"}
 
     def sample_surface(self, count: int, seed: int = 0) -> tuple[Array, Array]:
-        """Points (count, 3) uniform over the surface's area and their outward normals (count, 3); not to be written to.
-        """
+        """Points (count, 3) uniform over the area and their outward normals (count, 3); not to be written to."""
         if (count, seed) in self._sampled:
             return self._sampled[count, seed]
         rng = np.random.default_rng(seed)
@@ -214,6 +249,12 @@ def check_size(diameter: float, where: str) -> None:
         f"{where}: expected an object of {SMALLEST_DIAMETER * 1e3:.0f} mm to {LARGEST_DIAMETER:.0f} m,"
         f" got a diameter of {diameter:.4g} m{hint}: is the unit right?"
     )
+
+
+def _is_model(arrays: Arrays) -> bool:
+    mended, diameter = arrays["mended"], arrays["diameter"]
+    told = mended.ndim == 1 and mended.dtype.kind == "U" and diameter.shape == ()
+    return bool(told and diameter > 0 and are_triangles(arrays))
 
 
 def _read_mesh(path: Path) -> tuple[Array, Faces]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes._open3d import open3d
+from scenes.geometry.surface_kernels import in_cells, mark_cells
 
 Array = NDArray[np.float64]
 
@@ -25,7 +26,7 @@ class Surface:
     def __init__(self, vertices: Array, faces: NDArray[np.int64]) -> None:
         """Vertices (n, 3) metres, faces (m, 3) wound outwards."""
         o3d = open3d()
-        # of the box around the mesh; centred, because the ray caster works in float32 and loses digits far from the origin
+        # of the box around the mesh, about which all is: single precision loses digits far from the origin
         self.middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
         self._corners = (vertices - self.middle)[faces]
         self._scene = o3d.t.geometry.RaycastingScene()
@@ -52,25 +53,15 @@ class Surface:
 
         A point that near lies in some triangle's box widened by the distance; the boxes are marked on a grid.
         """
-        local = np.asarray(points, dtype=np.float64) - self.middle
         low, high = self._boxes
         low, high = low - distance, high + distance
-        origin, size = low.min(axis=0), (high.max(axis=0) - low.min(axis=0)).max()
-        cell = max(distance, size / _CELLS)
-        first = ((low - origin) / cell).astype(np.int64)
-        last = ((high - origin) / cell).astype(np.int64) + 1
-        shape = last.max(axis=0) + 1
-        # boxes as differences at their corners: their sums along each axis count the boxes over a cell
-        marks = np.zeros(int(shape.prod()))
-        for corner in range(8):
-            ends = [last[:, k] if corner >> k & 1 else first[:, k] for k in range(3)]
-            sign = -1.0 if bin(corner).count("1") % 2 else 1.0
-            marks += sign * np.bincount(np.ravel_multi_index(ends, shape), minlength=len(marks))
-        covered = marks.reshape(shape).cumsum(axis=0).cumsum(axis=1).cumsum(axis=2) > 0.5
-        index = np.floor((local - origin) / cell)
-        known = ((index >= 0) & (index < shape)).all(axis=1)
-        out = np.zeros(len(local), dtype=bool)
-        out[known] = covered[tuple(index[known].astype(np.int64).T)]
+        origin = low.min(axis=0)
+        extent = high.max(axis=0) - origin
+        cell = float(max(distance, extent.max() / _CELLS))
+        covered = np.zeros((extent / cell).astype(np.int64) + 1, dtype=bool)
+        mark_cells(low, high, origin, cell, covered)
+        out = np.zeros(len(points), dtype=bool)
+        in_cells(np.ascontiguousarray(points, np.float64), self.middle, origin, cell, covered, out)
         return out
 
     def is_within(self, points: Array, distance: float) -> NDArray[np.bool_]:

@@ -32,6 +32,8 @@ class JointSettings:
     # anything is seen, and the weight of a pixel in it. A rig without shared errors, a usual one, a poor one; with one
     # in between, at 0.2 or 0.4, frames that show little of the hand took it too often, and were too sure.
     rigs: tuple[Rig, ...] = (Rig(0.25, 0.1, 0.35), Rig(1.0, 0.7, 0.22), Rig(2.0, 0.15, 0.22), Rig(4.0, 0.05, 0.22))
+    # Rigs of less than this share of the mixture are left out of it.
+    negligible: float = 2e-3
     # Share of a contact's sigma by which its normal may have been felt elsewhere on a bent surface (AlignSettings).
     bend: float = 1.0
     # Modes that are solved (the rest of the posterior is negligible), and candidates for choosing the level.
@@ -40,7 +42,7 @@ class JointSettings:
     spacing: float = 1.2
     most_inducing: int = 80
     # Independent error of the hand's surface (m): joint errors move whole links; and how many of its pixels share it.
-    hand_sigma: float = 0.001
+    hand_sigma: float = 0.0013
     hand_sharing: float = 6.0
     # Contacts that hold an object in place: three points. With so many, depth's scale and bias are solved for.
     tying_contacts: int = 3
@@ -53,9 +55,9 @@ class JointSettings:
     leave: float = 0.9
     # Independent places that pixels amount to when they say how good the camera is, from so many pixels on, and how
     # many the belief counts as, more than two.
-    places: float = 6.0
+    places: float = 4.0
     placed_pixels: float = 100.0
-    believed_places: float = 4.0
+    believed_places: float = 3.0
     # Least cosine of the incidence of a pixel: cameras read nothing of surfaces steeper than 80 degrees.
     least_cosine: float = 0.17
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fusion.estimation.asked import Asked
 from fusion.estimation.settings import EstimateSettings
-from fusion.estimation.steps.sense import Sensed, sense, solve_together
+from fusion.estimation.steps.sense import Sensed, look_once, sense, solve_together
 from fusion.estimation.trace import Trace
 from scenes.errors import InputError
 from scenes.evidence.align import AlignSettings, Prior, align
@@ -66,7 +66,8 @@ def judge(
         raise InputError(f"judge: expected 1 to {most} poses of shape (n, 4, 4), got {given.shape}")
     check_scale(frame, model)
     with one_blas_thread():
-        sensed = sense(frame, model, asked, Trace())
+        trace = Trace()
+        sensed = sense(frame, model, asked, trace, look_once(frame, model, asked, trace))
         if sensed.nothing:
             raise InputError(f"judge: {frame.where or f'frame {frame.index}'}: expected some evidence, got none")
         fitted, before = _fitted(sensed, given)

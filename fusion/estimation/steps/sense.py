@@ -64,16 +64,23 @@ class Sensed:
         return len(self.rows) == 0 or (self.pool.prior is None and not len(self.looked.pixels) and not self.contacts)
 
 
-def sense(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace) -> Sensed:
-    """Look, feel, and lay out what judges poses."""
+def look_once(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace) -> Looked:
+    """What the camera saw, once for all that is asked about it."""
+    settings, start = asked.settings.look, asked.prior.pose if asked.prior is not None else None
+    viewed = frame if "vision" in asked.senses else frame.without_vision()
+    with trace.stage("look", "vision" in asked.senses, "vision not asked for") as stage:
+        looked = look(viewed, model, asked.beliefs, start, settings)
+        count = len(looked.rows(asked.beliefs.depth, settings.rows))
+        stage.note(count, f"{len(looked.pixels)} object pixels, {len(looked.of_hand)} of the hand{looked.how}")
+    return looked
+
+
+def sense(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: Looked) -> Sensed:
+    """Feel, and lay out what judges poses."""
     settings, beliefs, believed = asked.settings, asked.beliefs, asked.prior
     viewed = frame if "vision" in asked.senses else frame.without_vision()
     touched = frame if "touch" in asked.senses else frame.without_touch()
-    start = believed.pose if believed is not None else None
-    with trace.stage("look", "vision" in asked.senses, "vision not asked for") as stage:
-        looked = look(viewed, model, beliefs, start, settings.look)
-        seen = looked.rows(beliefs.depth, settings.look.rows)
-        stage.note(len(seen), f"{len(looked.pixels)} object pixels, {len(looked.of_hand)} of the hand{looked.how}")
+    seen = looked.rows(beliefs.depth, settings.look.rows)
     with trace.stage("feel", "touch" in asked.senses, "touch not asked for") as stage:
         hand = looked.seen_hand
         felt = feel(touched, hand.correct() if hand is not None else None, beliefs, looked.region, settings.touch)

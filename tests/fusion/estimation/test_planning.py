@@ -1,10 +1,13 @@
 """Searches that end early: when a few starts may speak for all, and what makes them doubt."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from fusion.estimation.estimate import estimate
 from fusion.estimation.proposals import ProposalSettings, search_stages
-from fusion.estimation.search import PlanSettings, find_modes, valley_steps, worth_solving
+from fusion.estimation.search import Found, PlanSettings, find_modes, valley_steps, worth_solving
 from scenes.evidence import table as evidence
 from scenes.evidence.align import Prior
 from scenes.evidence.modes import Mode, ModeSettings
@@ -76,8 +79,12 @@ def test_without_a_prior_nothing_is_skipped(drill):
 
 def test_modes_that_cannot_win_are_not_solved():
     modes = tuple(Mode(np.eye(4) * k, w, 0.0, np.eye(6)) for k, w in enumerate((0.0005, 0.9, 0.0995, 1e-5)))
-    assert len(worth_solving(modes, PlanSettings())) == 3  # the first is the answer so far, whatever it weighs
-    assert len(worth_solving(modes, PlanSettings(skipping=False))) == 4
+    found = Found(modes, 1, "")
+    assert len(worth_solving(found, PlanSettings(), 5)) == 3  # the first is the answer so far, whatever it weighs
+    assert len(worth_solving(found, PlanSettings(skipping=False), 5)) == 4
+    felt = 9.0 * np.eye(4)
+    worth = worth_solving(replace(found, also=(felt,)), PlanSettings(skipping=False), 3)
+    assert [pose[0, 0] for pose in worth] == [0.0, 1.0, 9.0]  # what touch says is solved, however unlikely it seems
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -100,3 +107,13 @@ def test_no_valley_through_a_pose_that_is_sure_when_blurred(drill):
     sure = Prior(prior.pose, 1e12 * np.eye(6))
     steps = valley_steps(drill, rows, prior.pose, STAGES[0], sure, PlanSettings(), ModeSettings())
     assert len(steps) == len(near_symmetries(drill))
+
+
+def test_what_vision_alone_does_not_know_well_enough_is_asked_of_both_and_looked_at_once(lab_frame, drill):
+    usual = estimate(lab_frame, drill)
+    strict = estimate(lab_frame, drill, tolerance=(1e-6, 1e-6))
+    names = [stage.name for stage in strict.trace]
+    assert names.count("look") == names.count("solve together") == names.count("judge") == 1
+    assert [stage.ran for stage in strict.trace if stage.name == "feel"] == [False, True]
+    assert (strict.pose == usual.pose).all()
+    assert (strict.covariance == usual.covariance).all()
