@@ -17,6 +17,7 @@ BENCHMARKS = {
     "filters": "fusion.benchmarks.contacts.filters",
     "recognition": "fusion.benchmarks.contacts.recognition",
     "vision": "fusion.benchmarks.camera.vision",
+    "search": "fusion.benchmarks.frames.search",
     "occlusion": "fusion.benchmarks.frames.occlusion",
     "calibration": "fusion.benchmarks.frames.calibration",
     "skipping": "fusion.benchmarks.frames.skipping",

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation.steps.walk import WalkSettings
 from scenes.evidence.align import Prior
 from scenes.evidence.search import SearchStage, starts_of_prior
 from scenes.evidence.table import Evidence
@@ -18,6 +19,7 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
 from touch.gels.localize import sifted_starts
 from touch.gels.patches import Patch
+from touch.held import HeldSettings
 from touch.multistart import contact_starts
 from vision.starts import StartSettings, seen_starts
 
@@ -48,6 +50,13 @@ class ProposalSettings:
     seen: StartSettings = field(default_factory=StartSettings)
     of_piece: StartSettings = field(
         default_factory=lambda: StartSettings(pairs=50, even=200, keep_pairs=60, keep_even=30, oriented=80)
+    )
+
+    # Starts between the fingers, and walks by the whole objective: near a prior, and where nothing is known.
+    held: HeldSettings = field(default_factory=HeldSettings)
+    walk: WalkSettings = field(default_factory=WalkSettings)
+    walk_far: WalkSettings = field(
+        default_factory=lambda: WalkSettings(((24, 8, 0.6), (16, 8, 0.3), (10, 8, 0.15), (8, 8, 0.08)), angle=0.35)
     )
 
     def blur(self, model: ObjectModel) -> float:
