@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import as_prior, check_limits, check_senses
-from fusion.estimation.confidence import confidence
 from fusion.estimation.moments import moments
 from fusion.estimation.pool import Pool
 from fusion.estimation.proposals import search_stages, starts_of
@@ -179,12 +178,8 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> 
         seeing = visibility(viewed, model, pose, beliefs.depth)
         picture = predictor.predict(pose[None]) if predictor.sees else None
         nats = float(costs(model, felt.rows, pose[None])[0]) if contacts else 0.0
-        sure = confidence(model, modes, picture, residuals, nats, settings=settings.confidence)
-        word, why = posterior.verdict(model, modes, residuals, share, seeing, settings.verdict)
-        if word == "ok" and nats > settings.verdict.most_contradicted * max(contacts, 1):
-            word, why = "lost", "the contacts, or their normals, contradict every pose"
-        if word == "ok" and picture is not None and sure < settings.confidence.sure:
-            word, why = "ambiguous", f"only {sure:.0%} sure to be within {1e3 * settings.confidence.tolerance:.0f} mm"
+        agreed = residuals, nats, share, seeing, picture
+        sure, word, why = posterior.judged(model, modes, *agreed, settings.verdict, settings.confidence)
         stage.note(len(rows), why)
 
     return Estimate(

@@ -148,6 +148,13 @@ class ObjectModel:
         return cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
 
     @cached_property
+    def _face_shares(self) -> Array:
+        """(m,) shares of the area."""
+        corners = self.vertices[self.faces]
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        return np.asarray(area / area.sum())
+
+    @cached_property
     def surface(self) -> Surface:
         """Exact closest points on the mesh (slower than `field`, for the last digits)."""
         return Surface(self.vertices, self.faces)
@@ -159,13 +166,11 @@ class ObjectModel:
     def sample_surface(self, count: int, seed: int = 0) -> tuple[Array, Array]:
         """Points (count, 3) uniform over the surface's area and their outward normals (count, 3)."""
         rng = np.random.default_rng(seed)
-        corners = self.vertices[self.faces]
-        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        face = rng.choice(len(self.faces), size=count, p=area / area.sum())
+        face = rng.choice(len(self.faces), size=count, p=self._face_shares)
         u, v = rng.random((2, count))
         root = np.sqrt(u)
         weights = np.stack([1 - root, root * (1 - v), root * v], axis=1)
-        return np.einsum("nk,nkd->nd", weights, corners[face]), self.face_normals[face]
+        return np.einsum("nk,nkd->nd", weights, self.vertices[self.faces[face]]), self.face_normals[face]
 
     def symmetry_poses(self, steps: int = 36) -> Array:
         """(k, 4, 4) object_from_object that leave the object unchanged."""
