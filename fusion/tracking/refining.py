@@ -76,7 +76,9 @@ def frame_nats(poses: Array, leading: Prior, sensed: Sensed, settings: TrackSett
     """(n,) nats of poses (n, 4, 4), up to a constant, by what must be seen and is felt; all as sure as `leading`."""
     pool, first, s = sensed.pool, settings.first, settings.hypotheses
     assert pool is not None
-    covariance = np.linalg.inv(leading.information)
+    if sensed.told_apart:
+        return pool.costs(poses)
+    covariance = np.asarray(np.linalg.inv(leading.information), dtype=np.float64)
     out = s.of_cost * pool.costs(poses)
     contacts = sensed.felt.contacts
     for k, pose in enumerate(poses):

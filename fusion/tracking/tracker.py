@@ -220,7 +220,7 @@ class Tracker:
         """Nats by which the frame prefers the track's pose to another (4, 4)."""
         if self._sensed is None or self._sensed.pool is None:
             return 0.0
-        prior = Prior(answer.pose, np.linalg.inv(answer.covariance))
+        prior = Prior(answer.pose, np.asarray(np.linalg.inv(answer.covariance), dtype=np.float64))
         mine, its = frame_nats(np.array([answer.pose, other]), prior, self._sensed, self.settings)
         return float(its - mine)
 
