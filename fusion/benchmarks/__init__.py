@@ -26,7 +26,7 @@ BENCHMARKS = {
     "faults": "fusion.benchmarks.frames.faults",
     "scenes": "fusion.benchmarks.camera.scenes",
     "segmentation": "fusion.benchmarks.camera.segmentation",
-    "tracking": "fusion.benchmarks.frames.tracking",
+    "tracking": "fusion.benchmarks.tracking.bench",
 }
 
 

@@ -44,8 +44,8 @@ class HypothesisSettings:
     # Nats of a frame in which something may hide the object that neither a mask nor a hand's model tells of: this share
     # of what its predicted picture and its contacts cost, and this many for a unit of log odds that the pose is right
     # (fusion.estimation.confidence). Unknown fingers are covered gladly by a wrong pose, and tell on it by running on
-    # beyond its outline: of six pairs of the right pose and the search's wrong one the former cost less in three and had
-    # better odds in all.
+    # beyond its outline: of six pairs of the right pose and the search's wrong one the former cost less in three and
+    # had better odds in all.
     of_cost: float = 0.25
     of_odds: float = 6.0
     # Nats by which a frame must prefer what the track has to what it itself has found when searched, so that its search

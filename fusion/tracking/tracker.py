@@ -149,13 +149,14 @@ class Tracker:
 
     def _begin(self, frame: Frame) -> TrackedEstimate:
         answer = self._estimated(frame, self._prior)
+        self._prior = None  # it was the first frame's
         if answer.verdict == "lost":
             return as_tracked(answer, "lost")
-        self._restart(frame, answer)
+        self.believe(frame, answer)
         return as_tracked(answer, "started")
 
-    def _restart(self, frame: Frame, answer: Estimate) -> None:
-        """Believe an estimate."""
+    def believe(self, frame: Frame, answer: Estimate) -> None:
+        """Begin (again) from an estimate of this frame, wherever it comes from."""
         state, s = self._state, self.settings
         self._anchor(answer)
         votes = max(0.0, 2.0 * _sure(answer) - 1.0) if answer.verdict == "ok" else 0.0
@@ -186,7 +187,7 @@ class Tracker:
             if found.verdict == "ok" or (prior is not None and found.verdict == "ambiguous"):
                 pose = self.model.symmetries.nearest(found.pose, lost.pose)
                 found = replace(found, pose=pose, trace=(*lost.trace, *found.trace))
-                self._restart(frame, found)
+                self.believe(frame, found)
                 return as_tracked(found, "re-initialised")
         return lost
 
