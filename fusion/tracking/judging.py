@@ -8,14 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation import verdict as posterior
-from fusion.estimation.answer import ContactResidual, Mode
-from fusion.tracking.answer import TrackSettings
+from fusion.estimation.answer import ContactResidual, Mode, Stage
+from fusion.tracking.answer import TrackedEstimate, TrackSettings
 from fusion.tracking.filter import Belief
 from fusion.tracking.hypotheses import Hypotheses, weights
 from fusion.tracking.sensing import Sensed
+from fusion.tracking.slip import Watched
 from scenes.evidence.align import costs
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
+from scenes.recordings.frames import Frame
 from vision.predicted import Prediction
 from vision.visibility import Visibility, visibility
 
@@ -89,3 +91,36 @@ def strays(share: float, usual: float | None, pixels: int, settings: TrackSettin
     if usual is None or pixels < settings.fewest_pixels or not np.isfinite(share):
         return False
     return bool(share < settings.least_of_usual * usual)
+
+
+def as_followed(
+    frame: Frame,
+    belief: Belief,
+    predicted: Belief,
+    said: Judged,
+    watched: Watched,
+    sensed: Sensed,
+    trace: tuple[Stage, ...],
+) -> TrackedEstimate:
+    """The answer of a frame that was followed; predicted: the belief before it."""
+    return TrackedEstimate(
+        frame=frame.index,
+        pose=belief.pose,
+        covariance=belief.covariance,
+        modes=said.modes,
+        verdict=said.verdict,
+        unobservable=said.unobservable,
+        hand_from_object=frame.hand_from_object(belief.pose, sensed.felt.correction),
+        visible_fraction=said.visible,
+        trace=trace,
+        contacts=said.residuals,
+        pixel_rms_mm=1e3 * said.rms,
+        notes=(said.why,),
+        dropped=sensed.looked.dropped,
+        start=predicted.pose,
+        confidence=said.confidence,
+        how="lost" if said.verdict == "lost" else "tracked",
+        slip=watched.slip,
+        slip_statistic=watched.statistic,
+        moved_in_hand=watched.moved,
+    )

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from fusion.estimation.pool import Pool
 from fusion.estimation.settings import EstimateSettings
-from scenes.evidence import table as tables
 from scenes.evidence.table import Evidence
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
@@ -93,8 +92,3 @@ def pool_near(
     asks = settings.look.rows, settings.proposals, settings.modes, settings.pool
     rng = np.random.default_rng(0)  # nothing is drawn: starts come from the track
     return Pool(model, felt.rows, None, predictor, sight, looked, beliefs.depth, rng, *asks)
-
-
-def stacked(sensed: Sensed, seen: Evidence) -> Evidence:
-    """All rows: vision's `seen` and touch's."""
-    return tables.stack(seen, sensed.felt.rows)

@@ -14,7 +14,7 @@ explains too little, the object is looked for with `estimate` again. Camera fram
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,12 +29,13 @@ from fusion.tracking import hypotheses as several
 from fusion.tracking.answer import TrackedEstimate, TrackSettings, as_carried, as_tracked
 from fusion.tracking.filter import Belief, Measurement, update
 from fusion.tracking.hypotheses import Hypotheses
-from fusion.tracking.judging import Judged, judge
-from fusion.tracking.motion import HandMotion, HandState, calibration_drift
+from fusion.tracking.judging import as_followed, judge
+from fusion.tracking.motion import HandMotion, HandState
+from fusion.tracking.predicting import predict
 from fusion.tracking.refining import Refined, frame_nats, loose, refine, solve_leader
-from fusion.tracking.renewal import Renewal
 from fusion.tracking.sensing import Sensed, pool_near
 from fusion.tracking.slip import SlipWatch, Watched
+from fusion.tracking.state import TrackState
 from scenes.errors import CaptureError
 from scenes.evidence.align import Prior
 from scenes.geometry import poses as se3
@@ -44,7 +45,6 @@ from scenes.recordings.frames import Frame
 from scenes.threads import one_blas_thread
 from touch.arrays.readings import readings_of
 from touch.contacts import Felt, feel
-from vision.look.hand import camera_from_hand
 from vision.look.looked import Looked
 from vision.look.warm import Looker
 from vision.tracking.by_vision import ConstantVelocity
@@ -73,27 +73,6 @@ def track(
     tracker = Tracker(model, prior, use, seed, settings, beliefs)
     for frame in frames:
         yield tracker.step(frame)
-
-
-@dataclass
-class TrackState:
-    """All that a track remembers of the object; arrays and numbers, so that it can be kept.
-
-    belief: of the leading hypothesis, None before a start; hypotheses: the leader first; hand: at the last frame;
-    index: of that; unseen: frames without evidence; lost_for: frames; usual: share of pixels that the pose explains,
-    usually; rigs: levels of shared errors that the first frames were taken for; sure: whether the last answer was ok.
-    """
-
-    belief: Belief | None = None
-    hypotheses: Hypotheses = ()
-    hand: HandState | None = None
-    index: int = 0
-    unseen: int = 0
-    lost_for: int = 0
-    usual: float | None = None
-    rigs: list[float] = field(default_factory=list)
-    renewal: Renewal = field(default_factory=Renewal)
-    sure: bool = False
 
 
 class Tracker:
@@ -241,8 +220,12 @@ class Tracker:
     def _follow(self, frame: Frame, belief: Belief) -> TrackedEstimate:
         trace, s = Trace(), self.settings
         with trace.stage("predict", True, "") as stage:
-            predicted, carried, why = self._predict(frame, belief)
-            stage.note(0, why)
+            ahead = predict(
+                self.model, frame, belief, self._state, self._velocity, self._hand_motion, self._watch,
+                self._beliefs.calibration,
+            )  # fmt: skip
+            predicted, carried = ahead.belief, ahead.hypotheses
+            stage.note(0, ahead.why)
         viewed = frame if "vision" in self._senses else frame.without_vision()
         with trace.stage("look", "vision" in self._senses, "vision not asked for") as stage:
             looked = self._looker.look(viewed, predicted.pose)
@@ -286,66 +269,8 @@ class Tracker:
             stage.note(len(found.seen) + felt_rows, said.why)
         if said.verdict != "lost":
             self._accept(frame, felt, belief, found.hypotheses, said.share)
-        answer = self._answer(frame, belief, predicted, said, watched, replace(sensed, felt=felt), trace)
+        answer = as_followed(frame, belief, predicted, said, watched, replace(sensed, felt=felt), trace.stages)
         return self._believed(answer) if answer.how == "tracked" else answer
-
-    def _answer(
-        self,
-        frame: Frame,
-        belief: Belief,
-        predicted: Belief,
-        said: Judged,
-        watched: Watched,
-        sensed: Sensed,
-        trace: Trace,
-    ) -> TrackedEstimate:
-        return TrackedEstimate(
-            frame=frame.index,
-            pose=belief.pose,
-            covariance=belief.covariance,
-            modes=said.modes,
-            verdict=said.verdict,
-            unobservable=said.unobservable,
-            hand_from_object=frame.hand_from_object(belief.pose, sensed.felt.correction),
-            visible_fraction=said.visible,
-            trace=trace.stages,
-            contacts=said.residuals,
-            pixel_rms_mm=1e3 * said.rms,
-            notes=(said.why,),
-            dropped=sensed.looked.dropped,
-            start=predicted.pose,
-            confidence=said.confidence,
-            how="lost" if said.verdict == "lost" else "tracked",
-            slip=watched.slip,
-            slip_statistic=watched.statistic,
-            moved_in_hand=watched.moved,
-        )
-
-    def _predict(self, frame: Frame, belief: Belief) -> tuple[Belief, Hypotheses, str]:
-        """The belief and the hypotheses in this frame, before anything is sensed in it."""
-        state = self._state
-        steps = frame.index - state.index
-        now = camera_from_hand(frame)
-        if state.hand is None or now is None:
-            pose, noise = self._velocity.predict(frame.index)
-            motion = pose @ se3.inverse(belief.pose)
-            self._watch.restart()  # nothing holds it that could lose it
-            moved = replace(belief.moved(motion), pose=pose)
-            carried = several.moved(state.hypotheses, motion)
-            return Belief(pose, moved.own + noise, moved.shared), carried, "at its last velocity"
-        before = state.hand.camera_from_hand
-        motion = now @ se3.inverse(before)
-        hold = se3.inverse(before) @ belief.pose
-        expected = self._hand_motion.in_hand(state.hand, frame, hold, max(1, abs(steps)))
-        expected = expected.turned(now[:3, :3])
-        moved = belief.moved(motion)
-        drift = calibration_drift(before, now, self._middle(moved.pose), self._beliefs.calibration)
-        delta, noise = expected.motion, expected.noise + drift
-        self._watch.predict(motion, expected, drift)
-        whole = se3.perturb(motion @ belief.pose, delta, self.model.centroid) @ se3.inverse(belief.pose)
-        fingers = f"with palm and fingertips, {1e3 * np.linalg.norm(delta[3:]):.2f} mm"
-        why = fingers if delta.any() else "with the palm"
-        return moved.shifted(delta, noise, self.model.centroid), several.moved(state.hypotheses, whole), why
 
     def _felt_frame(self, frame: Frame) -> Frame:
         return frame if "touch" in self._senses else frame.without_touch()

@@ -161,10 +161,21 @@ class ObjectModel:
 
     def __getstate__(self) -> dict[str, object]:
         """Everything but the ray-casting scene, which does not pickle and is rebuilt where it is needed."""
-        return {key: value for key, value in self.__dict__.items() if key != "surface"}
+        return {key: value for key, value in self.__dict__.items() if key not in ("surface", "_samples")}
 
     def sample_surface(self, count: int, seed: int = 0) -> tuple[Array, Array]:
         """Points (count, 3) uniform over the surface's area and their outward normals (count, 3)."""
+        known = self._samples.get((count, seed))
+        if known is None:
+            known = self._samples[count, seed] = self._sampled(count, seed)
+        return known[0].copy(), known[1].copy()
+
+    @cached_property
+    def _samples(self) -> dict[tuple[int, int], tuple[Array, Array]]:
+        """What `sample_surface` has drawn: trackers ask for the same in every frame."""
+        return {}
+
+    def _sampled(self, count: int, seed: int) -> tuple[Array, Array]:
         rng = np.random.default_rng(seed)
         face = rng.choice(len(self.faces), size=count, p=self._face_shares)
         u, v = rng.random((2, count))

@@ -47,6 +47,23 @@ class Surface:
         A point that near lies in some triangle's box widened by the distance; the boxes are marked on a grid.
         """
         local = np.asarray(points, dtype=np.float64) - self._middle
+        if distance not in self._grids:
+            self._grids[distance] = self._grid(distance)
+        origin, cell, covered = self._grids[distance]
+        shape = covered.shape
+        index = np.floor((local - origin) / cell)
+        known = ((index >= 0) & (index < shape)).all(axis=1)
+        out = np.zeros(len(local), dtype=bool)
+        out[known] = covered[tuple(index[known].astype(np.int64).T)]
+        return out
+
+    @cached_property
+    def _grids(self) -> dict[float, tuple[Array, float, NDArray[np.bool_]]]:
+        """By distance (m): what `_grid` made. A hand that keeps its posture is asked for the same in every frame."""
+        return {}
+
+    def _grid(self, distance: float) -> tuple[Array, float, NDArray[np.bool_]]:
+        """Origin (3,) and edge (m) of a grid's cells, and which of them may have points within `distance` (m)."""
         low, high = self._boxes
         low, high = low - distance, high + distance
         origin, size = low.min(axis=0), (high.max(axis=0) - low.min(axis=0)).max()
@@ -60,12 +77,7 @@ class Surface:
             ends = [last[:, k] if corner >> k & 1 else first[:, k] for k in range(3)]
             sign = -1.0 if bin(corner).count("1") % 2 else 1.0
             marks += sign * np.bincount(np.ravel_multi_index(ends, shape), minlength=len(marks))
-        covered = marks.reshape(shape).cumsum(axis=0).cumsum(axis=1).cumsum(axis=2) > 0.5
-        index = np.floor((local - origin) / cell)
-        known = ((index >= 0) & (index < shape)).all(axis=1)
-        out = np.zeros(len(local), dtype=bool)
-        out[known] = covered[tuple(index[known].astype(np.int64).T)]
-        return out
+        return origin, float(cell), marks.reshape(shape).cumsum(axis=0).cumsum(axis=1).cumsum(axis=2) > 0.5
 
     def is_within(self, points: Array, distance: float) -> NDArray[np.bool_]:
         """(n,) whether points (n, 3) are nearer than `distance` (m) to the surface, on either side."""

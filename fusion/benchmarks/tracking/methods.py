@@ -127,13 +127,11 @@ def _no_hand(model: ObjectModel, seed: int) -> Step:
     """The track, of frames from which the hand's model and pose and what it feels are taken away."""
     from dataclasses import replace
 
-    from scenes.recordings.frames import Contacts
-
     track = _track(model, seed)
-    nothing = {"hand": None, "joints": None, "world_from_hand": None, "no_contact": None, "wrenches": ()}
 
     def step(frame: Frame) -> Said | None:
-        return track(replace(frame, contacts=Contacts(np.zeros((0, 3))), tactile={}, gels={}, **nothing))
+        bare = replace(frame.without_touch(), hand=None, joints=None, world_from_hand=None)
+        return track(bare)
 
     return step
 
@@ -158,9 +156,9 @@ def _begun_wrong(model: ObjectModel, seed: int) -> Step:
         assert truth is not None
         rng = np.random.default_rng([seed, 7])
         wrong = poses.displaced(truth, WRONG_TURN, WRONG_DISTANCE, model.centroid, rng)
-        answer = estimate(frame, model, wrong, seed=seed)
-        mode = replace(answer.modes[0], pose=wrong, weight=1.0)
-        tracker.believe(frame, replace(answer, pose=wrong, modes=(mode,), verdict="ok", confidence=0.95))
-        return Said(wrong, answer.covariance, True)
+        found = estimate(frame, model, wrong, seed=seed)
+        mode = replace(found.modes[0], pose=wrong, weight=1.0)
+        tracker.believe(frame, replace(found, pose=wrong, modes=(mode,), verdict="ok", confidence=0.95))
+        return Said(wrong, found.covariance, True)
 
     return step

@@ -1,0 +1,31 @@
+"""All that a track remembers from frame to frame, as plain arrays and numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from fusion.tracking.filter import Belief
+from fusion.tracking.hypotheses import Hypotheses
+from fusion.tracking.motion import HandState
+from fusion.tracking.renewal import Renewal
+
+
+@dataclass
+class TrackState:
+    """All that a track remembers of the object; arrays and numbers, so that it can be kept.
+
+    belief: of the leading hypothesis, None before a start; hypotheses: the leader first; hand: at the last frame;
+    index: of that; unseen: frames without evidence; lost_for: frames; usual: share of pixels that the pose explains,
+    usually; rigs: levels of shared errors that the first frames were taken for; sure: whether the last answer was ok.
+    """
+
+    belief: Belief | None = None
+    hypotheses: Hypotheses = ()
+    hand: HandState | None = None
+    index: int = 0
+    unseen: int = 0
+    lost_for: int = 0
+    usual: float | None = None
+    rigs: list[float] = field(default_factory=list)
+    renewal: Renewal = field(default_factory=Renewal)
+    sure: bool = False
