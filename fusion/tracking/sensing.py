@@ -6,14 +6,15 @@ about: a whole image costs more than a tracked frame may. Camera frame, metres.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.pool import Pool
 from fusion.estimation.settings import EstimateSettings
-from scenes.evidence.table import Evidence
+from fusion.tracking.occluders import Occluders
+from scenes.evidence.table import GATE_ABOVE, Evidence
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
@@ -21,17 +22,22 @@ from scenes.recordings.frames import Frame
 from touch.contacts import Felt
 from vision.look.look import surfaces
 from vision.look.looked import Looked
+from vision.look.pixels import read_pixels
 from vision.look.regions import region_around
 from vision.predicted import Predictor
 from vision.sight import Sight
 
 Array = NDArray[np.float64]
 
+# Pixels among which things that go with the object are learned.
+MOST_AROUND = 2000
+
 
 @dataclass(frozen=True)
 class Sensed:
     """One frame. viewed: with what the camera may tell; looked, seen: its pixels near the predicted pose, and their
-    rows; felt: what the fingers say; pool: what the predicted picture and touch say of poses, None without an image.
+    rows; felt: what the fingers say; pool: what the predicted picture and touch say of poses, None without an image;
+    things: what was learned to go with the object without being it.
     """
 
     viewed: Frame
@@ -39,6 +45,7 @@ class Sensed:
     seen: Evidence
     felt: Felt
     pool: Pool | None
+    things: Occluders = field(default_factory=Occluders)
 
     @property
     def told_apart(self) -> bool:
@@ -49,7 +56,22 @@ class Sensed:
         """Vision's rows if the object is at pose (4, 4): pixels inside its predicted outline at its depth, so that
         what nobody has a model of is left out; side: rays along each side of the outline's box.
         """
-        return self.seen if self.pool is None else self.pool.evidence(pose, side)
+        if self.pool is None:
+            return self.seen
+        rows = self.pool.evidence(pose, side)
+        on = rows.rows[:, GATE_ABOVE] > 0
+        clean = on.copy()
+        clean[on] = ~self.things.beside(pose, rows.points[on])
+        # an object of which next to nothing else is seen keeps what it has
+        return rows if clean.sum() < self.pool.settings.least_pixels else rows.take(clean | ~on)
+
+    def around(self) -> Array:
+        """(n, 3) points seen where the object is, and about it; none without an image."""
+        frame, region = self.viewed, self.looked.region
+        box = None if region is None or frame.camera is None else region.box(frame.camera)
+        if frame.depth is None or frame.camera is None or box is None:
+            return np.zeros((0, 3))
+        return read_pixels(frame.depth, frame.camera, box, MOST_AROUND).points
 
 
 def cropped(frame: Frame, box: tuple[int, int, int, int]) -> Frame:

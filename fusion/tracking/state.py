@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from fusion.tracking.filter import Belief
 from fusion.tracking.hypotheses import Hypotheses
 from fusion.tracking.motion import HandState
+from fusion.tracking.occluders import Occluders
 from fusion.tracking.renewal import Renewal
 
 
@@ -16,7 +17,8 @@ class TrackState:
 
     belief: of the leading hypothesis, None before a start; hypotheses: the leader first; hand: at the last frame;
     index: of that; unseen: frames without evidence; lost_for: frames; usual: share of pixels that the pose explains,
-    usually; rigs: levels of shared errors that the first frames were taken for; sure: whether the last answer was ok.
+    usually; things: what goes with the object and is not it; rigs: levels of shared errors that the first frames were
+    taken for; sure: whether the last answer was ok.
     """
 
     belief: Belief | None = None
@@ -26,6 +28,7 @@ class TrackState:
     unseen: int = 0
     lost_for: int = 0
     usual: float | None = None
+    things: Occluders = field(default_factory=Occluders)
     rigs: list[float] = field(default_factory=list)
     renewal: Renewal = field(default_factory=Renewal)
     sure: bool = False

@@ -31,6 +31,7 @@ from fusion.tracking.filter import Belief, Measurement, update
 from fusion.tracking.hypotheses import Hypotheses
 from fusion.tracking.judging import as_followed, judge
 from fusion.tracking.motion import HandMotion, HandState
+from fusion.tracking.occluders import Occluders
 from fusion.tracking.predicting import predict
 from fusion.tracking.refining import Refined, frame_nats, loose, refine, solve_leader
 from fusion.tracking.sensing import Sensed, pool_near
@@ -141,6 +142,7 @@ class Tracker:
         votes = max(0.0, 2.0 * _sure(answer) - 1.0) if answer.verdict == "ok" else 0.0
         state.hypotheses = several.of_modes(answer.modes, votes, s.hypotheses)
         state.index, state.unseen, state.lost_for, state.usual = frame.index, 0, 0, None
+        state.things = Occluders()
         state.renewal.restart(frame.index, s.renewal)
         state.sure = answer.verdict == "ok"
         state.hand = HandState.of(frame, self._feel(frame).reported_contacts)
@@ -241,7 +243,7 @@ class Tracker:
             asked = np.array([h.pose for h in carried])
             first, beliefs = s.first, self._beliefs
             pool = pool_near(viewed, self.model, asked, looked, felt, beliefs, first, s.room)
-            sensed = self._sensed = Sensed(viewed, looked, seen, felt, pool)
+            sensed = self._sensed = Sensed(viewed, looked, seen, felt, pool, self._state.things)
         with trace.stage("align", True, "") as stage:
             prior = loose(predicted.pose, predicted.covariance, s)
             found = refine(self.model, carried, prior, sensed, s)
@@ -269,6 +271,7 @@ class Tracker:
             stage.note(len(found.seen) + felt_rows, said.why)
         if said.verdict != "lost":
             self._accept(frame, felt, belief, found.hypotheses, said.share)
+            self._learn(sensed, belief.pose, found.switched)
         answer = as_followed(frame, belief, predicted, said, watched, replace(sensed, felt=felt), trace.stages)
         return self._believed(answer) if answer.how == "tracked" else answer
 
@@ -359,6 +362,13 @@ class Tracker:
             return
         state.belief, state.hypotheses, state.index, state.hand = belief, kept, frame.index, hand
         self._velocity.update(frame.index, belief.pose)
+
+    def _learn(self, sensed: Sensed, pose: Array, switched: bool) -> None:
+        """What goes with the object, where nothing tells it apart; of another pose all is learned anew."""
+        if switched:
+            self._state.things = Occluders()
+        if not sensed.told_apart:
+            self._state.things = self._state.things.learned(self.model, pose, sensed.around())
 
     def _carry(self, frame: Frame, predicted: Belief, carried: Hypotheses, trace: Trace, felt: Felt) -> TrackedEstimate:
         """Nothing was sensed: the object is where the hand has carried it, for a while."""

@@ -9,6 +9,7 @@ from fusion.estimation.answer import Mode
 from fusion.estimation.estimate import estimate
 from fusion.tracking import hypotheses as several
 from fusion.tracking.hypotheses import Hypothesis, HypothesisSettings
+from fusion.tracking.occluders import Occluders
 from fusion.tracking.renewal import Renewal, RenewalSettings
 from fusion.tracking.tracker import Tracker
 from scenes.geometry import poses
@@ -149,3 +150,23 @@ def test_what_cannot_be_told_is_carried_and_never_ok(mug):
         assert len(answer.modes) > 1
         assert sum(m.weight for m in answer.modes) == pytest.approx(1.0)
         assert abs((answer.modes[0].pose[:3, :3].T @ answer.modes[1].pose[:3, :3])[2, 2]) > 0.9
+
+
+def test_a_finger_that_goes_with_the_object_is_learned_and_its_flank_is_left_out(mug):
+    rng = np.random.default_rng(3)
+    things, pose = Occluders(), turned(0.0)
+    surface, normals = mug.sample_surface(400, seed=1)
+    # a finger that stands on one point of the surface, seen from 10 to 20 mm off it
+    finger = surface[0] + normals[0] * np.linspace(0.010, 0.020, 40)[:, None] + 0.001 * rng.normal(size=(40, 3))
+    for step in range(8):
+        pose = poses.make_pose(poses.exp_rotation([0.0, 0.1 * step, 0.0]), [0.01 * step, 0.0, 0.5])
+        passing = rng.uniform(-0.1, 0.1, size=(100, 3))  # something that does not stay with it
+        points = poses.apply(pose, np.concatenate([surface, finger, passing]))
+        things = things.learned(mug, pose, points)
+        if step == 0:
+            assert not things.beside(pose, points).any()  # once is no habit
+    near = np.linalg.norm(surface - surface[0], axis=1) < 0.006
+    beside = things.beside(pose, poses.apply(pose, surface + 0.006 * normals))
+    assert beside[near].mean() > 0.5
+    far = np.linalg.norm(surface - surface[0], axis=1) > 0.035
+    assert beside[far].mean() < 0.02
