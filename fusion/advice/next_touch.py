@@ -179,8 +179,9 @@ def _within(
         from_outside=True,
     )
     information = terms(model, row, answer.pose, settings=AlignSettings())[2]
-    scale = np.sqrt(np.maximum(np.diag(answer.covariance), 1e-30))
-    before = answer.covariance / scale / scale[:, None]
+    here = answer.modes[0].covariance
+    scale = np.sqrt(np.maximum(np.diag(here), 1e-30))
+    before = here / scale / scale[:, None]
     told = information * scale * scale[:, None]
     # I + L' H L is symmetric and at least the identity, whatever the covariance is
     lower = np.linalg.cholesky(before + 1e-9 * np.eye(6))

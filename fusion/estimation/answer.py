@@ -69,7 +69,9 @@ class Contribution:
 class Estimate:
     """The answer for one frame. All poses are camera_from_object unless named otherwise (4x4, metres).
 
-    confidence: probability that the pose is right, see fusion.estimation.confidence.
+    covariance (6, 6) about the centroid, (turn, move): of the first mode when the verdict is `ok`; otherwise of all
+    that may be the case, other modes and none of them included. Each mode has its own. confidence: probability that
+    the pose is right, see fusion.estimation.confidence.
     """
 
     frame: int

@@ -1,8 +1,10 @@
 """How likely an answer is right: the probability that its error is below a tolerance the caller names.
 
-A covariance speaks of one minimum; it says nothing of answers in another, or of a picture that no pose explains. What
-does is how the predicted picture and the contacts agree, and with what. A logistic regression on these, fitted once to
-answers whose truth is known, turns them into a probability (Platt 1999; Niculescu-Mizil and Caruana 2005).
+A covariance speaks of one minimum; it says nothing of answers in another, or of a picture that no pose explains. So
+the probability has two factors. That the first mode is the right one is told by how the predicted picture and the
+contacts agree with it: a logistic regression, fitted once to answers whose truth is known (Platt 1999;
+Niculescu-Mizil and Caruana 2005). How near the answer then is, its covariance says: the mean square of the surface's
+error is a quadratic form of Gaussians, here a gamma distribution of the same mean and variance (Satterthwaite 1946).
 """
 
 from __future__ import annotations
@@ -14,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import ContactResidual, Mode
+from scenes.evidence.align import Prior
+from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from vision.predicted import Prediction
 
@@ -21,46 +25,158 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class ConfidenceSettings:
-    """The regression. Tuned on 559 answers of the families `clean`, `lab`, `loose`, `d435` and `desk`
-    (docs/evaluation.md), both senses and vision alone, with a start and without. In five-fold cross-validation answers
-    above 0.8 were right in 98 %, between 0.8 and 0.9 in 94 %.
+class Regression:
+    """Factors of a logistic regression, no unit: what each observation adds to the log odds that a mode is right.
+
+    Tuned on 1176 answers of the nine tuning families (docs/evaluation.md), with a start and without: the product of
+    both factors of the probability, at tolerances of 3, 5 and 10 mm, by maximum likelihood, every factor held to the
+    sign that it must have. Those without one were of no use beside the others.
     """
+
+    # Of the logarithm of the first mode's odds against the others, held within `most_odds`.
+    weight: float = 0.0
+    # Of the shares of the predicted picture that are seen past, hidden by something unknown, or by the robot's hand; and
+    # of the outline that runs on.
+    past: float = 0.0
+    hidden: float = 0.0
+    behind_hand: float = 0.0
+    outline: float = 0.0
+    # Of there being contacts, of the share of them that are outliers, and of their cost (nats each).
+    touch: float = 0.0
+    outliers: float = 0.0
+    contact_nats: float = 0.0
+    # Of the logarithm of the spread over the object's radius, held within bounds (see ConfidenceSettings).
+    spread: float = 0.0
+    constant: float = 0.0
+    # ADD-S over the root mean square of how far points of the surface are off: what slides along it counts less.
+    nearest: float = 0.7
+
+
+@dataclass(frozen=True)
+class ConfidenceSettings:
+    """How sure is sure. Tuned on the tuning families (docs/evaluation.md)."""
 
     # Error (ADD-S, m) that is good enough when the caller does not say.
     tolerance: float = 0.005
     # Confidence (a probability, no unit) from which an answer is `ok`.
-    sure: float = 0.80
-    # Factors, no unit, of the first mode's weight and of the shares of the predicted picture that agree, are seen past,
-    # are hidden by something unknown, by the robot's hand, and of the outline that runs on.
-    weight: float = 0.58
-    agree: float = 6.36
-    past: float = -10.78
-    hidden: float = 4.61
-    behind_hand: float = 4.99
-    outline: float = -6.87
-    # Of the share of contacts that are outliers, of their cost (nats each, at most `most_nats`), and of there being
-    # any.
-    outliers: float = -0.68
-    contact_nats: float = -0.77
+    sure: float = 0.90
+    # Whether the first mode is the right one, with a picture of it and by touch alone.
+    seen: Regression = Regression(
+        weight=0.29,
+        past=-43.9,
+        hidden=-2.0,
+        behind_hand=-0.1,
+        outline=-18.5,
+        touch=3.8,
+        outliers=-5.8,
+        contact_nats=-0.12,
+        spread=-1.97,
+        constant=-2.8,
+        nearest=0.45,
+    )
+    felt: Regression = Regression(weight=0.44, constant=1.65, nearest=0.37)
+    # Bounds on the log odds of modes, on nats a contact, and on the spread over the radius, whose logarithm counts.
+    most_odds: float = 6.0
     most_nats: float = 8.0
-    touch: float = 5.43
-    # Of the logarithm of the pose's spread (as metres of its surface) over the tolerance, which is held between two
-    # bounds; and the constant.
-    spread: float = -1.11
-    narrowest: float = 0.02
-    widest: float = 20.0
-    constant: float = -3.52
+    narrowest: float = 0.005
+    widest: float = 1.0
+    # Where the object is, as far as is known, when the first mode is not the right one: rad, and shares of its radius,
+    # when no prior says so.
+    anywhere_angle: float = 1.5
+    anywhere_share: float = 2.0
+    # A region of 95 % need not hold this share of the probability.
+    left_out: float = 0.05
+
+
+def observations(
+    model: ObjectModel,
+    modes: tuple[Mode, ...],
+    picture: Prediction | None,
+    contacts: tuple[ContactResidual, ...],
+    contact_nats: float,
+    settings: ConfidenceSettings,
+) -> dict[str, float]:
+    """What the regression reads of an answer, by the names of its factors; see `Regression`."""
+    s = settings
+    weight = float(np.clip(modes[0].weight, 0.0, 1.0))
+    odds = np.log(max(weight, 1e-12)) - np.log(max(1.0 - weight, 1e-12))
+    ratio = spread_of(model, modes[0].pose, modes[0].covariance) / max(model.radius, 1e-9)
+    found = {
+        "weight": float(np.clip(odds, -s.most_odds, s.most_odds)),
+        "spread": float(np.log(np.clip(ratio, s.narrowest, s.widest))),
+        "constant": 1.0,
+    }
+    if contacts:
+        found["touch"] = 1.0
+        found["outliers"] = float(np.mean([c.outlier for c in contacts]))
+        found["contact_nats"] = min(contact_nats / len(contacts), s.most_nats)
+    if picture is not None:
+        found["agree"] = float(picture.agree[0])
+        found["past"], found["outline"] = float(picture.past[0]), float(picture.outline[0])
+        found["hidden"], found["behind_hand"] = float(picture.hidden[0]), float(picture.behind_hand[0])
+    return found
+
+
+def chances(
+    model: ObjectModel,
+    modes: tuple[Mode, ...],
+    picture: Prediction | None,
+    contacts: tuple[ContactResidual, ...],
+    contact_nats: float,
+    tolerance: float | None = None,
+    settings: ConfidenceSettings | None = None,
+) -> tuple[float, float]:
+    """Probability that the first mode is the right one, whatever its spread, and that its ADD-S is below tolerance (m)
+    if it is.
+
+    picture: the predicted one at the answer, None without a depth image. contact_nats: what the contacts cost there, in
+    all. tolerance: None for the settings'.
+    """
+    s = settings or ConfidenceSettings()
+    seen = picture is not None and picture.count[0] > 0
+    factors = s.seen if seen else s.felt
+    read = observations(model, modes, picture if seen else None, contacts, contact_nats, s)
+    score = sum(getattr(factors, name, 0.0) * value for name, value in read.items())
+    right = float(1.0 / (1.0 + np.exp(-np.clip(score, -40.0, 40.0))))
+    limit = s.tolerance if tolerance is None else tolerance
+    return right, within(model, modes[0].pose, modes[0].covariance, limit, factors.nearest)
+
+
+def within(model: ObjectModel, pose: Array, covariance: Array, tolerance: float, nearest: float) -> float:
+    """Probability that ADD-S is below tolerance (m) for an error drawn from a covariance (6, 6) about the centroid.
+
+    nearest: see `Regression`. The gamma distribution by Wilson and Hilferty (1931).
+    """
+    squares = _surface_squares(model, pose, covariance)
+    mean, variance = float(np.trace(squares)), 2.0 * float(np.sum(squares * squares.T))
+    if mean <= 0.0:
+        return 1.0
+    if not np.isfinite(mean) or variance <= 0.0:
+        return 0.0
+    root = math.sqrt(2.0 / 9.0 * variance / (2.0 * mean**2))
+    high = ((max(tolerance, 0.0) / nearest) ** 2 / mean) ** (1.0 / 3.0)
+    return 0.5 * (1.0 + math.erf((high - 1.0 + root**2) / (root * math.sqrt(2.0))))
 
 
 def spread_of(model: ObjectModel, pose: Array, covariance: Array) -> float:
-    """Standard deviation (m) of where the object's surface is, from a covariance (6, 6) about the centroid of a pose
-    (4, 4); turns about the object's own axes move nothing.
+    """Standard deviation (m) of where the object's surface is, all directions together, from a covariance (6, 6) about
+    the centroid of a pose (4, 4); turns about the object's own axes move nothing.
     """
-    known = model.symmetries.quotient(pose[:3, :3], model.centroid)
-    held = known @ covariance @ known.T
-    variance = np.trace(held[3:, 3:]) + 2.0 / 3.0 * model.radius**2 * np.trace(held[:3, :3])
-    return float(np.sqrt(max(float(variance), 0.0)))
+    return float(np.sqrt(max(float(np.trace(_surface_squares(model, pose, covariance))), 0.0)))
+
+
+def _surface_squares(model: ObjectModel, pose: Array, covariance: Array) -> Array:
+    """(6, 6) whose trace is the mean square (m^2) of how far points of the surface are off, and the trace of whose
+    square is half the variance of that.
+    """
+    rotation = pose[:3, :3]
+    known = model.symmetries.quotient(rotation, model.centroid)
+    mean, squares = model.surface_moments
+    moments = np.eye(6)
+    moments[:3, :3] = rotation @ (np.trace(squares) * np.eye(3) - squares) @ rotation.T
+    moments[:3, 3:] = se3.skew(rotation @ mean)
+    moments[3:, :3] = moments[:3, 3:].T
+    return np.asarray(moments @ (known @ covariance @ known.T), dtype=np.float64)
 
 
 def confidence(
@@ -72,23 +188,34 @@ def confidence(
     tolerance: float | None = None,
     settings: ConfidenceSettings | None = None,
 ) -> float:
-    """Probability that the first mode's ADD-S is below tolerance (m).
+    """Probability that the first mode's ADD-S is below tolerance (m): that it is the right one, and that near."""
+    right, near = chances(model, modes, picture, contacts, contact_nats, tolerance, settings)
+    return right * near
 
-    picture: the predicted one at the answer, None without a depth image: then only the posterior speaks. contact_nats:
-    what the contacts cost there, in all.
+
+def whole_covariance(
+    model: ObjectModel,
+    modes: tuple[Mode, ...],
+    right: float,
+    prior: Prior | None,
+    settings: ConfidenceSettings | None = None,
+) -> Array:
+    """(6, 6) covariance about the first mode's centroid of all that may be the case: each mode by its weight and, with
+    probability 1 - right as far as a region of 95 % must hold it, none of them; then the object is where the prior
+    says, or anywhere about.
     """
     s = settings or ConfidenceSettings()
-    tolerance = s.tolerance if tolerance is None else tolerance
-    ratio = spread_of(model, modes[0].pose, modes[0].covariance) / max(tolerance, 1e-9)
-    if picture is None or picture.count[0] == 0:
-        # the surface's error is about a normal vector's length: its mean square is the spread's
-        inside = math.erf(1.0 / (math.sqrt(2.0) * max(ratio, 1e-9)))
-        return float(np.clip(modes[0].weight * inside, 0.0, 1.0))
-    score = s.constant + s.weight * modes[0].weight
-    score += s.agree * picture.agree[0] + s.past * picture.past[0] + s.outline * picture.outline[0]
-    score += s.hidden * picture.hidden[0] + s.behind_hand * picture.behind_hand[0]
-    score += s.spread * float(np.log(np.clip(ratio, s.narrowest, s.widest)))
-    if contacts:
-        score += s.touch + s.outliers * float(np.mean([c.outlier for c in contacts]))
-        score += s.contact_nats * min(contact_nats / len(contacts), s.most_nats)
-    return float(1.0 / (1.0 + np.exp(-np.clip(score, -40.0, 40.0))))
+    first = modes[0].pose
+    wide = np.diag(np.repeat([s.anywhere_angle, s.anywhere_share * model.radius], 3) ** 2)
+    if prior is not None:
+        inverse = np.diag(1.0 / np.diag(wide))
+        away = se3.difference(prior.pose, first, model.centroid)
+        wide = np.linalg.inv(prior.information + inverse) + np.outer(away, away)
+    none = max(1.0 - right - s.left_out, 0.0)
+    out = none * wide
+    total = sum(mode.weight for mode in modes)
+    for mode in modes:
+        apart = se3.difference(mode.pose, first, model.centroid)
+        share = (1.0 - none) * (mode.weight / total if total > 0.0 else 1.0 / len(modes))
+        out = out + share * (mode.covariance + np.outer(apart, apart))
+    return np.asarray(out, dtype=np.float64)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import as_prior, check_limits, check_senses
+from fusion.estimation.confidence import whole_covariance
 from fusion.estimation.moments import moments
 from fusion.estimation.pool import Pool
 from fusion.estimation.proposals import search_stages, starts_of
@@ -179,13 +180,16 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> 
         picture = predictor.predict(pose[None]) if predictor.sees else None
         nats = float(costs(model, felt.rows, pose[None])[0]) if contacts else 0.0
         agreed = residuals, nats, share, seeing, picture
-        sure, word, why = posterior.judged(model, modes, *agreed, settings.verdict, settings.confidence)
+        right, sure, word, why = posterior.judged(model, modes, *agreed, settings.verdict, settings.confidence)
+        covariance = modes[0].covariance
+        if word != "ok":
+            covariance = whole_covariance(model, modes, right, believed, settings.confidence)
         stage.note(len(rows), why)
 
     return Estimate(
         frame=frame.index,
         pose=pose,
-        covariance=modes[0].covariance,
+        covariance=covariance,
         modes=modes,
         verdict=word,
         unobservable=posterior.unobservable(model, pose, modes[0].covariance, settings.verdict),
@@ -197,6 +201,6 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> 
         notes=(why, *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility)),
         dropped=looked.dropped,
         start=start,
-        contributions=posterior.contributions(model, rows, pose, modes[0].covariance, believed),
+        contributions=posterior.contributions(model, rows, pose, covariance, believed),
         confidence=sure,
     )

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import ContactResidual, Contribution, Estimate, Mode, Stage
-from fusion.estimation.confidence import ConfidenceSettings, confidence
+from fusion.estimation.confidence import ConfidenceSettings, chances
 from scenes.evidence import align as alignment
 from scenes.evidence.align import Prior
 from scenes.evidence.modes import ModeSettings, covariance_of, distinct_modes
@@ -190,20 +190,22 @@ def judged(
     picture: Prediction | None,
     settings: VerdictSettings,
     confident: ConfidenceSettings,
-) -> tuple[float, str, str]:
-    """Confidence, verdict and its reason for the first of the modes, found in one frame or followed through many.
+) -> tuple[float, float, str, str]:
+    """Of the first of the modes, found in one frame or followed through many: the chance that it is the right one, and
+    that it is near enough, too (the confidence); verdict and its reason.
 
     residuals and contact_nats: how each contact agrees there, and what all cost; pixel_share: of the object's pixels
     that it explains; picture: the predicted one, None without a depth image. What contradicts the pose, and a picture
     that does not show it, speak against it however narrow its covariance is.
     """
-    sure = confidence(model, modes, picture, residuals, contact_nats, settings=confident)
+    right, near = chances(model, modes, picture, residuals, contact_nats, settings=confident)
+    sure = right * near
     word, why = verdict(model, modes, residuals, pixel_share, seeing, settings)
     if word == "ok" and contact_nats > settings.most_contradicted * max(len(residuals), 1):
         word, why = "lost", "the contacts, or their normals, contradict every pose"
-    if word == "ok" and picture is not None and sure < confident.sure:
+    if word == "ok" and sure < confident.sure:
         word, why = "ambiguous", f"only {sure:.0%} sure to be within {1e3 * confident.tolerance:.0f} mm"
-    return sure, word, why
+    return right, sure, word, why
 
 
 def no_answer(

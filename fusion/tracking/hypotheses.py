@@ -47,7 +47,7 @@ class HypothesisSettings:
     # beyond its outline: of six pairs of the right pose and the search's wrong one the former cost less in three and
     # had better odds in all.
     of_cost: float = 0.25
-    of_odds: float = 6.0
+    of_odds: float = 3.0
     # Nats by which a frame must prefer what the track has to what it itself has found when searched, so that its search
     # has only missed it, and does not speak against it.
     missed: float = 6.0

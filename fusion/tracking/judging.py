@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import ContactResidual, Mode, Stage
+from fusion.estimation.confidence import whole_covariance
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
 from fusion.tracking.filter import Belief
 from fusion.tracking.hypotheses import Hypotheses, weights
@@ -26,12 +27,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Judged:
-    """verdict, its reason and confidence; modes: the hypotheses with their weights; how contacts (residuals) and pixels
+    """verdict, its reason; covariance (6, 6) of all that may be the case; confidence; modes: the hypotheses with their weights; how contacts (residuals) and pixels
     (share explained, rms m) agree; visible: share of the object that is seen; unobservable: directions, in words.
     """
 
     verdict: str
     why: str
+    covariance: Array
     confidence: float
     modes: tuple[Mode, ...]
     residuals: tuple[ContactResidual, ...]
@@ -68,13 +70,16 @@ def judge(
     seeing = visibility(sensed.viewed, model, pose, beliefs.depth) if picture is None else as_seen(picture)
     nats = float(costs(model, sensed.felt.rows, pose[None])[0]) if len(contacts) else 0.0
     agreed = residuals, nats, share, seeing, picture
-    sure, word, why = posterior.judged(model, modes, *agreed, first.verdict, first.confidence)
+    right, sure, word, why = posterior.judged(model, modes, *agreed, first.verdict, first.confidence)
     if word != "lost" and strays(share, usual, len(sensed.looked.pixels), settings):
         word, why = "lost", f"{share:.0%} of the pixels explained, {usual:.0%} before"
     if word != "lost" and settings.leaps(leap):
         word, why = "lost", f"{1e3 * np.linalg.norm(leap[3:]):.0f} mm from the prediction"
+    covariance = belief.covariance
+    if word != "ok":
+        covariance = whole_covariance(model, modes, right, None, first.confidence)
     unknown = posterior.unobservable(model, pose, belief.covariance, first.verdict)
-    return Judged(word, why, sure, modes, residuals, share, rms, seeing.visible, unknown)
+    return Judged(word, why, covariance, sure, modes, residuals, share, rms, seeing.visible, unknown)
 
 
 def as_seen(picture: Prediction) -> Visibility:
@@ -106,7 +111,7 @@ def as_followed(
     return TrackedEstimate(
         frame=frame.index,
         pose=belief.pose,
-        covariance=belief.covariance,
+        covariance=said.covariance,
         modes=said.modes,
         verdict=said.verdict,
         unobservable=said.unobservable,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import Mode
-from fusion.estimation.confidence import confidence
+from fusion.estimation.confidence import chances
 from fusion.estimation.solve.joint import JointResult
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import solve_modes
@@ -86,8 +86,8 @@ def frame_nats(poses: Array, leading: Prior, sensed: Sensed, settings: TrackSett
         residuals = contact_residuals(pool.model, contacts, pose, first.verdict)
         nats = float(costs(pool.model, sensed.felt.rows, pose[None])[0]) if len(contacts) else 0.0
         mode = (Mode(pose, 1.0, 0.0, covariance),)
-        sure = confidence(pool.model, mode, picture, residuals, nats, settings=first.confidence)
-        out[k] -= s.of_odds * float(np.log(max(sure, 1e-9) / max(1.0 - sure, 1e-9)))
+        right, _ = chances(pool.model, mode, picture, residuals, nats, settings=first.confidence)
+        out[k] -= s.of_odds * float(np.log(max(right, 1e-9) / max(1.0 - right, 1e-9)))
     return out
 
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import as_prior, check_senses
+from fusion.estimation.confidence import whole_covariance
 from fusion.estimation.estimate import estimate
 from fusion.estimation.solve.joint import JointResult
 from fusion.estimation.solve.settings import Rig
@@ -151,8 +152,8 @@ class Tracker:
         self._watch.feel(readings_of(self._felt_frame(frame)))
 
     def _anchor(self, answer: Estimate) -> None:
-        share = self.settings.first_lasting
-        self._state.belief = Belief(answer.pose, (1 - share) * answer.covariance, share * answer.covariance)
+        share, own = self.settings.first_lasting, answer.modes[0].covariance
+        self._state.belief = Belief(answer.pose, (1 - share) * own, share * own)
 
     def _recover(self, frame: Frame, lost: TrackedEstimate) -> TrackedEstimate:
         """Look for the object around the prediction, now and then everywhere."""
@@ -182,7 +183,7 @@ class Tracker:
             return answer
         vote = max(0.0, 2.0 * _sure(alone) - 1.0) if alone.verdict == "ok" else 0.0
         modes = tuple(replace(m, pose=self.model.symmetries.nearest(m.pose, answer.pose)) for m in alone.modes)
-        leader = replace(state.hypotheses[0], pose=answer.pose, covariance=answer.covariance)
+        leader = replace(state.hypotheses[0], pose=answer.pose, covariance=answer.modes[0].covariance)
         carried, better = (leader, *state.hypotheses[1:]), self._prefers(answer, modes[0].pose)
         if not several.alike(self.model, leader, modes[0], s.hypotheses) and better > s.hypotheses.missed:
             vote = 0.0
@@ -202,7 +203,7 @@ class Tracker:
         """Nats by which the frame prefers the track's pose to another (4, 4)."""
         if self._sensed is None or self._sensed.pool is None:
             return 0.0
-        prior = Prior(answer.pose, np.asarray(np.linalg.inv(answer.covariance), dtype=np.float64))
+        prior = Prior(answer.pose, np.asarray(np.linalg.inv(answer.modes[0].covariance), dtype=np.float64))
         mine, its = frame_nats(np.array([answer.pose, other]), prior, self._sensed, self.settings)
         return float(its - mine)
 
@@ -210,7 +211,8 @@ class Tracker:
         """The answer, which is not ok while no frame searched by itself speaks for it."""
         if answer.verdict != "ok" or self._state.hypotheses[0].votes >= self.settings.hypotheses.believed:
             return answer
-        return replace(answer, verdict="ambiguous", notes=(_DOUBTED, *answer.notes))
+        wide = whole_covariance(self.model, answer.modes, answer.confidence, None, self.settings.first.confidence)
+        return replace(answer, verdict="ambiguous", covariance=wide, notes=(_DOUBTED, *answer.notes))
 
     def _estimated(self, frame: Frame, prior: Prior | None) -> Estimate:
         """The frame by itself."""

@@ -31,7 +31,7 @@ class DepthModel:
     lateral_growth: float = 0.035
     axial_steep: float = 0.0001
     # Smooth bias of the surface, metres, and the correlation length of that bias in pixels: exp(-d^2 / (2 length^2)).
-    bias_sigma: float = 0.002
+    bias_sigma: float = 0.0025
     bias_length: float = 40.0
     # In the search rows are weighed down instead: rows within this many pixels count as one. A bias so smooth moves and
     # tilts what is seen but leaves its shape, hence less than its length; but where neither mask nor hand model tells
@@ -43,7 +43,7 @@ class DepthModel:
     cloud_sigma: float = 0.0035
     cloud_patches: float = 30.0
     # Relative error of the depth scale.
-    scale_sigma: float = 0.005
+    scale_sigma: float = 0.006
 
     def independent_sigma(self, depth: Array) -> Array:
         """Standard deviation (m) of one pixel's independent noise at depth (m)."""
@@ -67,8 +67,8 @@ class CalibrationModel:
     """How far the robot may be from where it says it is, seen from the camera. By judgement."""
 
     # camera_from_robot after a usual hand-eye calibration: metres and radians per axis, at the camera.
-    translation_sigma: float = 0.002
-    rotation_sigma: float = float(np.deg2rad(0.3))
+    translation_sigma: float = 0.0028
+    rotation_sigma: float = float(np.deg2rad(0.42))
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class TouchModel:
     # fingertip shape together (iCub's fingertips are some millimetres off its stereo cloud).
     unknown_sigma: float = 0.004
     # Error of the finger joints between palm and fingertip, metres (0.3 degrees at three joints).
-    fingertip_sigma: float = 0.0008
+    fingertip_sigma: float = 0.0011
 
 
 @dataclass(frozen=True)
@@ -90,4 +90,4 @@ class Beliefs:
     calibration: CalibrationModel = field(default_factory=CalibrationModel)
     touch: TouchModel = field(default_factory=TouchModel)
     # What a mesh and its lattice leave out of a real object, metres: scans of products agree to half a millimetre.
-    mesh_sigma: float = 0.0004
+    mesh_sigma: float = 0.0006

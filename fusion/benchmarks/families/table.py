@@ -79,7 +79,40 @@ WORN = replace(
     name="worn",
     depth=replace(_HARSH, baseline=0.09, disparity_step=0.1, bias_length=27.0),
 )
-OWN_PRESETS = {preset.name: preset for preset in (WORKSHOP, WORN)}
+# A camera and a robot as bad as those, of other sizes, that may be tuned on.
+ROUGH = NoisePreset(
+    "rough",
+    DepthNoise(
+        axial=1.7,
+        lateral=1.1,
+        disparity_step=1 / 11,
+        baseline=0.07,
+        grazing_start=float(np.deg2rad(62.0)),
+        grazing_end=float(np.deg2rad(81.0)),
+        dropout=0.03,
+        shadow=True,
+        flying=0.6,
+        bias=0.0031,
+        bias_length=55.0,
+        scale=0.0074,
+        thin=3,
+    ),
+    TouchNoise(
+        point=0.0016,
+        normal=float(np.deg2rad(9.0)),
+        offset=0.0006,
+        wrench=0.016,
+        shape=0.00045,
+        force_offset=0.04,
+        torque_offset=2.5e-4,
+        force_drift=0.004,
+        torque_drift=2.4e-5,
+        taxel=1200.0,
+        dead=0.06,
+    ),
+    RobotNoise(float(np.deg2rad(0.5)), 0.0034, float(np.deg2rad(0.5))),
+)
+OWN_PRESETS = {preset.name: preset for preset in (WORKSHOP, WORN, ROUGH)}
 
 
 @dataclass(frozen=True)
@@ -153,6 +186,24 @@ FAMILIES: dict[str, Family] = {
             scene="table",
             touch=(),
             levels=OPEN_LEVELS,
+        ),
+        _tuned("rough", "rough", "a bad camera, a badly calibrated robot, worn fingertips", hand="five-finger"),
+        _tuned("bent", "lab", "the mesh is bent, 1.6 mm a direction", hand="five-finger", mesh_error="bent"),
+        _tuned(
+            "stranger",
+            "d435",
+            "a hand over a table that nobody has a model of, nothing felt",
+            hand="five-finger",
+            scene="table+unknown-hand",
+            touch=(),
+            rig="lab",
+        ),
+        _tuned(
+            "borrowed",
+            "rough",
+            "a robot hand without a URDF before a wall, its fingertips report contacts",
+            hand="five-finger",
+            scene="wall+unknown-hand",
         ),
         # ---- only reported
         _held(RECORDED, "", "recorded frames with a true pose, no mask", touch=(), objects=(), levels=NO_LEVELS),

@@ -107,7 +107,8 @@ def solve(problem: JointProblem, pose: Array, level: float, weight: float | None
         inverse = np.linalg.solve(whole[:free, :free], whole[:free, free:])[:6]
         covariance = gain + inverse @ inverse.T
     vision = system.vision(here, unknown)[0] if len(problem.seen) else 0.0
-    covariance = covariance + gain @ system.excess_scatter() @ gain + _mesh_spread(problem)
+    misfit = system.misfit()
+    covariance = misfit * covariance + system.excess_spread(whole[:free, :free], misfit) + _mesh_spread(problem)
     return JointResult(
         here,
         covariance,
@@ -118,7 +119,7 @@ def solve(problem: JointProblem, pose: Array, level: float, weight: float | None
         float(-cost - 0.5 * log_det),
         level,
         vision,
-        *_split(system, here, normal),
+        *(misfit * part for part in _split(system, here, normal)),
         as_seen=_as_seen(system, here, unknown),
     )
 

@@ -40,14 +40,22 @@ class JointSettings:
     spacing: float = 1.2
     most_inducing: int = 80
     # Independent error of the hand's surface (m): joint errors move whole links; and how many of its pixels share it.
-    hand_sigma: float = 0.001
+    hand_sigma: float = 0.0013
     hand_sharing: float = 6.0
     # Contacts that hold an object in place: three points. With so many, depth's scale and bias are solved for.
     tying_contacts: int = 3
-    # Side (px) of the blocks of the image within which pixels may share errors that no belief describes, and the fewest
-    # blocks that tell how much they scatter.
+    # Blocks of the image, as many as this, within which pixels may share errors that no belief describes; none of a
+    # shorter side (px), and the fewest that tell how much they disagree. Of a block left out this share goes: what only
+    # it tells is not lost altogether.
+    groups: float = 16.0
     block: float = 16.0
     least_blocks: int = 6
+    leave: float = 0.9
+    # Independent places that pixels amount to when they say how good the camera is, from so many pixels on, and how
+    # many the belief counts as, more than two.
+    places: float = 4.0
+    placed_pixels: float = 100.0
+    believed_places: float = 3.0
     # Least cosine of the incidence of a pixel: cameras read nothing of surfaces steeper than 80 degrees.
     least_cosine: float = 0.17
 

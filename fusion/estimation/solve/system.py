@@ -50,7 +50,7 @@ class System:
         self.width[POSE] = np.array([1.0] * 3 + [problem.model.radius] * 3) ** -2.0
         self._hand_white = self._whitened_hand() if problem.hand is not None else None
         self.normals, self.slope = self._facing(pose)
-        self._used = 0
+        self._used, self._jac = 0, np.zeros((0, self.size))
 
     def start(self) -> Array:
         """The unknowns (size,) as first guessed: the calibration as the hand is seen."""
@@ -134,34 +134,69 @@ class System:
         jac[:, SCALE] = jac_fixed[:k, 6] * scale
         jac[:, FIXED:] = along[:k, None] * self.seen_white[index[:k]]
         weighted = jac * information[:k, None]
+        self._jac = jac
         return float(cost), weighted.T @ residual[:k], weighted.T @ jac
 
-    def excess_scatter(self) -> Array:
-        """(6, 6) by how much the pixels' pulls on the pose scatter more than their sigmas say, where `vision` last was.
+    def misfit(self) -> float:
+        """By how much (a factor of variance) pixels are farther off, where `vision` last was, than their sigmas say: 1
+        for those that are as good as believed, and of rows that are no pixels.
 
-        Neighbours share errors that no belief describes. Pixels are put into blocks of the image; pulls summed over a
-        block, their outer products summed over blocks, are the scatter that there is (a cluster-robust covariance:
-        Liang and Zeger, Biometrika 73, 1986), and what exceeds the rows' own information counts.
+        What is believed of a camera is one of many cameras; how large this one's errors are, the frame itself says.
+        That is the mean of an inverse gamma distribution, whose prior counts as some of the pixels' independent places,
+        so that few of them leave wide tails (Gelman et al., Bayesian Data Analysis, section 2.6; in metrology the Birge
+        ratio).
+        """
+        problem, k = self.problem, self._used
+        s = problem.settings
+        if problem.camera is None or not k:
+            return 1.0
+        index, _, _, residual, information = (part[:k] for part in problem.room)
+        mine = problem.on[index]
+        width = (problem.sigma * self.slope)[index]
+        weight = float((information * width**2)[mine].sum())
+        if weight <= 0.0:
+            return 1.0
+        square = float((information * residual**2)[mine].sum()) / weight
+        # a frame of few pixels has fewer places, too
+        places = s.places * min(1.0, float(mine.sum()) / s.placed_pixels)
+        return (s.believed_places + places * square) / (s.believed_places + places - 2.0)
+
+    def excess_spread(self, whole: Array, misfit: float) -> Array:
+        """(6, 6) by how much the pose would move with other pixels, beyond what their sigmas say, where `vision` last
+        was. whole (m, m): the information on the first m unknowns, all that is solved for; misfit: factor on the
+        variance of a pixel.
+
+        Neighbours share errors that no belief describes: of the mesh, of the camera, of what was taken for the object.
+        Pixels are put into blocks of the image, as large as leave a few of them; the answer without each of them, one
+        Gauss-Newton step away, says how much they disagree (the delete-a-group jackknife: Wolter, Introduction to
+        Variance Estimation, chapter 4; against a sum of outer products of pulls it knows of leverage). What exceeds the
+        rows' own information counts.
         """
         problem = self.problem
-        index, jac, _, residual, information = problem.room
         if problem.camera is None or not self._used:
             return np.zeros((6, 6))
-        index, jac = index[: self._used], jac[: self._used, :6]
-        residual, information = residual[: self._used], information[: self._used]
+        index, free = problem.room[0][: self._used], len(whole)
+        information, residual = problem.room[4][: self._used], problem.room[3][: self._used]
+        jac = self._jac[:, :free]
         uv, _ = problem.camera.project(problem.seen.points[index])
-        block = np.floor(uv / problem.settings.block).astype(np.int64)
-        _, group = np.unique(block, axis=0, return_inverse=True)
+        group = _blocks(uv, problem.settings.groups, problem.settings.block)
         groups = int(group.max()) + 1
         if groups < problem.settings.least_blocks:
             return np.zeros((6, 6))
-        pulls = np.zeros((groups, 6))
-        np.add.at(pulls, group.ravel(), jac * (information * residual)[:, None])
-        scatter = pulls.T @ pulls * (groups / (groups - 3.0))
-        own = (jac * information[:, None]).T @ jac
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-300))
-        lower = np.linalg.cholesky(own * scale * scale[:, None] + 1e-6 * np.eye(6)) / scale[:, None]
-        white = np.linalg.solve(lower, np.linalg.solve(lower, scatter).T)
+        moved = np.zeros((groups, 6))
+        own = np.zeros((free, free))
+        for g in range(groups):
+            mine = group == g
+            weighted = jac[mine] * information[mine, None]
+            part = weighted.T @ jac[mine]
+            own += part
+            moved[g] = np.linalg.solve(whole - part * problem.settings.leave, weighted.T @ residual[mine])[:6]
+        spread = moved.T @ moved * ((groups - 1.0) / groups)
+        inverse = np.linalg.solve(whole, np.eye(free)[:, :6])
+        said = misfit * (inverse.T @ own @ inverse)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(said), 1e-300))
+        lower = np.linalg.cholesky(said * scale * scale[:, None] + 1e-6 * np.eye(6)) / scale[:, None]
+        white = np.linalg.solve(lower, np.linalg.solve(lower, spread).T)
         values, vectors = np.linalg.eigh(0.5 * (white + white.T))
         root = lower @ vectors * np.sqrt(np.maximum(values - 1.0, 0.0))
         return np.asarray(root @ root.T, dtype=np.float64)
@@ -219,3 +254,10 @@ class System:
         gradient[:6] = self.white_xi.T @ gradient[:6]
         normal *= scale * scale[:, None]
         return constant, gradient * scale, normal
+
+
+def _blocks(uv: Array, count: int, least: float) -> NDArray[np.int64]:
+    """(n,) block of each pixel (n, 2): squares of the image, about `count` of them, no side shorter than `least`."""
+    side = max(least, float(np.sqrt(np.prod(np.ptp(uv, axis=0) + 1.0) / count)))
+    block = np.floor((uv - uv.min(axis=0)) / side).astype(np.int64)
+    return np.asarray(np.unique(block, axis=0, return_inverse=True)[1].ravel(), dtype=np.int64)

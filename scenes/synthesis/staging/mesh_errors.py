@@ -30,6 +30,10 @@ SCAN_SIGMA = 0.0025
 LONGEST_EDGE = 0.012
 # Wavelengths of the bumps, shares of the diameter.
 WAVELENGTH = (0.4, 1.2)
+# A mesh that is bent: fewer, longer or shorter waves of another size (m); all faces stay.
+BENT_WAVES = 7
+BENT_SIGMA = 0.0016
+BENT_WAVELENGTH = (0.25, 0.9)
 
 
 def believed(model: ObjectModel, error: str | None, seed: int = 0) -> ObjectModel:
@@ -56,21 +60,41 @@ def _scaled(model: ObjectModel, rng: np.random.Generator) -> tuple[Array, Faces]
 
 
 def _scan(model: ObjectModel, rng: np.random.Generator) -> tuple[Array, Faces]:
-    """Fewer faces, and a smooth deformation without the rigid motion that it holds."""
+    """Fewer faces, and a smooth deformation."""
     vertices, faces = _evenly_cut(model)
-    length = model.diameter * rng.uniform(*WAVELENGTH, WAVES)
-    waves = 2 * np.pi / length[:, None] * poses.random_unit_vectors(WAVES, rng)
-    along = poses.random_unit_vectors(WAVES, rng) * rng.normal(size=(WAVES, 1))
-    phase = rng.uniform(0, 2 * np.pi, WAVES)
+    return _waved(model, vertices, WAVES, WAVELENGTH, SCAN_SIGMA, rng), faces
+
+
+def _bent(model: ObjectModel, rng: np.random.Generator) -> tuple[Array, Faces]:
+    vertices, faces = _evenly_cut(model)
+    return _waved(model, vertices, BENT_WAVES, BENT_WAVELENGTH, BENT_SIGMA, rng), faces
+
+
+def _waved(
+    model: ObjectModel,
+    vertices: Array,
+    count: int,
+    wavelength: tuple[float, float],
+    sigma: float,
+    rng: np.random.Generator,
+) -> Array:
+    """Vertices (n, 3) moved smoothly by sigma (m per axis), without the rigid motion that this holds.
+
+    wavelength: of the waves, shares of the diameter.
+    """
+    length = model.diameter * rng.uniform(*wavelength, count)
+    waves = 2 * np.pi / length[:, None] * poses.random_unit_vectors(count, rng)
+    along = poses.random_unit_vectors(count, rng) * rng.normal(size=(count, 1))
+    phase = rng.uniform(0, 2 * np.pi, count)
 
     def shift(points: Array) -> Array:
         return np.asarray(np.sin(points @ waves.T + phase) @ along)
 
     surface, _ = model.sample_surface(4000, seed=0)
     moved = shift(surface)
-    size = SCAN_SIGMA / max(float(np.sqrt((moved**2).sum(axis=1).mean() / 3)), 1e-12)
+    size = sigma / max(float(np.sqrt((moved**2).sum(axis=1).mean() / 3)), 1e-12)
     back = _rigid(surface + size * moved, surface)
-    return poses.apply(back, vertices + size * shift(vertices)), faces
+    return poses.apply(back, vertices + size * shift(vertices))
 
 
 def _rigid(points: Array, onto: Array) -> Array:
@@ -124,5 +148,6 @@ _MAKERS: dict[str, Callable[[ObjectModel, np.random.Generator], tuple[Array, Fac
     "fat": _fat,
     "scaled": _scaled,
     "scan": _scan,
+    "bent": _bent,
 }
 NAMES = tuple(_MAKERS)

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from fusion import estimate
-from fusion.estimation.confidence import ConfidenceSettings, confidence, spread_of
+from fusion.estimation.confidence import ConfidenceSettings, confidence, spread_of, whole_covariance, within
 from fusion.estimation.ranking import guarded
 from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.solve.joint import JointResult
 from fusion.truth.errors import Judge
+from scenes.evidence.align import Prior
 from scenes.evidence.modes import Mode
 from scenes.geometry import poses
 from scenes.synthesis import library
@@ -93,10 +94,39 @@ def test_confidence_falls_with_spread_and_contradictions(drill):
 
 
 def test_without_a_picture_the_posterior_speaks(drill):
-    narrow = (Mode(np.eye(4), 0.7, 0.0, 1e-12 * np.eye(6)),)
-    assert confidence(drill, narrow, None, (), 0.0) == pytest.approx(0.7)
-    wide = (Mode(np.eye(4), 1.0, 0.0, np.eye(6)),)
-    assert confidence(drill, wide, None, (), 0.0) < 0.02
+    def alone(weight, spread):
+        return confidence(drill, (Mode(np.eye(4), weight, 0.0, spread * np.eye(6)),), None, (), 0.0)
+
+    assert 0.9 < alone(1.0, 1e-12) <= 1.0
+    assert alone(0.5, 1e-12) < alone(0.8, 1e-12) < alone(1.0, 1e-12)
+    assert alone(1.0, 1.0) < 0.02
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_chance_of_being_near_is_that_of_sampled_errors(drill, seed):
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(6, 6)) * np.repeat([0.02, 0.002], 3)[:, None]
+    points, _ = drill.sample_surface(400, seed=1)
+    steps = rng.normal(size=(1500, 6)) @ root.T
+    moved = [poses.apply(poses.perturb(np.eye(4), step, drill.centroid), points) - points for step in steps]
+    off = np.sqrt(np.mean(np.sum(np.square(moved), axis=2), axis=1))
+    for limit in np.quantile(off, [0.2, 0.5, 0.9]):
+        assert within(drill, np.eye(4), root @ root.T, limit, 1.0) == pytest.approx(np.mean(off < limit), abs=0.12)
+
+
+def test_the_whole_covariance_holds_other_modes_and_none(drill):
+    narrow = 1e-6 * np.eye(6)
+    aside = poses.perturb(np.eye(4), np.array([0, 0, 0, 0.03, 0, 0]), drill.centroid)
+    modes = (Mode(np.eye(4), 0.7, 0.0, narrow), Mode(aside, 0.3, 1.0, narrow))
+    both = whole_covariance(drill, modes, 1.0, None)
+    assert both[3, 3] == pytest.approx(1e-6 + 0.3 * 0.03**2)
+    assert both[4, 4] == pytest.approx(1e-6)
+    believed = Prior.isotropic(np.eye(4), 0.2, 0.02)
+    none = whole_covariance(drill, modes[:1], 0.0, believed)
+    assert 0.01 < np.sqrt(none[4, 4]) < 0.021
+    assert np.linalg.eigvalsh(whole_covariance(drill, modes, 0.5, None)).min() > 0
+    left_out = 1.0 - ConfidenceSettings().left_out
+    assert np.allclose(whole_covariance(drill, modes[:1], left_out, None), narrow)
 
 
 def test_turns_about_an_objects_own_axis_are_no_spread():

@@ -166,7 +166,7 @@ def test_a_print_colours_the_object_and_nothing_else():
 @pytest.mark.parametrize("name", ["mug", "box", "drill"])
 def test_meshes_with_errors_share_the_frame(name):
     model = library.make(name)
-    fat, scaled, scan = (mesh_errors.believed(model, error) for error in mesh_errors.NAMES)
+    fat, scaled, scan = (mesh_errors.believed(model, error) for error in ("fat", "scaled", "scan"))
     points, _ = model.sample_surface(2000, seed=1)
     assert np.abs(fat.field.distance(points) + mesh_errors.FAT).mean() < 2e-4
     assert scaled.diameter == pytest.approx(1.01 * model.diameter)
