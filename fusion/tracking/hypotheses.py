@@ -21,6 +21,9 @@ from scenes.geometry.objects import ObjectModel
 
 Array = NDArray[np.float64]
 
+# Points that stand for the surface when two poses of it are compared.
+SURFACE_POINTS = 200
+
 
 @dataclass(frozen=True)
 class HypothesisSettings:
@@ -41,6 +44,13 @@ class HypothesisSettings:
     # Votes (no unit) without which a leader is not believed, however well it explains every frame: a track that has
     # begun wrong explains itself, and a search that is just sure enough gives 0.6.
     believed: float = 0.5
+    # A search that is not sure, but this likely (a probability), gives this part of a vote to what it finds, and takes
+    # none from the others: where frames leave several poses open each, the same one again and again is worth something.
+    likely: float = 0.75
+    part: float = 0.3
+    # A search speaks for every hypothesis that puts the surface where it does, within this (m, on average: half of what
+    # an answer may be off), whichever way a handle out of sight points.
+    surface: float = 0.0025
     # Nats of a frame in which something may hide the object that neither a mask nor a hand's model tells of: this share
     # of what its predicted picture and its contacts cost, and this many for a unit of log odds that the pose is right
     # (fusion.estimation.confidence). Unknown fingers are covered gladly by a wrong pose, and tell on it by running on
@@ -144,20 +154,27 @@ def alike(model: ObjectModel, one: Hypothesis | Mode, other: Hypothesis | Mode, 
     return square < settings.sigmas**2
 
 
+def surface_apart(model: ObjectModel, one: Array, other: Array) -> float:
+    """Mean distance (m) of the surface at pose `one` (4, 4) from the surface at `other`: ADD-S, by the lattice."""
+    points = se3.apply(se3.inverse(other) @ one, model.sample_surface(SURFACE_POINTS)[0])
+    return float(np.abs(model.field.distance(points)).mean())
+
+
 def voted(
     model: ObjectModel,
     hypotheses: Hypotheses,
     modes: Sequence[Mode],
     vote: float,
+    against: bool,
     settings: HypothesisSettings,
-) -> tuple[Hypotheses, int]:
-    """Hypotheses after a frame searched by itself has found modes, and which of them its first mode is.
+) -> tuple[Hypotheses, bool]:
+    """Hypotheses, at least one, after a frame searched by itself has found modes; whether it agrees with the leader.
 
-    vote: of this search, 0 when it is not sure. Modes that nobody had thought of begin a little below the leader: from
-    there what is sensed decides.
+    vote: of this search, 0 when it tells nothing; against: whether it also speaks against the others. Modes that nobody
+    had thought of begin a little below the leader: from there what is sensed decides.
     """
     out = list(hypotheses)
-    base, first = (out[0].score if out else 0.0), 0
+    base, first = out[0].score, 0
     for rank, mode in enumerate(modes):
         at = next((k for k, h in enumerate(out) if alike(model, mode, h, settings)), None)
         if at is None:
@@ -166,9 +183,10 @@ def voted(
             at = len(out) - 1
         if rank == 0:
             first = at
+    near = [k == first or surface_apart(model, h.pose, modes[0].pose) < settings.surface for k, h in enumerate(out)]
     if vote > 0.0:
         for k, h in enumerate(out):
-            change = vote if k == first else -vote
+            change = vote if near[k] else -vote * against
             out[k] = replace(h, votes=float(np.clip(h.votes + change, 0.0, settings.most_votes)))
     # the newest is not dropped for want of room: the weakest of the older ones is
     while len(out) > settings.most:
@@ -176,4 +194,4 @@ def voted(
         weakest = min((k for k in range(1, len(out)) if k != first), key=lambda k: float(nats[k]))
         out.pop(weakest)
         first -= int(weakest < first)
-    return tuple(out), first
+    return tuple(out), near[0]

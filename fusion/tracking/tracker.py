@@ -140,8 +140,7 @@ class Tracker:
         """Begin (again) from an estimate of this frame, wherever it comes from."""
         state, s = self._state, self.settings
         self._anchor(answer)
-        votes = max(0.0, 2.0 * _sure(answer) - 1.0) if answer.verdict == "ok" else 0.0
-        state.hypotheses = several.of_modes(answer.modes, votes, s.hypotheses)
+        state.hypotheses = several.of_modes(answer.modes, self._vote(answer), s.hypotheses)
         state.index, state.unseen, state.lost_for, state.usual = frame.index, 0, 0, None
         state.things = Occluders()
         state.renewal.restart(frame.index, s.renewal)
@@ -181,23 +180,30 @@ class Tracker:
         except CaptureError:
             state.renewal.found(frame.index, None, s.renewal)
             return answer
-        vote = max(0.0, 2.0 * _sure(alone) - 1.0) if alone.verdict == "ok" else 0.0
+        vote, against = self._vote(alone), alone.verdict == "ok"
         modes = tuple(replace(m, pose=self.model.symmetries.nearest(m.pose, answer.pose)) for m in alone.modes)
         leader = replace(state.hypotheses[0], pose=answer.pose, covariance=answer.modes[0].covariance)
-        carried, better = (leader, *state.hypotheses[1:]), self._prefers(answer, modes[0].pose)
-        if not several.alike(self.model, leader, modes[0], s.hypotheses) and better > s.hypotheses.missed:
+        same, better = several.alike(self.model, leader, modes[0], s.hypotheses), self._prefers(answer, modes[0].pose)
+        if not same and better > s.hypotheses.missed:
             vote = 0.0
-        state.hypotheses, first = several.voted(self.model, carried, modes, vote, s.hypotheses)
-        agrees = (first == 0) if vote else None
-        state.renewal.found(frame.index, agrees, s.renewal)
-        why = f"{'agrees' if first == 0 else 'finds it elsewhere'}, {better:+.0f} nats for the track"
-        if agrees and better < -s.anchor:
+        carried = (leader, *state.hypotheses[1:])
+        state.hypotheses, agrees = several.voted(self.model, carried, modes, vote, against, s.hypotheses)
+        state.renewal.found(frame.index, agrees if vote and against else None, s.renewal)
+        where = "agrees" if agrees else "finds it elsewhere"
+        why = f"{where}, {_sure(alone):.0%} sure; {better:+.0f} nats for the track; {vote:.1f} votes"
+        if same and vote and better < -s.anchor:
             self._anchor(replace(alone, pose=modes[0].pose))
-            why += ", which goes on from there"
-        why += "" if vote else "; no vote"
+            why += "; it goes on from there"
         stage = replace(alone.trace[-1], name="search anew", ms=alone.time_ms, why=why)
         answer = replace(answer, trace=(*answer.trace, stage))
         return self._believed(answer)
+
+    def _vote(self, alone: Estimate) -> float:
+        """What a frame searched by itself is worth to what it has found."""
+        s, sure = self.settings.hypotheses, _sure(alone)
+        if alone.verdict == "ok":
+            return max(0.0, 2.0 * sure - 1.0)
+        return s.part if alone.verdict == "ambiguous" and sure >= s.likely else 0.0
 
     def _prefers(self, answer: TrackedEstimate, other: Array) -> float:
         """Nats by which the frame prefers the track's pose to another (4, 4)."""
