@@ -15,6 +15,7 @@ from fusion.estimation.solve.settings import JointSettings
 from fusion.tracking.filter import Belief
 from fusion.tracking.hypotheses import HypothesisSettings
 from fusion.tracking.motion import HandMotionSettings
+from fusion.tracking.occluders import OccluderSettings
 from fusion.tracking.renewal import RenewalSettings
 from fusion.tracking.slip import WatchSettings
 from scenes.geometry.objects import ObjectModel
@@ -63,6 +64,8 @@ class TrackSettings:
     # Poses carried from frame to frame until the data decide, and how often frames are searched without a memory.
     hypotheses: HypothesisSettings = field(default_factory=HypothesisSettings)
     renewal: RenewalSettings = field(default_factory=RenewalSettings)
+    # Things that go with the object without being it.
+    occluders: OccluderSettings = field(default_factory=OccluderSettings)
     # Rays along each side of an outline inside which pixels are the object's, and room (m) around predicted poses
     # that their picture needs.
     side: int = 28

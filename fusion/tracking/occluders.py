@@ -71,7 +71,7 @@ class Occluders:
             return np.zeros(len(points), dtype=bool)
         steps = np.array([(x * _SPAN + y) * _SPAN + z for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)])
         keys = _keys(se3.apply(se3.inverse(pose), points), s.cell)
-        return np.isin(keys[:, None] + steps, things).any(axis=1)
+        return np.asarray(np.isin(keys[:, None] + steps, things).any(axis=1))
 
 
 def _keys(local: Array, cell: float) -> Keys:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fusion.estimation.pool import Pool
 from fusion.estimation.settings import EstimateSettings
-from fusion.tracking.occluders import Occluders
+from fusion.tracking.occluders import Occluders, OccluderSettings
 from scenes.evidence.table import GATE_ABOVE, Evidence
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
@@ -37,7 +37,7 @@ MOST_AROUND = 2000
 class Sensed:
     """One frame. viewed: with what the camera may tell; looked, seen: its pixels near the predicted pose, and their
     rows; felt: what the fingers say; pool: what the predicted picture and touch say of poses, None without an image;
-    things: what was learned to go with the object without being it.
+    things: what was learned to go with the object without being it, and how.
     """
 
     viewed: Frame
@@ -46,6 +46,7 @@ class Sensed:
     felt: Felt
     pool: Pool | None
     things: Occluders = field(default_factory=Occluders)
+    how: OccluderSettings = field(default_factory=OccluderSettings)
 
     @property
     def told_apart(self) -> bool:
@@ -61,7 +62,7 @@ class Sensed:
         rows = self.pool.evidence(pose, side)
         on = rows.rows[:, GATE_ABOVE] > 0
         clean = on.copy()
-        clean[on] = ~self.things.beside(pose, rows.points[on])
+        clean[on] = ~self.things.beside(pose, rows.points[on], self.how)
         # an object of which next to nothing else is seen keeps what it has
         return rows if clean.sum() < self.pool.settings.least_pixels else rows.take(clean | ~on)
 

@@ -251,7 +251,7 @@ class Tracker:
             asked = np.array([h.pose for h in carried])
             first, beliefs = s.first, self._beliefs
             pool = pool_near(viewed, self.model, asked, looked, felt, beliefs, first, s.room)
-            sensed = self._sensed = Sensed(viewed, looked, seen, felt, pool, self._state.things)
+            sensed = self._sensed = Sensed(viewed, looked, seen, felt, pool, self._state.things, s.occluders)
         with trace.stage("align", True, "") as stage:
             prior = loose(predicted.pose, predicted.covariance, s)
             found = refine(self.model, carried, prior, sensed, s)
@@ -376,7 +376,8 @@ class Tracker:
         if switched:
             self._state.things = Occluders()
         if not sensed.told_apart:
-            self._state.things = self._state.things.learned(self.model, pose, sensed.around())
+            things, how = self._state.things, self.settings.occluders
+            self._state.things = things.learned(self.model, pose, sensed.around(), how)
 
     def _carry(self, frame: Frame, predicted: Belief, carried: Hypotheses, trace: Trace, felt: Felt) -> TrackedEstimate:
         """Nothing was sensed: the object is where the hand has carried it, for a while."""
