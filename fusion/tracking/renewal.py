@@ -18,25 +18,29 @@ class RenewalSettings:
     # to the longest (30 = a second).
     soonest: int = 3
     longest: int = 30
+    # Frames from one search to the next, at least, when answers come and go about the limit of what is called ok.
+    hurried: int = 10
 
 
 @dataclass
 class Renewal:
-    """due: frame index of the next search; wait: frames from one to the next."""
+    """due: frame index of the next search; wait: frames from one to the next; last: frame index of the last."""
 
     due: int = 0
     wait: int = 1
+    last: int = 0
 
     def restart(self, index: int, settings: RenewalSettings) -> None:
         """A track has begun in this frame."""
-        self.due, self.wait = index + settings.soonest, settings.soonest
+        self.due, self.wait, self.last = index + settings.soonest, settings.soonest, index
 
     def found(self, index: int, agrees: bool | None, settings: RenewalSettings) -> None:
         """A search in this frame agrees with the track, contradicts it, or tells nothing (None)."""
         self.wait = settings.soonest if agrees is False else min(2 * self.wait, settings.longest)
-        self.due = index + self.wait
+        self.due, self.last = index + self.wait, index
 
     def hurry(self, index: int, settings: RenewalSettings) -> None:
-        """Something gives cause for doubt: search soon, but no sooner than searches may follow one another."""
-        self.wait = settings.soonest
-        self.due = min(self.due, index + settings.soonest)
+        """An answer is no longer ok: search soon, if the last search was not just now."""
+        soon = max(index + settings.soonest, self.last + settings.hurried)
+        if soon < self.due:
+            self.due, self.wait = soon, settings.soonest

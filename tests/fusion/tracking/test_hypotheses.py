@@ -94,8 +94,17 @@ def test_searches_become_rare_while_they_agree_and_frequent_when_not():
     renewal.found(200, False, s)
     assert renewal.due == 200 + s.soonest
     renewal.found(203, None, s)
-    renewal.hurry(204, s)
-    assert renewal.due == 204 + s.soonest
+    assert renewal.due == 203 + 2 * s.soonest
+    for index in range(203, 209):
+        renewal.hurry(index, s)  # comes and goes: one search, not one each time
+    renewal.found(209, None, s)
+    renewal.found(215, True, s)
+    renewal.hurry(216, s)
+    assert renewal.due == 215 + s.hurried
+    renewal.found(225, True, s)
+    renewal.found(231, True, s)
+    renewal.hurry(245, s)
+    assert renewal.due in (231 + renewal.wait, 245 + s.soonest)
 
 
 def seen(model, angles, spin, base, seed=0):
