@@ -28,6 +28,8 @@ ROOMS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
         {
             "fusion.estimation.answer": ("Stage", "ContactResidual", "Contribution"),
             "fusion.results.files": ("read_result", "write_results", "result_json"),
+            "fusion.results.report.page": ("write_report",),
+            "fusion.results.report.stills": ("still",),
             "fusion.truth.errors": ("Judge", "Errors"),
             "fusion.truth.metrics": (
                 *("model_points", "add", "add_s", "mssd", "mspd", "vsd", "rotation_error", "translation_error"),
@@ -66,6 +68,7 @@ ROOMS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
             "scenes.recordings.captures": ("Capture",),
             "scenes.recordings.frames": ("EmptyRegions", "Wrench"),
             "scenes.recordings.beliefs": ("Beliefs", "DepthModel", "CalibrationModel", "TouchModel"),
+            "scenes.recordings.telling": ("believed", "depth_camera"),
             "scenes.recordings.validation": ("validate", "check_usable"),
             "scenes.geometry.cameras": ("Camera",),
             "scenes.robot.hands": ("Hand",),

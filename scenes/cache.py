@@ -19,6 +19,9 @@ from numpy.typing import NDArray
 
 Arrays = dict[str, NDArray[Any]]
 
+# Mesh files whose bytes tell the whole geometry.
+WHOLE_IN_ONE_FILE = (".ply", ".stl", ".off", ".obj", ".glb")
+
 _log = logging.getLogger(__name__)
 
 
@@ -56,6 +59,30 @@ def remembered(
     made = make()
     _write(path, made)
     return made
+
+
+def remembered_of_file(
+    kind: str, settings: object, path: Path, make: Callable[[], Arrays], is_sound: Callable[[Arrays], bool]
+) -> Arrays:
+    """As `remembered`, of what `make` reads from a file: known again by the file's bytes, wherever it lies.
+
+    A format whose geometry lies in further files beside it (glTF) is read anew each time. Raises OSError for a file
+    that cannot be read.
+    """
+    if path.suffix.lower() not in WHOLE_IN_ONE_FILE:
+        return make()
+    content = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+    return remembered(kind, (settings, path.suffix.lower()), [content], make, is_sound)
+
+
+def are_triangles(arrays: Arrays) -> bool:
+    """Whether "vertices" (n, 3) and "faces" (m, 3) are a mesh: finite, of corners that exist."""
+    vertices, faces = arrays["vertices"], arrays["faces"]
+    if not (vertices.ndim == faces.ndim == 2 and vertices.shape[1] == faces.shape[1] == 3 and len(faces)):
+        return False
+    if not (vertices.dtype == np.float64 and faces.dtype == np.int64 and np.isfinite(vertices).all()):
+        return False
+    return bool(faces.min() >= 0 and faces.max() < len(vertices))
 
 
 def _sound(arrays: Arrays, is_sound: Callable[[Arrays], bool]) -> bool:

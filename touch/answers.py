@@ -14,6 +14,9 @@ from scenes.recordings.frames import Contacts
 
 Array = NDArray[np.float64]
 
+# Contacts measured at a time against the mesh: some 20 numbers each, 16 MB.
+BLOCK = 100_000
+
 
 @dataclass(frozen=True)
 class LocalizeSettings:
@@ -64,6 +67,12 @@ class LocalizeSettings:
     sure_share: float = 0.9
     unknown_angle: float = float(np.deg2rad(20.0))
     unknown_distance: float = 0.015
+    # More contacts than this are searched with by so many of them, and settled with all (see thinning): 400 spread over
+    # a hand tool tell its basins apart (bench scaling), and cost a third of a second.
+    most_contacts: int = 400
+    # Modes of the thinned search that are settled with all contacts, and Gauss-Newton steps that each may take.
+    settled_modes: int = 6
+    settling_steps: int = 6
     # Contacts finer than this share of the lattice's spacing are finished on the exact mesh.
     exact_below: float = 0.2
 
@@ -71,7 +80,8 @@ class LocalizeSettings:
 @dataclass(frozen=True)
 class Localization:
     """pose (4, 4) contacts_frame_from_object of the first mode; modes; index: mean |distance| of all contacts to the
-    surface there (m, the measure of T2 section 4.4); sigma: noise of the contacts, claimed or inferred (m); verdict.
+    surface there (m, the measure of T2 section 4.4); sigma: noise of the contacts, claimed or inferred (m); verdict;
+    notes: what was not done with every contact, in words.
     """
 
     pose: Array
@@ -81,6 +91,7 @@ class Localization:
     verdict: str
     time_s: float
     method: str = "multistart"
+    notes: tuple[str, ...] = ()
 
     @property
     def covariance(self) -> Array:
@@ -90,8 +101,12 @@ class Localization:
 
 def contact_index(model: ObjectModel, contacts: Contacts, pose: Array) -> float:
     """Mean |distance| (m) of the contacts to the surface of the object at `pose`; T2 section 4.4."""
-    distance, _, _ = model.surface.closest(se3.apply(se3.inverse(pose), contacts.points))
-    return float(np.abs(distance).mean())
+    object_from_contacts = se3.inverse(pose)
+    away = np.zeros(len(contacts))
+    for low in range(0, len(contacts), BLOCK):
+        block = slice(low, low + BLOCK)
+        away[block] = model.surface.closest(se3.apply(object_from_contacts, contacts.points[block]))[0]
+    return float(np.abs(away).mean())
 
 
 def noise_at(model: ObjectModel, contacts: Contacts, pose: Array, covariance: Array) -> tuple[float, float]:

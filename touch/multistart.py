@@ -26,6 +26,7 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
 from touch.answers import Localization, LocalizeSettings, contact_index, noise_at, verdict_of
 from touch.polish import polish
+from touch.thinning import Whole, cells_of, informative
 
 Array = NDArray[np.float64]
 
@@ -149,27 +150,42 @@ def multistart(
         pair_table(model)
     begin = time.perf_counter()
     rng = np.random.default_rng(seed)
-    rows = tables.from_contacts(contacts)
+    few = contacts
+    if len(contacts) > settings.most_contacts:
+        cells = cells_of(contacts, settings.most_contacts)
+        few = contacts.take(informative(contacts, cells, settings.most_contacts))
+    rows = tables.from_contacts(few)
     if extra is not None:
         rows = tables.stack(rows, extra)
-    found = find_candidates(model, contacts, rows, rng, prior, settings)
+    found = find_candidates(model, few, rows, rng, prior, settings)
     result = align(model, rows, found.poses, prior)
     sigma = float(np.sqrt(np.mean(contacts.sigma_point**2)))
-    inferred = _inferred_noise(model, contacts, result, settings)
+    inferred = _inferred_noise(model, few, result, settings)
     some_false = None
     if inferred is not None and contacts.sigma_known:
-        some_false = _some_false(model, contacts, extra, rng, prior, settings)
+        some_false = _some_false(model, few, extra, rng, prior, settings)
     if some_false is not None:
         result, inferred = some_false, None
+    last = AlignSettings()
     if inferred is not None:
         sigma = inferred
         rows = rows.with_sigma(sigma, tables.TOUCH)
-        result = align(
-            model, rows, np.concatenate([found.poses, result.poses]), prior, AlignSettings(huber=settings.huber)
-        )
+        last = AlignSettings(huber=settings.huber)
+        result = align(model, rows, np.concatenate([found.poses, result.poses]), prior, last)
     modes = distinct_modes(model, result, ModeSettings())
-    if sigma < settings.exact_below * model.field.spacing and extra is None and prior is None and some_false is None:
-        modes = polish(model, contacts, modes, sigma, settings.huber if inferred is not None else 0.0)
+    notes: tuple[str, ...] = ()
+    exact = sigma < settings.exact_below * model.field.spacing and extra is None and prior is None
+    if exact and some_false is None:
+        modes = polish(model, few, modes, sigma, settings.huber if inferred is not None else 0.0)
+        if few is not contacts:
+            notes = (f"{len(few)} of {len(contacts)} contacts used: the others would tell less than the mesh can",)
+    elif few is not contacts:
+        gate = tables.NO_GATE if some_false is None else settings.false_gate
+        whole = Whole(model, contacts, cells, prior, extra, last, None if inferred is None else sigma, gate)
+        poses = np.array([mode.pose for mode in modes[: settings.settled_modes]])
+        settled = whole.settle(poses, settings.settling_steps)
+        modes = distinct_modes(model, settled, ModeSettings())
+        notes = (f"searched with {len(few)} of {len(contacts)} contacts, settled with all",)
     pose = modes[0].pose
     return Localization(
         pose,
@@ -178,6 +194,7 @@ def multistart(
         sigma,
         verdict_of(modes, model, settings),
         time.perf_counter() - begin,
+        notes=notes,
     )
 
 

@@ -17,14 +17,18 @@ from numpy.typing import NDArray
 from scenes.evidence import table as tables
 from scenes.evidence.table import VISION, Evidence
 from scenes.geometry import poses as se3
-from scenes.geometry.cameras import Camera, is_reading
+from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import DepthModel
 from scenes.recordings.frames import Frame
+from vision import predicted_kernels as kernels
 from vision.look.hand import HandView
 from vision.look.pixels import Pixels
 
 Array = NDArray[np.float64]
+
+# Stands for an image that is not there.
+_NO_IMAGE = np.zeros((0, 0))
 
 
 @dataclass(frozen=True)
@@ -60,9 +64,8 @@ class PredictionSettings:
     hidden_by_unknown: float = 0.2
     most_of_piece: float = 30.0
     piece_step: int = 3
-    # A pixel that is seen past counts this share where something within so many pixels is as near as the object.
+    # A pixel that is seen past counts this share beside the edge of something that is as near as the object.
     past_beside: float = 0.25
-    edge_pixels: int = 4
     # Of what gives no reading this share is left out of the count.
     unread: float = 0.7
     # A cell's depth agrees within so many sigmas (noise, smooth bias and scale); seen fades with so many (no scale).
@@ -104,22 +107,32 @@ class Prediction:
 
 @dataclass(frozen=True)
 class _View:
-    """Pixels u, v of the rays (n, k); whether each meets the object and at which depth (m), is read, and what is seen;
-    which are at the predicted depth, seen past, hidden by something unknown or by the hand; fade: how well a near one
-    agrees.
+    """The rays of n poses, side^2 each: pixels u, v (n, side) along each side; expected, seen (n, side^2): depth (m) at
+    which a ray meets the object, and what is read, 0 for none; state: bits of predicted_kernels; past: how much of a
+    ray is seen past; fade: how well one at the predicted depth agrees.
     """
 
     u: NDArray[np.int64]
     v: NDArray[np.int64]
-    hit: NDArray[np.bool_]
     expected: Array
-    read: NDArray[np.bool_]
     seen: Array
-    near: NDArray[np.bool_]
+    state: NDArray[np.uint8]
     past: Array
-    hidden: NDArray[np.bool_]
-    by_hand: NDArray[np.bool_]
     fade: Array
+
+    @property
+    def side(self) -> int:
+        """Rays along each side."""
+        return self.u.shape[1]
+
+    def has(self, bit: int) -> NDArray[np.bool_]:
+        """(n, side^2) whether rays are as a bit says."""
+        return np.asarray((self.state & bit) > 0)
+
+    def pixels(self, which: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """(k, 2) pixels (u, v) of the first pose's rays (side^2,) that are chosen."""
+        place = np.flatnonzero(which)
+        return np.stack([self.u[0, place % self.side], self.v[0, place // self.side]], axis=1)
 
 
 class Predictor:
@@ -146,11 +159,13 @@ class Predictor:
         self._mask = None if frame.mask is None else _widened(frame.mask, self.settings.mask_margin)
         self.model = model
         self.camera: Camera | None = frame.camera
-        self._depth = None if frame.camera is None else frame.depth
+        seeing = frame.depth is not None and frame.camera is not None
+        self._depth = np.ascontiguousarray(frame.depth, np.float32) if seeing else None
         self._belief = depth
-        self._nearest = None if self._depth is None else _nearest_around(self._depth, self.settings.edge_pixels)
         self._points = model.sample_surface(self.settings.bounding)[0]
-        self._hand = None if self._depth is None or hand is None else _hand_depth(self.camera, hand, self.settings)
+        self._hand = _NO_IMAGE, _NO_IMAGE
+        if frame.camera is not None and self._depth is not None and hand is not None:
+            self._hand = _hand_depth(frame.camera, hand, self.settings)
 
     @property
     def sees(self) -> bool:
@@ -172,24 +187,20 @@ class Predictor:
         """What becomes of the predicted pixels of each pose (n, 4, 4); side: rays along the outline's box."""
         side = self.settings.side if side is None else side
         view = self._view(candidates, side)
+        s, sums = self.settings, np.zeros((len(candidates), kernels.SUMS))
+        flat = view.seen.ravel(), view.state.ravel(), view.past.ravel(), view.fade.ravel()
+        kernels.sum_up(side, s.smooth, s.smooth_share, *flat, sums)
         # where nothing is read little is known: surfaces that give no reading are the object's or not
-        unread = (view.hit & ~view.read).sum(axis=1)
-        total = np.maximum(view.hit.sum(axis=1) - self.settings.unread * unread, 1.0)
-
-        def share(which: NDArray) -> Array:
-            return np.asarray(which.sum(axis=1) / total)
-
-        seen = share(view.fade)
-        if self._pieces is not None:
-            seen = self._bounded(view, self._pieces, total)
+        total = np.maximum(sums[:, kernels.HITS] - s.unread * sums[:, kernels.UNREAD], 1.0)
+        shares = sums / total[:, None]
         return Prediction(
-            seen=seen,
-            agree=share(view.near),
-            past=share(view.past),
-            hidden=share(view.hidden),
-            behind_hand=share(view.by_hand),
-            outline=self._runs_on(view, side),
-            count=view.hit.sum(axis=1).astype(np.int64),
+            seen=shares[:, kernels.SEEN] if self._pieces is None else self._bounded(view, self._pieces, total),
+            agree=shares[:, kernels.AGREE],
+            past=shares[:, kernels.PAST],
+            hidden=shares[:, kernels.BEHIND],
+            behind_hand=shares[:, kernels.BEHIND_HAND],
+            outline=sums[:, kernels.OUTLINE],
+            count=sums[:, kernels.HITS].astype(np.int64),
         )
 
     def _bounded(self, view: _View, pieces: NDArray[np.int64], total: Array) -> Array:
@@ -198,7 +209,7 @@ class Predictor:
         count = int(pieces.max(initial=-1)) + 2
         row = np.clip(view.v // s.piece_step, 0, pieces.shape[0] - 1)
         column = np.clip(view.u // s.piece_step, 0, pieces.shape[1] - 1)
-        label = pieces[row, column] + 1 + count * np.arange(len(view.u))[:, None]
+        label = pieces[row[:, :, None], column[:, None, :]] + 1 + count * np.arange(len(view.u))[:, None, None]
         each = np.bincount(label.ravel(), view.fade.ravel(), minlength=count * len(view.u)).reshape(-1, count)
         bound = s.most_of_piece / (s.cells * s.seen)
         return np.asarray(np.minimum(each / total[:, None], bound).sum(axis=1))
@@ -207,36 +218,40 @@ class Predictor:
         """The predicted pixels of poses (n, 4, 4), side^2 rays each, and what each of them is."""
         assert self.camera is not None
         assert self._depth is not None
-        s, camera = self.settings, self.camera
-        u, v, inside = self._grid(candidates, side)
-        rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
-        inverse = np.array([se3.inverse(pose) for pose in candidates])
-        local = np.einsum("nij,nkj->nki", inverse[:, :3, :3], rays)
-        origins = np.broadcast_to(inverse[:, None, :3, 3], local.shape)
-        expected = np.full(u.shape, np.inf)
-        expected[inside] = self.model.surface.cast(origins[inside], local[inside])
-        hit = np.isfinite(expected)
-        z = np.where(hit, expected, 1.0)
-        seen = np.where(inside, self._depth[np.where(inside, v, 0), np.where(inside, u, 0)].astype(np.float64), 0.0)
-        read = is_reading(seen) & inside
-        seen = np.where(read, seen, 0.0)
-        smooth = np.hypot(self._belief.independent_sigma(z), self._belief.bias_sigma)
-        tolerance = s.tolerance * np.hypot(smooth, self._belief.scale_sigma * z)
-        known = read & hit
-        off = np.where(known, seen - z, 0.0)
-        by_hand = known & self._is_hand(u, v, seen, inside)
-        plane = known & self._is_plane(rays, seen)
-        # nothing is under the table or behind the wall; what is at its depth is the table, and hides the object at most
-        past = known & ((off > tolerance) | (plane & (off < -tolerance)))
-        # beside the edge of something near a camera often reads what is behind it: stereo's windows, mixed light
-        assert self._nearest is not None
-        beside = np.where(known, self._nearest[np.where(inside, v, 0), np.where(inside, u, 0)], np.inf) < z + tolerance
-        past_share = np.where(past & beside & (off > 0), s.past_beside, 1.0) * past
-        other = plane if self._mask is None else plane | ~self._mask[np.where(inside, v, 0), np.where(inside, u, 0)]
-        near = known & ~by_hand & ~other & (np.abs(off) <= tolerance)
-        hidden = known & ~by_hand & ~past & ~near
-        fade = np.exp(-0.5 * np.square(off / (s.fading * smooth))) * near
-        return _View(u, v, hit, expected, read, seen, near, past_share, hidden, by_hand & ~past, fade)
+        s, c, count = self.settings, self.camera, len(candidates)
+        camera = float(c.fx), float(c.fy), float(c.cx), float(c.cy), c.width, c.height
+        u, v = np.zeros((2, count, side), dtype=np.int64)
+        rays, index = np.zeros((count * side**2, 6), np.float32), np.zeros(count * side**2, dtype=np.int64)
+        rotations, translations = (np.ascontiguousarray(candidates[:, :3, k]) for k in (slice(3), 3))
+        middle = self.model.surface.middle
+        k = kernels.outline_rays(self._points, rotations, translations, camera, middle, u, v, rays, index)
+        met = self.model.surface.cast_local(rays[:k])
+        expected, seen, past, fade = np.zeros((4, count, side**2))
+        state = np.zeros((count, side**2), dtype=np.uint8)
+        mask = np.zeros((0, 0), dtype=bool) if self._mask is None else self._mask
+        plane = np.zeros(4) if self._plane is None else self._plane
+        m = self._belief
+        kernels.compare_pixels(
+            met,
+            index[:k],
+            u,
+            v,
+            (self._depth, mask, *self._hand, plane),
+            camera,
+            (m.axial_floor, m.axial_growth, m.axial_from, m.bias_sigma, m.scale_sigma),
+            (
+                s.tolerance,
+                s.fading,
+                s.past_beside,
+                self._belief.edge_pixels,
+                s.hand_step,
+                s.hand_margin,
+                s.plane_margin,
+                s.plane_sigmas,
+            ),
+            *(values.ravel() for values in (expected, seen, state, past, fade)),
+        )
+        return _View(u, v, expected, seen, state, past, fade)
 
     def seen_pixels(self, pose: Array, side: int | None = None, inner: int = 1) -> Pixels:
         """The pixels that show the object at pose (4, 4): inside its outline by `inner` rays, where edges smear no
@@ -246,14 +261,15 @@ class Predictor:
         s, camera = self.settings, self.camera
         side = s.side_rows if side is None else side
         view = self._view(pose[None], side)
-        core = view.hit.reshape(side, side)
+        core, near = view.has(kernels.HIT).reshape(side, side), view.has(kernels.NEAR)[0]
         for _ in range(inner):
-            padded = np.pad(core, 1)
-            core = core & padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
-        good = core.ravel() & view.near[0]
-        if good.sum() < s.thin_share * view.near[0].sum():  # a thin thing is all edge
-            good = view.near[0]
-        uv = np.stack([view.u[0, good], view.v[0, good]], axis=1)
+            inside = np.zeros_like(core)
+            inside[1:-1, 1:-1] = core[:-2, 1:-1] & core[2:, 1:-1] & core[1:-1, :-2] & core[1:-1, 2:]
+            core = core & inside
+        good = core.ravel() & near
+        if good.sum() < s.thin_share * near.sum():  # a thin thing is all edge
+            good = near
+        uv = view.pixels(good)
         rays = np.stack([(uv[:, 0] - camera.cx) / camera.fx, (uv[:, 1] - camera.cy) / camera.fy, np.ones(len(uv))], 1)
         area = float(np.ptp(view.u[0]) * np.ptp(view.v[0])) / side**2
         return Pixels(uv, rays * view.seen[0, good, None], max(area, 1.0))
@@ -266,70 +282,14 @@ class Predictor:
         past = (view.past[0] == 1.0) & (view.seen[0] > view.expected[0])
         if not past.any():
             return tables.empty()
-        u, v = view.u[0, past], view.v[0, past]
-        rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(u))], axis=1)
+        uv = view.pixels(past)
+        rays = np.stack([(uv[:, 0] - camera.cx) / camera.fx, (uv[:, 1] - camera.cy) / camera.fy, np.ones(len(uv))], 1)
         depth = view.expected[0, past, None] + np.array(s.empty_depths)
         free = depth < view.seen[0, past, None] - s.empty_clearance
         points = (rays[:, None] * depth[..., None])[free]
         rows = tables.outside(points, s.empty_sigma, VISION, gate=s.empty_gate)
-        return rows.reweighted(s.cells / max(float(view.hit.sum()), 1.0) / len(s.empty_depths))
-
-    def _grid(self, candidates: Array, side: int) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-        """Pixels u, v (n, side^2) over the box of each pose's outline, and which of them are in the image."""
-        assert self.camera is not None
-        c = self.camera
-        points = np.einsum("nij,kj->nki", candidates[:, :3, :3], self._points) + candidates[:, None, :3, 3]
-        z = points[..., 2]
-        ahead = (z > 1e-3).all(axis=1)
-        safe = np.where(ahead[:, None], z, 1.0)
-        uv = np.stack([c.fx * points[..., 0] / safe + c.cx, c.fy * points[..., 1] / safe + c.cy], axis=-1)
-        low, high = uv.min(axis=1) - 1.0, uv.max(axis=1) + 1.0
-        # far outside the image nothing is asked
-        low, high = np.clip(low, -c.width, 2 * c.width), np.clip(high, -c.width, 2 * c.width)
-        steps = (np.arange(side) + 0.5) / side
-        u = np.round(low[:, None, 0] + steps * (high - low)[:, None, 0]).astype(np.int64)
-        v = np.round(low[:, None, 1] + steps * (high - low)[:, None, 1]).astype(np.int64)
-        u = np.broadcast_to(u[:, None, :], (len(u), side, side)).reshape(len(u), -1)
-        v = np.broadcast_to(v[:, :, None], (len(v), side, side)).reshape(len(v), -1)
-        inside = (u >= 0) & (v >= 0) & (u < c.width) & (v < c.height) & ahead[:, None]
-        return u, v, inside
-
-    def _is_hand(
-        self, u: NDArray[np.int64], v: NDArray[np.int64], seen: Array, inside: NDArray[np.bool_]
-    ) -> NDArray[np.bool_]:
-        """Whether each reading is the robot's hand, as far as it is known."""
-        if self._hand is None:
-            return np.zeros(u.shape, dtype=bool)
-        step = self.settings.hand_step
-        row = np.where(inside, v, 0) // step
-        column = np.where(inside, u, 0) // step
-        low, high = self._hand[0][row, column], self._hand[1][row, column]
-        margin = self.settings.hand_margin
-        return (seen > low - margin) & (seen < high + margin)
-
-    def _is_plane(self, rays: Array, seen: Array) -> NDArray[np.bool_]:
-        """Whether each reading is the table's or wall's."""
-        if self._plane is None:
-            return np.zeros(seen.shape, dtype=bool)
-        s = self.settings
-        room = s.plane_margin + s.plane_sigmas * self._belief.independent_sigma(seen)
-        return np.asarray(np.abs(seen * (rays @ self._plane[:3]) + self._plane[3]) < room)
-
-    def _runs_on(self, view: _View, side: int) -> Array:
-        """(n,) share of the outline across which the surface that is seen inside goes on as it was."""
-        s = self.settings
-        shape = (len(view.hit), side, side)
-        hit, near, read, seen = (x.reshape(shape) for x in (view.hit, view.near, view.read, view.seen))
-        smooth, border = np.zeros(len(hit)), np.zeros(len(hit))
-        for axis in (1, 2):
-            for step in (1, -1):
-                beyond = ~_shifted(hit, -step, axis)
-                edge = near & _shifted(near, step, axis) & beyond & _shifted(read, -step, axis)
-                lead = 2.0 * seen - _shifted(seen, step, axis)
-                goes_on = np.abs(_shifted(seen, -step, axis) - lead) < s.smooth + s.smooth_share * seen
-                smooth += (edge & goes_on).sum(axis=(1, 2))
-                border += (hit & beyond).sum(axis=(1, 2))
-        return np.asarray(smooth / np.maximum(border, 1.0))
+        hits = float(view.has(kernels.HIT).sum())
+        return rows.reweighted(s.cells / max(hits, 1.0) / len(s.empty_depths))
 
 
 def _widened(mask: NDArray[np.bool_], margin: int) -> NDArray[np.bool_]:
@@ -339,41 +299,34 @@ def _widened(mask: NDArray[np.bool_], margin: int) -> NDArray[np.bool_]:
     return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((2 * margin + 1,) * 2, np.uint8)) > 0)
 
 
-def _nearest_around(depth: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
-    """(h, w) least depth (m) that is read within `reach` pixels along either axis; inf for none."""
+def _hand_depth(camera: Camera, hand: HandView, settings: PredictionSettings) -> tuple[Array, Array]:
+    """Least and largest depth (m) of the hand at and beside every so many pixels; +inf and -inf where it is not."""
     import cv2
 
-    read = np.where(is_reading(depth), depth, np.float32(np.inf)).astype(np.float32)
-    return np.asarray(cv2.erode(read, np.ones((2 * reach + 1,) * 2, np.uint8)), dtype=np.float32)
-
-
-def _shifted(values: NDArray, step: int, axis: int) -> NDArray:
-    """Values of the neighbour one further along an axis; zeros beyond the end."""
-    out = np.zeros_like(values)
-    to, source = [slice(None)] * values.ndim, [slice(None)] * values.ndim
-    to[axis], source[axis] = (slice(None, -1), slice(1, None)) if step > 0 else (slice(1, None), slice(None, -1))
-    out[tuple(to)] = values[tuple(source)]
-    return out
-
-
-def _hand_depth(camera: Camera | None, hand: HandView, settings: PredictionSettings) -> tuple[Array, Array]:
-    """Least and largest depth (m) of the hand at and beside every so many pixels; +inf and -inf where it is not."""
-    assert camera is not None
     step = settings.hand_step
-    u = np.arange(0, camera.width, step)
-    v = np.arange(0, camera.height, step)
-    low = np.full((len(v), len(u)), np.inf)
+    low = np.full((-(-camera.height // step), -(-camera.width // step)), np.inf)
+    inverse = se3.inverse(hand.aligned)
+    u0, v0, u1, v1 = _box_of(camera, hand, step)
+    u, v = np.arange(u0, u1) * step, np.arange(v0, v1) * step
     rays = np.stack(
         np.broadcast_arrays((u - camera.cx) / camera.fx, ((v - camera.cy) / camera.fy)[:, None], 1.0), axis=-1
-    )
-    inverse = se3.inverse(hand.aligned)
-    flat = rays.reshape(-1, 3)
-    depth = hand.surface.cast(np.broadcast_to(inverse[:3, 3], flat.shape), flat @ inverse[:3, :3].T)
-    low = depth.reshape(len(v), len(u))
+    ).reshape(-1, 3)
+    depth = hand.surface.cast(np.broadcast_to(inverse[:3, 3], rays.shape), rays @ inverse[:3, :3].T)
+    low[v0:v1, u0:u1] = depth.reshape(len(v), len(u))
     high = np.where(np.isfinite(low), low, -np.inf)
-    padded_low, padded_high = np.pad(low, 1, constant_values=np.inf), np.pad(high, 1, constant_values=-np.inf)
-    rows, columns = low.shape
-    around = [(i, j) for i in range(3) for j in range(3)]
-    low = np.min([padded_low[i : i + rows, j : j + columns] for i, j in around], axis=0)
-    high = np.max([padded_high[i : i + rows, j : j + columns] for i, j in around], axis=0)
-    return low, high
+    around = np.ones((3, 3), np.uint8)
+    return np.asarray(cv2.erode(low, around)), np.asarray(cv2.dilate(high, around))
+
+
+def _box_of(camera: Camera, hand: HandView, step: int) -> tuple[int, int, int, int]:
+    """Columns and rows (u0, v0, u1, v1), of every `step` pixels, that can see the hand; all when it is near."""
+    columns, rows = -(-camera.width // step), -(-camera.height // step)
+    ends = hand.surface.bounds
+    corners = np.array([[ends[i][0], ends[j][1], ends[k][2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    uv, z = camera.project(se3.apply(hand.aligned, corners))
+    if (z <= 1e-3).any():
+        return 0, 0, columns, rows
+    low, high = np.floor(uv.min(axis=0) / step) - 1, np.ceil(uv.max(axis=0) / step) + 2
+    u0, u1 = (int(np.clip(x, 0, columns)) for x in (low[0], high[0]))
+    v0, v1 = (int(np.clip(x, 0, rows)) for x in (low[1], high[1]))
+    return u0, v0, u1, v1

@@ -92,9 +92,14 @@ def next_touches(
     seen = se3.apply(answer.pose, places)
     tips, hand = hand_around(frame, answer)
     open_ = np.ones(len(places), dtype=bool)
+    if len(hand):  # of which most is farther from the object than any place on it
+        middle = seen.mean(axis=0)
+        hand = hand[np.abs(hand - middle).max(axis=1) < np.ptp(seen, axis=0).max() + settings.room]
     if len(hand):
-        gap = np.linalg.norm(seen[:, None] - hand[None], axis=2).min(axis=1)
-        open_ = gap > settings.room
+        # |a - b|^2 about their middle, where its three terms are of one size: a matrix product instead of n m offsets
+        a, b = seen - middle, hand - middle
+        gap = np.square(a).sum(axis=1)[:, None] + np.square(b).sum(axis=1) - 2.0 * a @ b.T
+        open_ = gap.min(axis=1) > settings.room**2
     gain, between, within = gains(model, answer, places, normals, settings)
     return tuple(
         NextTouch(
@@ -142,7 +147,7 @@ def gains(
     """
     settings = settings or NextTouchSettings()
     seen, outward = se3.apply(answer.pose, places), normals @ answer.pose[:3, :3].T
-    within = [_within(model, answer, point, normal, settings) for point, normal in zip(seen, outward)]
+    within = _within(model, answer, seen, outward, settings)
     between = _between(model, answer.modes, seen, outward, settings)
     return np.array([w[0] for w in within]).reshape(-1) + between, between, within
 
@@ -165,20 +170,24 @@ def hand_around(frame: Frame | None, answer: Estimate) -> tuple[dict[str, Array]
 
 
 def _within(
-    model: ObjectModel, answer: Estimate, point: Array, normal: Array, settings: NextTouchSettings
-) -> tuple[float, float, float]:
-    """Nats that a contact at point with this outward normal (3,) gives about the first mode; worst sigmas (m, rad)
-    left.
+    model: ObjectModel, answer: Estimate, points: Array, normals: Array, settings: NextTouchSettings
+) -> list[tuple[float, float, float]]:
+    """Nats that a contact at each point with its outward normal (n, 3) gives about the first mode; worst sigmas (m,
+    rad) left by it.
     """
-    row = make(
-        point[None],
+    if not len(points):
+        return []
+    rows = make(
+        points,
         settings.sigma_point,
         TOUCH,
-        normals=normal[None],
+        normals=normals,
         sigma_normal=settings.sigma_normal,
         from_outside=True,
     )
-    information = terms(model, row, answer.pose, settings=AlignSettings())[2]
+    fine = AlignSettings()
+    one_each = (rows.take([n]) for n in range(len(points)))
+    information = np.array([terms(model, row, answer.pose, settings=fine)[2] for row in one_each])
     here = answer.modes[0].covariance
     scale = np.sqrt(np.maximum(np.diag(here), 1e-30))
     before = here / scale / scale[:, None]
@@ -186,9 +195,10 @@ def _within(
     # I + L' H L is symmetric and at least the identity, whatever the covariance is
     lower = np.linalg.cholesky(before + 1e-9 * np.eye(6))
     system = np.eye(6) + lower.T @ told @ lower
-    after = lower @ np.linalg.solve(system, lower.T) * scale * scale[:, None]
-    left = [float(np.sqrt(max(np.linalg.eigvalsh(after[k : k + 3, k : k + 3])[-1], 0.0))) for k in (3, 0)]
-    return 0.5 * float(np.linalg.slogdet(system)[1]), left[0], left[1]
+    after = lower @ np.linalg.solve(system, np.broadcast_to(lower.T, system.shape)) * scale * scale[:, None]
+    left = [np.sqrt(np.maximum(np.linalg.eigvalsh(after[:, k : k + 3, k : k + 3])[:, -1], 0.0)) for k in (3, 0)]
+    nats = 0.5 * np.linalg.slogdet(system)[1]
+    return list(zip(nats.tolist(), left[0].tolist(), left[1].tolist()))
 
 
 def _between(

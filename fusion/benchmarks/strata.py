@@ -39,7 +39,8 @@ WITH_START, WITHOUT_START = ("icp", "vision", "touch", "fused"), ("icp", "fused"
 @dataclass(frozen=True)
 class Answer:
     """One method on one frame. level: hidden share, NaN where a recording does not say; add_s (m); per_dof: NEES per
-    degree of freedom and share: its chi-square probability, NaN without a covariance; verdict "" of ICP.
+    degree of freedom and share: its chi-square probability, NaN without a covariance; verdict "" of ICP; confidence
+    that it is right, NaN where none is told.
     """
 
     family: str
@@ -51,6 +52,7 @@ class Answer:
     share: float
     verdict: str
     ms: float = math.nan
+    confidence: float = math.nan
 
     @property
     def right(self) -> bool:
@@ -83,7 +85,9 @@ def answered(row: Row, family: str, level: float, start: bool, symmetries: Symme
     assert row.errors is not None
     count, nees = freedom(symmetries), row.errors.nees
     share = math.nan if row.estimate is None else float(chi2.cdf(nees, count)) if np.isfinite(nees) else 1.0
-    return Answer(family, level, row.method, start, row.errors.add_s, nees / count, share, row.verdict, row.time_ms)
+    sure = math.nan if row.estimate is None else row.estimate.confidence
+    told = nees / count, share, row.verdict, row.time_ms, sure
+    return Answer(family, level, row.method, start, row.errors.add_s, *told)
 
 
 def answer_cell(cell: Cell) -> list[Answer]:

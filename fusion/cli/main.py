@@ -6,6 +6,8 @@ import: the commands are loaded where Ctrl-C is already a line.
 
 from __future__ import annotations
 
+import atexit
+import gc
 import os
 import sys
 from collections.abc import Sequence
@@ -14,6 +16,17 @@ from scenes.errors import PalpateError
 
 BAD_INPUT = 2
 INTERRUPTED = 130
+
+# New objects between two searches for unreachable circles: loading the libraries makes a million that all stay, and
+# Python's 700 would look through them a thousand times. Objects, not bytes; by judgement.
+COLLECT_EVERY = 50_000
+
+
+def start() -> int:
+    """`main` of a process of its own."""
+    gc.set_threshold(COLLECT_EVERY)
+    atexit.register(gc.freeze)  # what is left at the end goes with the process: a fifth of a second saved
+    return main()
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -50,4 +63,4 @@ def _complain(message: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(start())

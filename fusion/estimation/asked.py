@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,17 @@ def check_limits(tolerance: tuple[float, float] | None, budget_ms: float | None)
         raise InputError(f"tolerance: expected metres and radians above 0, got {tolerance}")
     if budget_ms is not None and not budget_ms >= 0:
         raise InputError(f"budget: expected milliseconds from 0, got {budget_ms}")
+
+
+def sure_to_be_within(settings: EstimateSettings, sure_within: float | None) -> EstimateSettings:
+    """The settings with another tolerance (ADD-S, m) of the confidence; None leaves theirs. Raises InputError for none
+    above 0.
+    """
+    if sure_within is None:
+        return settings
+    if not (np.isfinite(sure_within) and sure_within > 0):
+        raise InputError(f"sure_within: expected metres above 0, got {sure_within}")
+    return replace(settings, confidence=replace(settings.confidence, tolerance=float(sure_within)))
 
 
 def as_prior(prior: Array | Prior | None, settings: EstimateSettings) -> Prior | None:

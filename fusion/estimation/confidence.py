@@ -35,8 +35,9 @@ class Regression:
 
     # Of the logarithm of the first mode's odds against the others, held within `most_odds`.
     weight: float = 0.0
-    # Of the shares of the predicted picture that are seen past, hidden by something unknown, or by the robot's hand; and
-    # of the outline that runs on.
+    # Of the share of the predicted picture that agrees, above `agreeing`; of the shares that are seen past, hidden by
+    # something unknown, by the robot's hand; and of the outline that runs on. Those against are capped.
+    agree: float = 0.0
     past: float = 0.0
     hidden: float = 0.0
     behind_hand: float = 0.0
@@ -59,26 +60,30 @@ class ConfidenceSettings:
     # Error (ADD-S, m) that is good enough when the caller does not say.
     tolerance: float = 0.005
     # Confidence (a probability, no unit) from which an answer is `ok`.
-    sure: float = 0.90
+    sure: float = 0.85
     # Whether the first mode is the right one, with a picture of it and by touch alone.
     seen: Regression = Regression(
-        weight=0.29,
-        past=-43.9,
-        hidden=-2.0,
-        behind_hand=-0.1,
-        outline=-18.5,
-        touch=3.8,
-        outliers=-5.8,
-        contact_nats=-0.12,
-        spread=-1.97,
-        constant=-2.8,
-        nearest=0.45,
+        weight=0.47,
+        agree=9.5,
+        past=-28.6,
+        behind_hand=1.0,
+        outline=-26.2,
+        touch=2.0,
+        outliers=-3.1,
+        spread=-1.57,
+        constant=-3.2,
+        nearest=0.48,
     )
-    felt: Regression = Regression(weight=0.44, constant=1.65, nearest=0.37)
+    felt: Regression = Regression(weight=0.4, constant=1.76, nearest=0.36)
+    # Share of the picture above which agreement speaks for an answer, and the most of what is seen past and of the
+    # outline that runs on (shares) that speaks against one: cameras that blend edges draw surfaces on.
+    agreeing: float = 0.8
+    most_past: float = 0.3
+    most_outline: float = 0.15
     # Bounds on the log odds of modes, on nats a contact, and on the spread over the radius, whose logarithm counts.
     most_odds: float = 6.0
     most_nats: float = 8.0
-    narrowest: float = 0.005
+    narrowest: float = 0.03
     widest: float = 1.0
     # Where the object is, as far as is known, when the first mode is not the right one: rad, and shares of its radius,
     # when no prior says so.
@@ -111,8 +116,9 @@ def observations(
         found["outliers"] = float(np.mean([c.outlier for c in contacts]))
         found["contact_nats"] = min(contact_nats / len(contacts), s.most_nats)
     if picture is not None:
-        found["agree"] = float(picture.agree[0])
-        found["past"], found["outline"] = float(picture.past[0]), float(picture.outline[0])
+        found["agree"] = max(float(picture.agree[0]) - s.agreeing, 0.0)
+        found["past"] = min(float(picture.past[0]), s.most_past)
+        found["outline"] = min(float(picture.outline[0]), s.most_outline)
         found["hidden"], found["behind_hand"] = float(picture.hidden[0]), float(picture.behind_hand[0])
     return found
 
@@ -136,7 +142,7 @@ def chances(
     seen = picture is not None and picture.count[0] > 0
     factors = s.seen if seen else s.felt
     read = observations(model, modes, picture if seen else None, contacts, contact_nats, s)
-    score = sum(getattr(factors, name, 0.0) * value for name, value in read.items())
+    score = sum(getattr(factors, name) * value for name, value in read.items())
     right = float(1.0 / (1.0 + np.exp(-np.clip(score, -40.0, 40.0))))
     limit = s.tolerance if tolerance is None else tolerance
     return right, within(model, modes[0].pose, modes[0].covariance, limit, factors.nearest)

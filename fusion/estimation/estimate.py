@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
-from fusion.estimation.asked import as_prior, check_limits, check_senses
-from fusion.estimation.confidence import whole_covariance
+from fusion.estimation.asked import as_prior, check_limits, check_senses, sure_to_be_within
+from fusion.estimation.confidence import whole_covariance, within
 from fusion.estimation.moments import moments
 from fusion.estimation.pool import Pool
 from fusion.estimation.proposals import search_stages, starts_of
@@ -37,6 +37,7 @@ from scenes.recordings.validation import check_scale
 from scenes.threads import one_blas_thread
 from touch.contacts import feel
 from vision.look.look import look, look_closer, surfaces
+from vision.look.looked import Looked
 from vision.plausibility import doubts
 from vision.predicted import Predictor
 from vision.sight import Sight
@@ -47,7 +48,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Asked:
-    """One question: senses allowed, prior, tolerance (m, rad), seed; and how it is answered."""
+    """One question: senses allowed, prior, tolerance (m, rad), seed; and how it is answered. or_none: only when the
+    rows alone are within the tolerance.
+    """
 
     senses: frozenset[str]
     prior: Prior | None
@@ -55,6 +58,7 @@ class _Asked:
     seed: int
     beliefs: Beliefs
     settings: EstimateSettings
+    or_none: bool = False
 
 
 def estimate(
@@ -67,6 +71,7 @@ def estimate(
     seed: int = 0,
     settings: EstimateSettings | None = None,
     beliefs: Beliefs | None = None,
+    sure_within: float | None = None,
 ) -> Estimate:
     """Where is the object in this frame?
 
@@ -74,11 +79,12 @@ def estimate(
     allowed. tolerance (m, rad): standard deviations that are good enough; when vision alone is sure and that good,
     touch is skipped, and when the rows are that good before shared errors are solved for, that is
     skipped. budget_ms: once it is spent, the joint solution (calibration, depth scale, bias) is skipped. beliefs: what
-    the sensors are worth; default what the frame says of its own.
+    the sensors are worth; default what the frame says of its own. sure_within (m): the answer's confidence is the
+    probability that its ADD-S is below that, and only a sure answer is `ok`; default 5 mm.
     Returns an Estimate; data that tell nothing give the verdict "lost" and a covariance that says so, not an error.
     Raises CaptureError when the sizes in the frame and the model's tell of a wrong unit.
     """
-    settings, senses = settings or EstimateSettings(), check_senses(use)
+    settings, senses = sure_to_be_within(settings or EstimateSettings(), sure_within), check_senses(use)
     check_limits(tolerance, budget_ms)
     check_scale(frame, model)
     believed = as_prior(prior if prior is not None else frame.prior, settings)
@@ -90,23 +96,36 @@ def estimate(
         pair_table(model)
     trace = Trace(budget_ms)
     with one_blas_thread():
+        looked = _look(frame, model, asked, trace)
         if tolerance is not None and senses == {"vision", "touch"} and frame.depth is not None:
-            alone = _estimate(frame, model, replace(asked, senses=frozenset({"vision"})), trace)
-            if good_enough(model, alone, tolerance, settings):
+            light = replace(settings, plan=replace(settings.plan, refined=settings.plan.tolerant))
+            by_vision = replace(asked, senses=frozenset({"vision"}), settings=light, or_none=True)
+            alone = _estimate(frame, model, by_vision, trace, looked)
+            if alone is not None and good_enough(model, alone, tolerance, settings):
                 return trace.skipping(alone, "feel", "vision alone is within the tolerance")
-        return _estimate(frame, model, asked, trace)
+        answer = _estimate(frame, model, asked, trace, looked)
+    assert answer is not None
+    return answer
 
 
-def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> Estimate:
+def _look(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> Looked:
+    """What the camera saw, once for all that is asked about it."""
+    settings, start = asked.settings.look, asked.prior.pose if asked.prior is not None else None
+    viewed = frame if "vision" in asked.senses else frame.without_vision()
+    with trace.stage("look", "vision" in asked.senses, "vision not asked for") as stage:
+        looked = look(viewed, model, asked.beliefs, start, settings)
+        count = len(looked.rows(asked.beliefs.depth, settings.rows))
+        stage.note(count, f"{len(looked.pixels)} object pixels, {len(looked.of_hand)} of the hand{looked.how}")
+    return looked
+
+
+def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace, looked: Looked) -> Estimate | None:
     settings, beliefs, believed = asked.settings, asked.beliefs, asked.prior
     viewed = frame if "vision" in asked.senses else frame.without_vision()
     touched = frame if "touch" in asked.senses else frame.without_touch()
     start = believed.pose if believed is not None else None
 
-    with trace.stage("look", "vision" in asked.senses, "vision not asked for") as stage:
-        looked = look(viewed, model, beliefs, start, settings.look)
-        seen = looked.rows(beliefs.depth, settings.look.rows)
-        stage.note(len(seen), f"{len(looked.pixels)} object pixels, {len(looked.of_hand)} of the hand{looked.how}")
+    seen = looked.rows(beliefs.depth, settings.look.rows)
     with trace.stage("feel", "touch" in asked.senses, "touch not asked for") as stage:
         hand = looked.seen_hand
         felt = feel(touched, hand.correct() if hand is not None else None, beliefs, looked.region, settings.touch)
@@ -115,7 +134,10 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> 
     rows = tables.stack(seen, felt.rows)
     # emptiness alone tells where the object is not
     if len(rows) == 0 or (believed is None and not len(looked.pixels) and not contacts):
-        return posterior.no_answer(frame, model, believed, trace.stages, settings.modes, settings.verdict)
+        nothing = posterior.no_answer(frame, model, believed, trace.stages, settings.modes, settings.verdict)
+        first, how_sure = nothing.modes[0], settings.confidence
+        near = within(model, first.pose, first.covariance, how_sure.tolerance, how_sure.felt.nearest)
+        return replace(nothing, confidence=first.weight * near, sure_within=how_sure.tolerance)
 
     sight = Sight(viewed, model, beliefs.depth, settings.sight)
     # something that nobody has a model of touches the object, and may be what is seen
@@ -150,6 +172,8 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> 
     modes = found.modes
     rough = with_shared_errors(model, modes, viewed, beliefs.depth)
     spent, settled = trace.over_budget, is_within(model, rough, asked.tolerance, settings)
+    if asked.or_none and not settled:
+        return None  # before anything is solved for that touch will change
     why_not = "the time budget is spent" if spent else "the rows alone are within the tolerance"
     finish = not (spent or settled)
     modes = modes if finish else rough
@@ -203,4 +227,5 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> 
         start=start,
         contributions=posterior.contributions(model, rows, pose, covariance, believed),
         confidence=sure,
+        sure_within=settings.confidence.tolerance,
     )

@@ -34,12 +34,14 @@ class MomentSettings:
     share: float = 0.2
     # Vision rows that stand for all (see alignment.search.thin), and samples: with a third of them effective the error
     # of a standard deviation is 6 % of it.
-    rows: int = 160
+    rows: int = 100
     samples: int = 400
     # Fewer effective samples than this tell nothing: the Gaussian stays.
     effective: float = 20.0
     # Directions this many times as wide (variance) as Laplace's method has them are changed.
     wider: float = 1.5
+    # When so many of the first half of the samples are effective, and they change nothing, the rest is not drawn.
+    clear: float = 50.0
     # Width of a direction that nothing else bounds: rad, and shares of the object's radius (as for modes).
     widest_angle: float = 1.0
     widest_share: float = 1.0
@@ -103,7 +105,17 @@ def moments(
         samples = se3.perturb(middle, z @ basis.T, model.centroid)
         return -costs(model, few, samples, prior)
 
-    z, weights = _sampled(log_target, proposals, settings, np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    each = settings.samples // (2 * len(proposals))
+    z = np.concatenate([mean + rng.normal(size=(each, 6)) @ factor.T for mean, factor in proposals])
+    log = log_target(z)
+    first = log - _log_mixture(z, proposals, np.full(len(proposals), each))
+    weights = np.exp(first - first.max())
+    weights /= weights.sum()
+    effective = float(1.0 / np.sum(weights**2))
+    if effective >= settings.clear and np.linalg.eigvalsh(_weighted(z, weights)[1])[-1] < settings.wider:
+        return Moments(pose, covariance, effective, 0)
+    z, weights = _sampled_on(log_target, proposals, (z, log, first), settings, rng)
     effective = float(1.0 / np.sum(weights**2))
     if effective < settings.effective:
         return Moments(pose, covariance, effective, 0)
@@ -116,20 +128,20 @@ def moments(
     return Moments(se3.perturb(pose, shift, model.centroid), wider, effective, int(changed.sum()))
 
 
-def _sampled(
+def _sampled_on(
     log_target: Callable[[Array], Array],
     proposals: list[tuple[Array, Array]],
+    drawn: tuple[Array, Array, Array],
     settings: MomentSettings,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
     """Samples (n, 6) and weights (n,) that sum to 1: half from the proposals (mean, factor), half from what these find.
 
-    All weights are against the mixture of all proposals (deterministic mixture: Owen, section 9.11).
+    drawn: the first half, as many from each proposal, their log targets, and these less the log density they were drawn
+    with. All weights are against the mixture of all proposals (deterministic mixture: Owen, section 9.11).
     """
-    each = settings.samples // (2 * len(proposals))
-    z = np.concatenate([mean + rng.normal(size=(each, 6)) @ factor.T for mean, factor in proposals])
-    log = log_target(z)
-    first = log - _log_mixture(z, proposals, np.full(len(proposals), each))
+    z, log, first = drawn
+    each = len(z) // len(proposals)
     # tempered until enough samples carry weight, so that what they find is a region and not a point
     for power in (1.0, 0.5, 0.25, 0.125):
         weights = np.exp(power * (first - first.max()))

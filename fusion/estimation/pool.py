@@ -8,7 +8,8 @@ a pose covers but what must be seen of it (vision.predicted), with what is felt 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,29 +36,36 @@ class PoolSettings:
 
     # Poses that touch alone proposes.
     by_touch: int = 8
-    # Starts near a prior from which pixels alone are descended to, the prior's own pose first: at first, and when that
-    # does not convince; blurs (m) of the passes, as ICP's shrinking gates; steps of each, and rows.
-    first_descents: int = 12
-    descents: int = 48
+    # Starts near a prior from which pixels alone are descended to, the prior's own pose first, in one round after the
+    # other; blurs (m) of the passes, as ICP's shrinking gates; steps of each, and rows.
+    descents: tuple[int, ...] = (12, 24, 32)
     descent: tuple[float, ...] = (0.02, 0.01, 0.005, 0.002)
     descent_steps: int = 6
     descent_rows: int = 160
-    # Poses, the best first, that are fitted to the pixels inside their own outlines; how often, by how many
-    # rays along each side; the fewest such pixels.
+    # Poses, the best first, that are fitted to the pixels inside their own outlines; by how many rays along each side
+    # in each round; the fewest such pixels.
     fitted: int = 6
-    rounds: int = 2
-    side: int = 40
+    sides: tuple[int, ...] = (40, 40)
     least_pixels: int = 25
+    # A pose that costs so many nats more than the best after a fit is not fitted again.
+    hopeless: float = 40.0
+    # Steps of a fit, and where it ends (rad, m): pixels change sides before a tenth of their noise.
+    fit: AlignSettings = field(
+        default_factory=lambda: AlignSettings(iterations=15, tolerance_angle=2e-4, tolerance_distance=2e-5)
+    )
     # An answer convinces, and no more is searched, when the shares of its predicted pixels that are seen past, and of
-    # its outline that runs on, are at most these, what is seen agrees with at least this share of what is not hidden
-    # and of the whole, the
-    # first mode holds this share, and touch costs at most so many nats a contact.
+    # its outline that runs on, are at most these, what agrees is at least this share of what is read and not hidden,
+    # and of the whole; the first mode holds this share, and touch costs at most so many nats a contact.
     most_past: float = 0.05
     most_runs_on: float = 0.3
     least_agree: float = 0.8
     least_shown: float = 0.12
     sure_share: float = 0.9
-    contact_nats: float = 2.5
+    # Nats that a round may gain where it ends in the pose of the one before, for that to be the end.
+    as_likely: float = 3.0
+    # What agrees with at least this share of the whole is clearly seen: then nothing more is proposed.
+    clearly_shown: float = 0.35
+    contact_nats: float = 3.5
     # Poses nearer to each other than this share of the distance at which modes are one go on as one.
     together: float = 0.5
 
@@ -81,6 +89,16 @@ class Pool:
     modes: ModeSettings
     settings: PoolSettings
 
+    @property
+    def apart(self) -> float:
+        """Metres by which a point at the object's radius moves between two poses that go on as two."""
+        return self.settings.together * self.modes.merge_share * self.model.radius
+
+    @cached_property
+    def free(self) -> Evidence:
+        """OUTSIDE rows before what was seen, wherever the object is."""
+        return free_space_rows(self.looked, self.rows)
+
     def costs(self, candidates: Array) -> Array:
         """(n,) nats of poses (n, 4, 4), up to a constant: touch, prior, and the predicted image."""
         return costs(self.model, self.felt, candidates, self.prior) + self.predictor.costs(candidates)
@@ -91,15 +109,17 @@ class Pool:
         """(n, 4, 4) poses that touch alone, and descents from near the start, propose beside a search over all rows."""
         s, parts = self.settings, []
         if (self.felt.rows[:, GATE_ABOVE] > 0).any():
-            felt = search(self.model, self.felt, starts, stages, self.prior)
-            best, _ = leaders(self.model, felt.poses, s.together * self.modes.merge_share * self.model.radius)
+            felt = search(self.model, self.felt, starts, stages, self.prior, apart=0.5 * self.apart)
+            best, _ = leaders(self.model, felt.poses, self.apart)
             parts.append(felt.poses[best[: s.by_touch]])
         on = seen.take(seen.rows[:, GATE_ABOVE] > 0)
         if start is not None and len(on):
             few, poses = thin(on, s.descent_rows), np.concatenate([start[None], starts[: descents - 1]])
             for blur in s.descent:
                 how = AlignSettings(blur=blur, iterations=s.descent_steps)
-                poses = align(self.model, few, poses, None, how).poses
+                moved = align(self.model, few, poses, None, how)
+                order = np.argsort(moved.costs, kind="stable")
+                poses = moved.poses[order[leaders(self.model, moved.poses[order], 0.5 * self.apart)[0]]]
             parts.append(poses)
         return np.concatenate(parts) if parts else np.zeros((0, 4, 4))
 
@@ -126,7 +146,7 @@ class Pool:
         side: rays along each side of the outline's box.
         """
         pixels = self.predictor.seen_pixels(pose, side)
-        free = tables.stack(free_space_rows(self.looked, self.rows), self.predictor.empty_rows(pose))
+        free = tables.stack(self.free, self.predictor.empty_rows(pose))
         if len(pixels) < self.settings.least_pixels:
             return free
         mine = replace(self.looked, pixels=pixels, told_apart=True)
@@ -136,41 +156,54 @@ class Pool:
         """The best of poses (n, 4, 4), n at least 1, each fitted to what is seen inside its own outline, as modes."""
         s = self.settings
         order = np.argsort(self.costs(candidates), kind="stable")
-        apart = s.together * self.modes.merge_share * self.model.radius
-        best, _ = leaders(self.model, candidates[order], apart)
-        fitted = [self._fitted(pose) for pose in candidates[order[best[: s.fitted]]]]
-        poses = np.array([pose for pose, _ in fitted])
-        hessians = np.array([hessian for _, hessian in fitted])
-        ranked = Alignment(poses, self.costs(poses), hessians, np.zeros(len(poses), dtype=np.int64))
-        return distinct_modes(self.model, ranked, self.modes)
+        best, _ = leaders(self.model, candidates[order], self.apart)
+        poses = candidates[order[best[: s.fitted]]]
+        tried = Alignment(poses, np.full(len(poses), np.inf), np.zeros((len(poses), 6, 6)), np.zeros(len(poses), int))
+        for side in s.sides:
+            tried = self._fitted(tried, side)
+            order = np.argsort(tried.costs, kind="stable")
+            order = order[leaders(self.model, tried.poses[order], self.apart)[0]]
+            tried = tried.take(order[tried.costs[order] <= tried.costs[order[0]] + s.hopeless])
+        return distinct_modes(self.model, tried, self.modes)
 
-    def convinces(self, modes: tuple[Mode, ...]) -> bool:
-        """Whether the first mode explains what is seen and felt, and no other comes near."""
+    def is_same(self, modes: tuple[Mode, ...], before: tuple[Mode, ...]) -> bool:
+        """Whether the first mode is where the first of those before was, and about as likely."""
+        near = len(leaders(self.model, np.array([modes[0].pose, before[0].pose]), self.apart)[0]) == 1
+        return near and before[0].cost - modes[0].cost < self.settings.as_likely
+
+    def convinces(self, modes: tuple[Mode, ...], shown: float | None = None) -> bool:
+        """Whether the first mode explains what is seen and felt, at least the share `shown` of it all, and no other
+        comes near.
+        """
         s = self.settings
+        shown = s.least_shown if shown is None else shown
         if modes[0].weight < s.sure_share:
             return False
         pose = modes[0].pose[None]
         p = self.predictor.predict(pose)
-        open_share = max(float(1.0 - p.hidden[0] - p.behind_hand[0]), 1e-3)
-        seen = p.agree[0] >= s.least_agree * open_share and p.agree[0] >= s.least_shown
+        # what gives no reading neither agrees nor contradicts
+        seen = p.agree[0] >= s.least_agree * (p.agree[0] + p.past[0]) and p.agree[0] >= shown
         picture = seen and p.past[0] <= s.most_past and p.outline[0] <= s.most_runs_on
         contacts = int((self.felt.rows[:, GATE_ABOVE] > 0).sum())
         felt = float(costs(self.model, self.felt, pose)[0])
         return bool(picture and felt <= s.contact_nats * max(contacts, 1))
 
-    def _fitted(self, pose: Array) -> tuple[Array, Array]:
-        """A pose after a few fits to the pixels that it predicts, and its Hessian; where it was if that is likelier."""
-        tried, hessian = pose, np.zeros((6, 6))
-        found: list[tuple[Array, Array]] = []
-        for _ in range(self.settings.rounds):
-            rows = tables.stack(self.evidence(tried, self.settings.side), self.felt)
-            if not len(rows):
-                break
-            result = align(self.model, rows, tried[None], self.prior)
-            tried, hessian = result.poses[0], result.hessians[0]
-            found.append((tried, hessian))
-        if not found:
-            return pose, hessian
-        at = self.costs(np.array([pose, *(one for one, _ in found)]))
-        best = int(np.argmin(at[1:]))
-        return (pose, found[0][1]) if at[0] < at[1 + best] else found[best]
+    def _fitted(self, tried: Alignment, side: int) -> Alignment:
+        """Each pose fitted to the pixels that it predicts, its steps counted; where it was if that is likelier. What
+        took no step in the round before is not fitted again. Costs: the pool's, inf for what was never fitted. side:
+        rays along each side of an outline.
+        """
+        poses, hessians, steps = tried.poses.copy(), tried.hessians.copy(), np.zeros_like(tried.iterations)
+        fresh = np.isinf(tried.costs)
+        for k in np.flatnonzero(fresh | (tried.iterations > 0)):
+            rows = tables.stack(self.evidence(tried.poses[k], side), self.felt)
+            if len(rows):
+                found = align(self.model, rows, tried.poses[k : k + 1], self.prior, self.settings.fit)
+                poses[k], hessians[k], steps[k] = found.poses[0], found.hessians[0], found.iterations[0]
+        costs = self.costs(np.concatenate([poses, tried.poses]))
+        after, before = costs[: len(poses)], costs[len(poses) :]
+        worse = after > before
+        poses[worse], steps[worse] = tried.poses[worse], 0
+        # one that was never fitted has no Hessian of its own
+        hessians[worse & ~fresh] = tried.hessians[worse & ~fresh]
+        return Alignment(poses, np.minimum(after, before), hessians, steps)

@@ -47,6 +47,8 @@ class PlanSettings:
     skipping: bool = True
     # Starts looked at first. A minimum as wide as a tenth of the prior is missed by all of them with 3 %.
     first_starts: int = 32
+    # Where each round of starts ends when the one before leaves a doubt; after the last, all that there are.
+    rounds: tuple[int, ...] = (32, 128)
     # Share of these that must end in the best minimum: a search from a prior usually finds two or three others.
     agreeing: float = 0.3
     # Least share of the object's pixels, and of the contacts, within three sigmas of the surface.
@@ -55,6 +57,12 @@ class PlanSettings:
     # Around a prior few minima compete; where nothing is known, many do, some of them alike.
     near: Care = Care(0.5, 4, (80, 160))
     wide: Care = Care(0.25, 6, (160, 160))
+    # Of poses nearer to each other than this share of that distance the best goes on from pass to pass.
+    passes_together: float = 0.25
+    # Minima of a search that are refined with all rows, the best first: all that a search keeps; and fewer where a
+    # tolerance is asked for and vision alone may do: three led to the answer in every easy frame of `bench skipping`.
+    refined: int = 24
+    tolerant: int = 3
     # Most that a pose may cost for what the camera saw past it and what must hide it (negative log likelihood, see
     # vision.sight): 12 are an object all hidden, 16 a half hidden one of which 6 % were seen past.
     past: float = 16.0
@@ -114,9 +122,9 @@ def find_modes(
             first = _with_valleys(model, rows, first, stages[0], prior, rank, settings, mode_settings)
             modes = distinct_modes(model, first, mode_settings)
             return Found(modes, few, "the first agree and explain what was sensed")
-    found = search(model, rows, starts, stages, prior, rank=rank)
+    found = search(model, rows, starts, stages, prior, rank=rank, apart=settings.passes_together * merged)
     chosen, _ = leaders(model, found.poses, care.together * merged)
-    refined, _ = _refined(model, rows, found.poses[chosen], prior, rank)
+    refined, _ = _refined(model, rows, found.poses[chosen[: settings.refined]], prior, rank)
     refined = _with_valleys(model, rows, refined, stages[0], prior, rank, settings, mode_settings)
     return Found(distinct_modes(model, refined, mode_settings), len(starts), doubt)
 

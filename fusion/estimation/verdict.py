@@ -204,7 +204,7 @@ def judged(
     if word == "ok" and contact_nats > settings.most_contradicted * max(len(residuals), 1):
         word, why = "lost", "the contacts, or their normals, contradict every pose"
     if word == "ok" and sure < confident.sure:
-        word, why = "ambiguous", f"only {sure:.0%} sure to be within {1e3 * confident.tolerance:.0f} mm"
+        word, why = "ambiguous", f"only {sure:.0%} sure to be within {1e3 * confident.tolerance:.3g} mm"
     return right, sure, word, why
 
 

@@ -27,14 +27,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Judged:
-    """verdict, its reason; covariance (6, 6) of all that may be the case; confidence; modes: the hypotheses with their
-    weights; how contacts (residuals) and pixels (share explained, rms m) agree; visible: share of the object that is
+    """verdict, its reason; covariance (6, 6) of all that may be the case; right: chance that the first mode is the right
+    one; confidence; modes: the hypotheses with their weights; how contacts (residuals) and pixels (share explained, rms m) agree; visible: share of the object that is
     seen; unobservable: directions, in words.
     """
 
     verdict: str
     why: str
     covariance: Array
+    right: float
     confidence: float
     modes: tuple[Mode, ...]
     residuals: tuple[ContactResidual, ...]
@@ -80,7 +81,9 @@ def judge(
     if word != "ok":
         covariance = whole_covariance(model, modes, right, None, first.confidence)
     unknown = posterior.unobservable(model, pose, belief.covariance, first.verdict)
-    return Judged(word, why, covariance, sure, modes, residuals, share, rms, seeing.visible, unknown)
+    # what is lost is not to be trusted at all
+    sure = 0.0 if word == "lost" else sure
+    return Judged(word, why, covariance, right, sure, modes, residuals, share, rms, seeing.visible, unknown)
 
 
 def as_seen(picture: Prediction) -> Visibility:
@@ -107,6 +110,7 @@ def as_followed(
     watched: Watched,
     sensed: Sensed,
     trace: tuple[Stage, ...],
+    settings: TrackSettings,
 ) -> TrackedEstimate:
     """The answer of a frame that was followed; predicted: the belief before it."""
     return TrackedEstimate(
@@ -125,6 +129,7 @@ def as_followed(
         dropped=sensed.looked.dropped,
         start=predicted.pose,
         confidence=said.confidence,
+        sure_within=settings.first.confidence.tolerance,
         how="lost" if said.verdict == "lost" else "tracked",
         slip=watched.slip,
         slip_statistic=watched.statistic,

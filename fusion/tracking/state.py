@@ -18,7 +18,7 @@ class TrackState:
     belief: of the leading hypothesis, None before a start; hypotheses: the leader first; hand: at the last frame;
     index: of that; unseen: frames without evidence; lost_for: frames; usual: share of pixels that the pose explains,
     usually; things: what goes with the object and is not it; rigs: levels of shared errors that the first frames were
-    taken for; sure: whether the last answer was ok.
+    taken for; right: chance that the leader is the right one, as last judged; sure: whether the last answer was ok.
     """
 
     belief: Belief | None = None
@@ -31,4 +31,5 @@ class TrackState:
     things: Occluders = field(default_factory=Occluders)
     rigs: list[float] = field(default_factory=list)
     renewal: Renewal = field(default_factory=Renewal)
+    right: float = 0.0
     sure: bool = False

@@ -19,9 +19,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.answer import Estimate
-from fusion.estimation.asked import as_prior, check_senses
-from fusion.estimation.confidence import whole_covariance
+from fusion.estimation.answer import Estimate, Mode
+from fusion.estimation.asked import as_prior, check_senses, sure_to_be_within
+from fusion.estimation.confidence import whole_covariance, within
 from fusion.estimation.estimate import estimate
 from fusion.estimation.solve.joint import JointResult
 from fusion.estimation.solve.settings import Rig
@@ -64,15 +64,17 @@ def track(
     seed: int = 0,
     settings: TrackSettings | None = None,
     beliefs: Beliefs | None = None,
+    sure_within: float | None = None,
 ) -> Iterator[TrackedEstimate]:
     """Where is the object in each of these frames?
 
     prior: of the first frame, as for `estimate`; default the frame's own. use: the senses allowed. Yields one answer a
     frame, in their order; a frame whose index is below its predecessors' came late: it corrects the present, and its
     answer is for its own time. beliefs: what the sensors are worth; default what the first frame says of its own.
+    sure_within (m): what an answer's confidence is about, as for `estimate`.
     Raises InputError as `estimate` does.
     """
-    tracker = Tracker(model, prior, use, seed, settings, beliefs)
+    tracker = Tracker(model, prior, use, seed, settings, beliefs, sure_within)
     for frame in frames:
         yield tracker.step(frame)
 
@@ -88,10 +90,12 @@ class Tracker:
         seed: int = 0,
         settings: TrackSettings | None = None,
         beliefs: Beliefs | None = None,
+        sure_within: float | None = None,
     ) -> None:
         """As `track`."""
         self.model = model
-        self.settings = settings or TrackSettings()
+        settings = settings or TrackSettings()
+        self.settings = replace(settings, first=sure_to_be_within(settings.first, sure_within))
         self._senses = check_senses(use)
         self._prior = as_prior(prior, self.settings.first)
         self._seed = seed
@@ -144,11 +148,18 @@ class Tracker:
         state.index, state.unseen, state.lost_for, state.usual = frame.index, 0, 0, None
         state.things = Occluders()
         state.renewal.restart(frame.index, s.renewal)
+        near = self._near(answer.modes[0])
+        state.right = min(1.0, _sure(answer) / near) if near > 1e-9 else 0.0
         state.sure = answer.verdict == "ok"
         state.hand = HandState.of(frame, self._feel(frame).reported_contacts)
         self._velocity.restart(frame.index, answer.pose)
         self._watch.let_go()
         self._watch.feel(readings_of(self._felt_frame(frame)))
+
+    def _near(self, mode: Mode) -> float:
+        """Probability that the object is within the tolerance of a mode, if that is the right one."""
+        how = self.settings.first.confidence
+        return within(self.model, mode.pose, mode.covariance, how.tolerance, how.seen.nearest)
 
     def _anchor(self, answer: Estimate) -> None:
         share, own = self.settings.first_lasting, answer.modes[0].covariance
@@ -279,8 +290,9 @@ class Tracker:
             stage.note(len(found.seen) + felt_rows, said.why)
         if said.verdict != "lost":
             self._accept(frame, felt, belief, found.hypotheses, said.share)
+            self._state.right = said.right
             self._learn(sensed, belief.pose, found.switched)
-        answer = as_followed(frame, belief, predicted, said, watched, replace(sensed, felt=felt), trace.stages)
+        answer = as_followed(frame, belief, predicted, said, watched, replace(sensed, felt=felt), trace.stages, s)
         return self._believed(answer) if answer.how == "tracked" else answer
 
     def _felt_frame(self, frame: Frame) -> Frame:
@@ -388,7 +400,9 @@ class Tracker:
             state.hand = HandState.of(frame, felt.reported_contacts)
             self._velocity.coast(frame.index)
         held = state.hand is not None and state.unseen <= s.coast
-        return as_carried(self.model, frame, predicted, trace.stages, held, state.hand is not None, s)
+        answer = as_carried(self.model, frame, predicted, trace.stages, held, state.hand is not None, s)
+        sure = state.right * self._near(answer.modes[0]) if held else 0.0
+        return replace(answer, confidence=sure, sure_within=s.first.confidence.tolerance)
 
 
 def _shift(correction: Array, point: Array) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -81,6 +81,12 @@ class Judge:
         """Cheap; samples are drawn at the first use."""
         self.model = model
         self.settings = settings or JudgeSettings()
+
+    @staticmethod
+    @lru_cache(maxsize=4)
+    def of(model: ObjectModel) -> Judge:
+        """The judge of this object by the usual settings: with its samples, when they were drawn before."""
+        return Judge(model)
 
     @cached_property
     def _targets(self) -> Array:

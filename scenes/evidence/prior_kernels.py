@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numba
-import numpy as np
 
 from scenes.geometry.rotation_kernels import log_rotation
 
@@ -15,6 +14,7 @@ def prior_terms(rotation, middle, prior, need, hessian, gradient, scratch):
     """Half the squared Mahalanobis distance to the prior; its derivative uses the inverse left Jacobian of SO(3).
 
     prior: its rotation (3, 3), middle (3,) and information (6, 6). Adds to gradient and the lower half of hessian.
+    scratch (10, 3): working room.
     """
     prior_rotation, prior_middle, information = prior
     any_information = 0.0
@@ -50,28 +50,37 @@ def prior_terms(rotation, middle, prior, need, hessian, gradient, scratch):
         half = 0.5 * angle
         # (1 - half cot half) / angle^2; at angle = pi the cotangent is 0
         k = (1.0 - half * math.cos(half) / math.sin(half)) / square
-    jac = np.zeros((6, 6))
+    # the inverse left Jacobian, of the turn; that of the displacement is the identity
+    jac = scratch[1:4]
     for i in range(3):
-        jac[3 + i, 3 + i] = 1.0
-        jac[i, i] = 1.0 - k * square
         for j in range(3):
-            jac[i, j] += k * phi[i] * phi[j]
+            jac[i, j] = k * phi[i] * phi[j]
+        jac[i, i] += 1.0 - k * square
     jac[0, 1] += 0.5 * phi[2]
     jac[0, 2] -= 0.5 * phi[1]
     jac[1, 0] -= 0.5 * phi[2]
     jac[1, 2] += 0.5 * phi[0]
     jac[2, 0] += 0.5 * phi[1]
     jac[2, 1] -= 0.5 * phi[0]
-    for a in range(6):
-        for i in range(6):
-            along = 0.0
-            for j in range(6):
-                along += information[i, j] * delta[j]
-            gradient[a] += jac[i, a] * along
+    for i in range(6):
+        along = 0.0
+        for j in range(6):
+            along += information[i, j] * delta[j]
+        if i < 3:
+            for a in range(3):
+                gradient[a] += jac[i, a] * along
+        else:
+            gradient[i] += along
+    turned = scratch[4:7]
+    for a in range(3):
+        for j in range(3):
+            turned[j, a] = jac[0, a] * information[0, j] + jac[1, a] * information[1, j] + jac[2, a] * information[2, j]
+    for a in range(3):
         for b in range(a + 1):
-            total_h = 0.0
-            for i in range(6):
-                for j in range(6):
-                    total_h += jac[i, a] * information[i, j] * jac[j, b]
-            hessian[a, b] += total_h
+            hessian[a, b] += turned[0, a] * jac[0, b] + turned[1, a] * jac[1, b] + turned[2, a] * jac[2, b]
+        for b in range(3):
+            for i in range(3):
+                hessian[3 + b, a] += information[3 + b, i] * jac[i, a]
+            if b <= a:
+                hessian[3 + a, 3 + b] += information[3 + a, 3 + b]
     return total

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from scenes.errors import InputError
 from scenes.evidence.align import Alignment, AlignSettings, Prior, align, costs
+from scenes.evidence.leader_kernels import lead
 from scenes.evidence.table import GATE_ABOVE, TOUCH, VISION, Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -103,10 +104,12 @@ def search(
     prior: Prior | None = None,
     settings: AlignSettings | None = None,
     rank: Callable[[Array, float], Array] | None = None,
+    apart: float = 0.0,
 ) -> Alignment:
     """Run the stages; returns the last stage's survivors, best first, with their final costs and Hessians.
 
-    rank(poses, blur) -> (n,) is added to the costs when survivors are chosen (not when poses move).
+    rank(poses, blur) -> (n,) is added to the costs when survivors are chosen (not when poses move). apart: of poses
+    that are nearer than this (m, see `leaders`) the best goes on; 0 tells only those apart that reached one minimum.
     """
     settings = settings or AlignSettings()
     poses = starts
@@ -122,6 +125,8 @@ def search(
         ranked = result.costs if rank is None else result.costs + rank(result.poses, stage.blur)
         order = distinct_first(model, replace(result, costs=ranked), stage.keep)
         result = result.take(order)
+        if apart > 0.0:
+            result = result.take(leaders(model, result.poses, apart)[0])
         poses = result.poses
     if result is None:
         raise InputError("search: expected at least one stage, got none")
@@ -155,16 +160,12 @@ def leaders(model: ObjectModel, poses: Array, apart: float) -> tuple[NDArray[np.
     apart: metres by which a point at the object's radius moves at least between two that stand for others. Of poses
     nearer than that the first leads: give the best first.
     """
-    chosen: list[int] = []
-    group = np.full(len(poses), -1, dtype=np.intp)
-    middles = poses[:, :3, :3] @ model.centroid + poses[:, :3, 3]
-    while (group < 0).any():
-        lead = int(np.argmax(group < 0))
-        pending = np.flatnonzero(group < 0)
-        alike = model.symmetries.nearest(poses[pending], poses[lead])
-        # the chord 2 sin(angle / 2) of the turn is its angle as far as near and far are told
-        chord = np.linalg.norm(alike[:, :3, :3] - poses[lead, :3, :3], axis=(1, 2)) / np.sqrt(2.0)
-        moved = chord * model.radius + np.linalg.norm(middles[pending] - middles[lead], axis=1)
-        group[pending[(moved < apart) | (pending == lead)]] = len(chosen)
-        chosen.append(lead)
-    return np.array(chosen, dtype=np.intp), group
+    symmetries, count = model.symmetries, len(poses)
+    turns = 2 if symmetries.is_spherical else min(len(symmetries.axes), 1)
+    axis = np.ascontiguousarray(symmetries.axes[0].direction, np.float64) if turns else np.zeros(3)
+    rotations = np.ascontiguousarray(poses[:, :3, :3])
+    middles = rotations @ model.centroid + poses[:, :3, 3]
+    chosen, group = np.zeros((2, count), dtype=np.int64)
+    discrete = np.ascontiguousarray(symmetries.discrete[:, :3, :3])
+    leading = lead(rotations, middles, discrete, axis, turns, model.radius, float(apart), chosen, group)
+    return chosen[:leading], group

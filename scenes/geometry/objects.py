@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenes.cache import Arrays, are_triangles, remembered_of_file
 from scenes.errors import MeshError, unknown
 from scenes.files.problems import UNREADABLE
 from scenes.geometry import distance_field, mesh_repair
@@ -25,6 +27,10 @@ SMALLEST_DIAMETER = 0.005
 LARGEST_DIAMETER = 2.0
 # Above this, the hull of all vertices costs seconds and only the outer ones are asked for the largest extent.
 MANY_VERTICES = 100_000
+# Surface samples up to so many are kept, drawn from the first seed: every frame asks for the same again.
+KEPT_SAMPLES = 1000
+# Raised whenever reading, repairing or measuring a mesh changes, so that old cache entries are not read.
+MESH_VERSION = 1
 
 
 class ObjectModel:
@@ -61,8 +67,30 @@ class ObjectModel:
             raise unknown("unit", unit, METRES_PER_UNIT)
         if not path.is_file():
             raise MeshError(f"{path}: expected a mesh file, found none")
-        vertices, faces = _read_mesh(path)
-        return ObjectModel.from_mesh(vertices * METRES_PER_UNIT[unit], faces, name or path.stem, where=str(path))
+
+        def make() -> Arrays:
+            vertices, faces = _read_mesh(path)
+            made = ObjectModel.from_mesh(vertices * METRES_PER_UNIT[unit], faces, where=str(path))
+            mended = np.array(made.mended, dtype=np.str_)
+            parts = {"vertices": made.vertices, "faces": made.faces, "mended": mended}
+            return {**parts, "diameter": np.array(made.diameter)}
+
+        # a mesh seen before needs neither a reader of every format nor a repair: both load for a second
+        try:
+            known = remembered_of_file("mesh", (MESH_VERSION, unit), path, make, _is_model)
+        except OSError as error:
+            raise MeshError(f"{path}: expected a mesh file, it cannot be opened: {error.strerror}") from error
+        model = ObjectModel(
+            name or path.stem, known["vertices"], known["faces"], mended=tuple(map(str, known["mended"]))
+        )
+        vars(model)["diameter"] = float(known["diameter"])
+        return model
+
+    def with_symmetries(self, symmetries: Symmetries) -> ObjectModel:
+        """The same object of which these symmetries are known."""
+        other = copy.copy(self)
+        other.symmetries = symmetries
+        return other
 
     @staticmethod
     def from_mesh(
@@ -158,40 +186,39 @@ class ObjectModel:
         return cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
 
     @cached_property
-    def _face_shares(self) -> Array:
-        """(m,) shares of the area."""
-        corners = self.vertices[self.faces]
-        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        return np.asarray(area / area.sum())
-
-    @cached_property
     def surface(self) -> Surface:
         """Exact closest points on the mesh (slower than `field`, for the last digits)."""
         return Surface(self.vertices, self.faces)
 
     def __getstate__(self) -> dict[str, object]:
         """Everything but the ray-casting scene, which does not pickle and is rebuilt where it is needed."""
-        return {key: value for key, value in self.__dict__.items() if key not in ("surface", "_samples")}
+        return {key: value for key, value in self.__dict__.items() if key != "surface"}
 
     def sample_surface(self, count: int, seed: int = 0) -> tuple[Array, Array]:
-        """Points (count, 3) uniform over the surface's area and their outward normals (count, 3)."""
-        known = self._samples.get((count, seed))
-        if known is None:
-            known = self._samples[count, seed] = self._sampled(count, seed)
-        return known[0].copy(), known[1].copy()
-
-    @cached_property
-    def _samples(self) -> dict[tuple[int, int], tuple[Array, Array]]:
-        """What `sample_surface` has drawn: trackers ask for the same in every frame."""
-        return {}
-
-    def _sampled(self, count: int, seed: int) -> tuple[Array, Array]:
+        """Points (count, 3) uniform over the area and their outward normals (count, 3); not to be written to."""
+        if (count, seed) in self._sampled:
+            return self._sampled[count, seed]
         rng = np.random.default_rng(seed)
         face = rng.choice(len(self.faces), size=count, p=self._face_shares)
         u, v = rng.random((2, count))
         root = np.sqrt(u)
         weights = np.stack([1 - root, root * (1 - v), root * v], axis=1)
-        return np.einsum("nk,nkd->nd", weights, self.vertices[self.faces[face]]), self.face_normals[face]
+        corners = self.vertices[self.faces[face]]
+        found = np.einsum("nk,nkd->nd", weights, corners), self.face_normals[face]
+        if seed == 0 and count <= KEPT_SAMPLES:
+            self._sampled[count, seed] = found
+        return found
+
+    @cached_property
+    def _sampled(self) -> dict[tuple[int, int], tuple[Array, Array]]:
+        return {}
+
+    @cached_property
+    def _face_shares(self) -> Array:
+        """(m,) shares of the surface's area."""
+        corners = self.vertices[self.faces]
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        return np.asarray(area / area.sum())
 
     def symmetry_poses(self, steps: int = 36) -> Array:
         """(k, 4, 4) object_from_object that leave the object unchanged."""
@@ -222,6 +249,12 @@ def check_size(diameter: float, where: str) -> None:
         f"{where}: expected an object of {SMALLEST_DIAMETER * 1e3:.0f} mm to {LARGEST_DIAMETER:.0f} m,"
         f" got a diameter of {diameter:.4g} m{hint}: is the unit right?"
     )
+
+
+def _is_model(arrays: Arrays) -> bool:
+    mended, diameter = arrays["mended"], arrays["diameter"]
+    told = mended.ndim == 1 and mended.dtype.kind == "U" and diameter.shape == ()
+    return bool(told and diameter > 0 and are_triangles(arrays))
 
 
 def _read_mesh(path: Path) -> tuple[Array, Faces]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes._open3d import open3d
+from scenes.geometry.surface_kernels import in_cells, mark_cells
 
 Array = NDArray[np.float64]
 
@@ -25,15 +26,21 @@ class Surface:
     def __init__(self, vertices: Array, faces: NDArray[np.int64]) -> None:
         """Vertices (n, 3) metres, faces (m, 3) wound outwards."""
         o3d = open3d()
-        # centred: the ray caster works in float32 and loses digits far from the origin
-        self._middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
-        self._corners = (vertices - self._middle)[faces]
+        # of the box around the mesh, about which all is: single precision loses digits far from the origin
+        self.middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+        self._corners = (vertices - self.middle)[faces]
         self._scene = o3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(
-            o3d.core.Tensor((vertices - self._middle).astype(np.float32)), o3d.core.Tensor(faces.astype(np.uint32))
+            o3d.core.Tensor((vertices - self.middle).astype(np.float32)), o3d.core.Tensor(faces.astype(np.uint32))
         )
         cross = np.cross(self._corners[:, 1] - self._corners[:, 0], self._corners[:, 2] - self._corners[:, 0])
         self._normals = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
+
+    @cached_property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lowest and highest corner (3,) of the box around the mesh."""
+        low, high = self._boxes
+        return low.min(axis=0) + self.middle, high.max(axis=0) + self.middle
 
     @cached_property
     def _boxes(self) -> tuple[Array, Array]:
@@ -46,38 +53,16 @@ class Surface:
 
         A point that near lies in some triangle's box widened by the distance; the boxes are marked on a grid.
         """
-        local = np.asarray(points, dtype=np.float64) - self._middle
-        if distance not in self._grids:
-            self._grids[distance] = self._grid(distance)
-        origin, cell, covered = self._grids[distance]
-        shape = covered.shape
-        index = np.floor((local - origin) / cell)
-        known = ((index >= 0) & (index < shape)).all(axis=1)
-        out = np.zeros(len(local), dtype=bool)
-        out[known] = covered[tuple(index[known].astype(np.int64).T)]
-        return out
-
-    @cached_property
-    def _grids(self) -> dict[float, tuple[Array, float, NDArray[np.bool_]]]:
-        """By distance (m): what `_grid` made. A hand that keeps its posture is asked for the same in every frame."""
-        return {}
-
-    def _grid(self, distance: float) -> tuple[Array, float, NDArray[np.bool_]]:
-        """Origin (3,) and edge (m) of a grid's cells, and which of them may have points within `distance` (m)."""
         low, high = self._boxes
         low, high = low - distance, high + distance
-        origin, size = low.min(axis=0), (high.max(axis=0) - low.min(axis=0)).max()
-        cell = max(distance, size / _CELLS)
-        first = ((low - origin) / cell).astype(np.int64)
-        last = ((high - origin) / cell).astype(np.int64) + 1
-        shape = last.max(axis=0) + 1
-        # boxes as differences at their corners: their sums along each axis count the boxes over a cell
-        marks = np.zeros(int(shape.prod()))
-        for corner in range(8):
-            ends = [last[:, k] if corner >> k & 1 else first[:, k] for k in range(3)]
-            sign = -1.0 if bin(corner).count("1") % 2 else 1.0
-            marks += sign * np.bincount(np.ravel_multi_index(ends, shape), minlength=len(marks))
-        return origin, float(cell), marks.reshape(shape).cumsum(axis=0).cumsum(axis=1).cumsum(axis=2) > 0.5
+        origin = low.min(axis=0)
+        extent = high.max(axis=0) - origin
+        cell = float(max(distance, extent.max() / _CELLS))
+        covered = np.zeros((extent / cell).astype(np.int64) + 1, dtype=bool)
+        mark_cells(low, high, origin, cell, covered)
+        out = np.zeros(len(points), dtype=bool)
+        in_cells(np.ascontiguousarray(points, np.float64), self.middle, origin, cell, covered, out)
+        return out
 
     def is_within(self, points: Array, distance: float) -> NDArray[np.bool_]:
         """(n,) whether points (n, 3) are nearer than `distance` (m) to the surface, on either side."""
@@ -93,7 +78,7 @@ class Surface:
         the point from different sides, it is told by rays.
         """
         o3d = open3d()
-        local = np.ascontiguousarray(points, dtype=np.float64) - self._middle
+        local = np.ascontiguousarray(points, dtype=np.float64) - self.middle
         if len(local) == 0:
             return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
         found = self._scene.compute_closest_points(o3d.core.Tensor(local.astype(np.float32)))
@@ -113,7 +98,7 @@ class Surface:
             inside[slanted] = self._is_inside(local[slanted])
         distance = np.where(inside, -length, length)
         gradient = np.where(near[:, None], normal, offset / np.where(near, 1.0, distance)[:, None])
-        return np.where(near, side, distance), gradient, foot + self._middle
+        return np.where(near, side, distance), gradient, foot + self.middle
 
     def _is_inside(self, local: Array) -> NDArray[np.bool_]:
         """(n,) whether points (n, 3) about the middle are inside: most of three rays cross the surface an odd number of
@@ -127,6 +112,10 @@ class Surface:
 
     def cast(self, origins: Array, directions: Array) -> Array:
         """Ray parameter t (n,) of the first hit, inf for none: origins (n, 3) + t directions (n, 3)."""
-        o3d = open3d()
-        rays = np.concatenate([origins - self._middle, directions], axis=1).astype(np.float32)
-        return self._scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy().astype(np.float64)
+        return self.cast_local(np.concatenate([origins - self.middle, directions], axis=1).astype(np.float32))
+
+    def cast_local(self, rays: NDArray[np.float32]) -> Array:
+        """As `cast`, of rays (n, 6): origin less `middle`, and direction."""
+        if not len(rays):
+            return np.zeros(0)
+        return self._scene.cast_rays(open3d().core.Tensor(rays))["t_hit"].numpy().astype(np.float64)

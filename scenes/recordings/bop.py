@@ -10,7 +10,8 @@ import csv
 import io
 import json
 import math
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -77,8 +78,30 @@ def write_json(path: str | Path, content: Any) -> None:
     replace_file(Path(path), (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
 
 
-def read_frames(path: str | Path, report: Report) -> dict[int, Any]:
+class FrameEntries(Mapping[int, Any]):
+    """Entries of a JSON object by frame number, kept as text and parsed when they are asked for: an hour of recording
+    has a hundred thousand, nearly all alike.
+    """
+
+    def __init__(self, texts: dict[int, str]) -> None:
+        """texts: JSON of each frame's entry, which is known to be some."""
+        self._texts = texts
+
+    def __getitem__(self, frame: int) -> Any:
+        return json.loads(self._texts[frame])
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._texts)
+
+    def __len__(self) -> int:
+        return len(self._texts)
+
+
+def read_frames(path: str | Path, report: Report) -> Mapping[int, Any]:
     """A JSON object keyed by frame number, as {frame: entry}."""
+    texts = _frame_texts(Path(path))
+    if texts is not None:
+        return FrameEntries(texts)
     content = read_json(path, report)
     if content is None:
         return {}
@@ -92,6 +115,48 @@ def read_frames(path: str | Path, report: Report) -> dict[int, Any]:
         else:
             report(Problem(str(path), None, f"expected frame numbers as keys, got {key[:40]!r}"))
     return frames
+
+
+_BLANK = re.compile(r"[ \t\n\r]*")
+
+
+def _frame_texts(path: Path) -> dict[int, str] | None:
+    """The text of each entry of a JSON object keyed by frame; None for a file that is anything else."""
+    decoder = json.JSONDecoder()
+    texts: dict[int, str] = {}
+    alike: dict[str, str] = {}
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        at, mark = _past(text, 0, "{"), ","
+        if text[at] == "}":
+            at, mark = _blank(text, at + 1), "}"
+        while mark == ",":
+            key, end = decoder.raw_decode(text, at)
+            if not key.isdecimal():
+                return None
+            start = _past(text, end, ":")
+            _, end = decoder.raw_decode(text, start)
+            entry = text[start:end]
+            texts[int(key)] = alike.setdefault(entry, entry)
+            end = _blank(text, end)
+            at, mark = _blank(text, end + 1), text[end]
+        return texts if mark == "}" and at == len(text) else None
+    except (OSError, ValueError, IndexError, AttributeError, RecursionError):
+        return None
+
+
+def _blank(text: str, at: int) -> int:
+    """Where what comes next begins."""
+    found = _BLANK.match(text, at)
+    return at if found is None else found.end()
+
+
+def _past(text: str, at: int, mark: str) -> int:
+    """Where what comes after a mark begins; raises ValueError for another mark."""
+    at = _blank(text, at)
+    if text[at] != mark:
+        raise ValueError(f"expected {mark}")
+    return _blank(text, at + 1)
 
 
 def numbers(value: Any, count: int, what: str) -> Array:
@@ -233,15 +298,19 @@ def model_json(vertices: Array, diameter: float, symmetries: Symmetries) -> dict
 
 def write_poses(path: str | Path, rows: Iterable[PoseRow]) -> None:
     """Write poses.csv in BOP's format: R row-major, t in millimetres, time in seconds; whole or not at all."""
+    replace_file(Path(path), f"{','.join(POSES_HEADER)}\n{pose_lines(rows)}".encode())
+
+
+def pose_lines(rows: Iterable[PoseRow]) -> str:
+    """The rows as lines of a poses.csv, without its header."""
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(POSES_HEADER)
     for row in rows:
         rotation = " ".join(repr(x) for x in row.pose[:3, :3].ravel().tolist())
         translation = " ".join(repr(x) for x in (row.pose[:3, 3] / MM).tolist())
         cells = (row.scene_id, row.im_id, row.obj_id, repr(float(row.score)), rotation, translation)
         writer.writerow([*cells, repr(float(row.time))])
-    replace_file(Path(path), text.getvalue().encode())
+    return text.getvalue()
 
 
 def read_poses(path: str | Path) -> list[PoseRow]:

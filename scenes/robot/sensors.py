@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenes.cache import Arrays, are_triangles, remembered_of_file
 from scenes.errors import InputError
 from scenes.files.inside import stays_inside
 from scenes.files.ply import write_ply
@@ -19,6 +20,9 @@ from scenes.geometry import poses
 from scenes.robot.gels import Gel, read_gel, write_gel
 
 Array = NDArray[np.float64]
+
+# Raised whenever reading a surface's hull changes, so that old cache entries are not read.
+HULL_VERSION = 1
 
 KINDS = ("wrench", "array", "point", "gel")
 # What each surface must say, metres; a mesh's file is named relative to sensors.json, and its convex hull counts.
@@ -116,16 +120,27 @@ def surface_hull(surface: dict[str, dict[str, Any]], where: str) -> tuple[Array,
 @lru_cache(maxsize=32)
 def _hull_of(path: Path, changed: int, where: str) -> tuple[Array, NDArray[np.int64]]:
     """Read once for every state of the file."""
-    import trimesh
-    from scipy.spatial import QhullError
+
+    def make() -> Arrays:
+        import trimesh
+        from scipy.spatial import QhullError
+
+        try:
+            mesh: Any = trimesh.load(path, force="mesh", process=False)
+            hull = mesh.convex_hull
+        except QhullError as error:
+            raise ValueError(str(error)) from error
+        return {
+            "vertices": np.array(hull.vertices, dtype=np.float64),
+            "faces": np.array(hull.faces, dtype=np.int64),
+        }
 
     try:
-        mesh: Any = trimesh.load(path, force="mesh", process=False)
-        hull = mesh.convex_hull
-    except (*UNREADABLE, QhullError) as error:
+        hull = remembered_of_file("hull", HULL_VERSION, path, make, are_triangles)
+    except UNREADABLE as error:
         said = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{where}: expected a solid mesh in {path}, got {said}") from error
-    return np.asarray(hull.vertices, dtype=np.float64), np.asarray(hull.faces, dtype=np.int64)
+    return hull["vertices"], hull["faces"]
 
 
 def _parse(name: str, entry: Any, where: str, folder: Path, within: Path | None) -> Sensor:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from scenes.cache import Arrays, are_triangles, remembered, remembered_of_file
 from scenes.errors import InputError
 from scenes.files.inside import stays_inside
 from scenes.files.problems import UNREADABLE
@@ -23,6 +24,8 @@ Faces = NDArray[np.int64]
 MOVING = ("revolute", "continuous", "prismatic")
 # Corners around a cylinder or sphere read from a URDF: 24 keeps the chord within 1 % of the radius.
 ROUND_SECTIONS = 24
+# Raised whenever reading or making a shape's triangles changes, so that old cache entries are not read.
+MESH_VERSION = 1
 
 
 @dataclass(frozen=True)
@@ -154,16 +157,23 @@ def write_urdf(path: str | Path, robot: Robot) -> None:
 
 def make_shape(kind: str, size: tuple[float, ...], link_from_shape: Array | None = None) -> Shape:
     """A box (x, y, z), cylinder (radius, length along z) or sphere (radius,), centred on its frame, as triangles."""
-    import trimesh
+
+    def make() -> Arrays:
+        import trimesh
+
+        if kind == "box":
+            mesh = trimesh.creation.box(extents=size)
+        elif kind == "cylinder":
+            mesh = trimesh.creation.cylinder(radius=size[0], height=size[1], sections=ROUND_SECTIONS)
+        else:
+            mesh = trimesh.creation.uv_sphere(radius=size[0], count=[ROUND_SECTIONS // 2, ROUND_SECTIONS])
+        return {"vertices": np.array(mesh.vertices), "faces": np.array(mesh.faces, dtype=np.int64)}
 
     pose = np.eye(4) if link_from_shape is None else link_from_shape
-    if kind == "box":
-        mesh = trimesh.creation.box(extents=size)
-    elif kind == "cylinder":
-        mesh = trimesh.creation.cylinder(radius=size[0], height=size[1], sections=ROUND_SECTIONS)
-    else:
-        mesh = trimesh.creation.uv_sphere(radius=size[0], count=[ROUND_SECTIONS // 2, ROUND_SECTIONS])
-    return Shape(kind, size, pose, poses.apply(pose, np.array(mesh.vertices)), np.array(mesh.faces, dtype=np.int64))
+    made = remembered(
+        "shape", (MESH_VERSION, kind, ROUND_SECTIONS), [np.array(size, dtype=np.float64)], make, are_triangles
+    )
+    return Shape(kind, size, pose, poses.apply(pose, made["vertices"]), made["faces"])
 
 
 def mesh_shape(vertices: Array, faces: Faces, link_from_shape: Array | None = None) -> Shape:
@@ -227,17 +237,25 @@ def _read_shape(piece: ET.Element, path: Path, where: str, within: Path | None) 
 
 
 def _read_mesh(filename: str, path: Path, where: str, within: Path | None) -> tuple[Array, Faces]:
-    import trimesh
-
     file = _find_mesh(filename, path)
     if file is None:
         raise InputError(f"{where}: expected the mesh file {filename!r} beside {path.name}, found none")
     stays_inside(file, within, where)
-    try:
+
+    def make() -> Arrays:
+        import trimesh
+
         mesh = trimesh.load_mesh(file, process=False)
         # STL repeats the corners of each triangle
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
-        vertices, faces = np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int64)
+        return {
+            "vertices": np.array(mesh.vertices, dtype=np.float64),
+            "faces": np.array(mesh.faces, dtype=np.int64).reshape(-1, 3),
+        }
+
+    try:
+        made = remembered_of_file("link", MESH_VERSION, file, make, are_triangles)
+        vertices, faces = made["vertices"], made["faces"]
     except ImportError as error:
         raise InputError(f"{file}: reading this format needs a missing package ({error}): convert to STL") from error
     except UNREADABLE as error:

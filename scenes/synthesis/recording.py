@@ -20,6 +20,8 @@ from scenes.errors import InputError
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
+from scenes.recordings.beliefs import Beliefs
+from scenes.recordings.depth_cameras import DEPTH_CAMERAS
 from scenes.recordings.frames import Contacts, EmptyRegions, Frame, GelImage, Wrench
 from scenes.synthesis.grasping.hiding import place
 from scenes.synthesis.loose_fingers import random_contacts
@@ -80,11 +82,17 @@ def synthesize(
     notes |= {"occluders": recording.occluders} if occluders else {}
     notes |= {"scene": recording.staging.name} if recording.staging.name else {}
     notes |= {"mesh_error": mesh_error} if mesh_error else {}
-    made = recording.frames(frames, motion)
+    made = (replace(frame, beliefs=_told(noise)) for frame in recording.frames(frames, motion))
     notes |= {"motion": recording.motion_notes} if motion else {}
     told = recording.hand if recording.staging.hand_known else None
     write_capture(folder, made, given, hand=told, depth_scale=settings.depth_unit * 1e3, notes=notes)
     return read_capture(folder)
+
+
+def _told(noise: str | NoisePreset) -> Beliefs | None:
+    """What a capture says of its camera: its name, where one can buy it; nobody tells which errors were drawn."""
+    name = noise_models.preset(noise).name
+    return Beliefs(depth=DEPTH_CAMERAS[name]) if name in DEPTH_CAMERAS else None
 
 
 def synthesize_frames(

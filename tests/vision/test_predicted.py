@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import predicted_twin
 import pytest
 from made_frames import plain_view
 
@@ -10,6 +11,7 @@ from scenes.geometry import poses
 from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import DepthModel
 from scenes.synthesis import library
+from vision import predicted_kernels
 from vision.look.look import look
 from vision.predicted import PredictionSettings, Predictor
 
@@ -41,8 +43,27 @@ def test_rays_meet_what_a_renderer_draws():
     pose = frame.camera_from_object_truth
     view = predictor(frame, model)._view(pose[None], 24)
     drawn = Renderer({"object": (model.vertices, model.faces)}).render(frame.camera, {"object": pose}).depth
-    hit = view.hit[0]
-    np.testing.assert_allclose(view.expected[0, hit], drawn[view.v[0, hit], view.u[0, hit]], atol=2e-6)
+    hit = view.has(predicted_kernels.HIT)[0]
+    u, v = view.pixels(hit).T
+    np.testing.assert_allclose(view.expected[0, hit], drawn[v, u], atol=2e-6)
+
+
+@pytest.mark.parametrize("known", ["nothing", "hand", "mask", "plane"])
+def test_the_kernels_say_what_plain_arrays_say(lab_frame, drill, rng, known):
+    truth = lab_frame.camera_from_object_truth
+    seen = look(replace(lab_frame, mask=None), drill, start=truth)
+    # a wall through the object, so that pixels fall on either side of it
+    wall = np.array([0.1, 0.2, -1.0, float(truth[2, 3])]) / np.linalg.norm([0.1, 0.2, -1.0])
+    given = {"hand": seen.seen_hand} if known == "hand" else {"plane": wall} if known == "plane" else {}
+    found = predictor(lab_frame if known == "mask" else replace(lab_frame, mask=None), drill, **given)
+    around = [poses.displaced(truth, 0.3, 0.03, drill.centroid, rng) for _ in range(8)]
+    far = [poses.make_pose(None, place) for place in ([0.0, 0.0, -0.5], [0.3, 0.0, 0.5], [0.0, 0.0, 0.02])]
+    candidates = np.array([truth, *around, *far])
+    for side in (7, 16):
+        got = found.predict(candidates, side)
+        columns = got.seen, got.agree, got.past, got.hidden, got.behind_hand, got.outline, got.count
+        expected = [predicted_twin.predicted(found, pose, side) for pose in candidates]
+        np.testing.assert_allclose(np.array(columns).T, expected, atol=1e-9)
 
 
 def test_the_cost_rises_with_distance_from_the_truth(rng):

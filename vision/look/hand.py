@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 # One pixel of so many is looked at in the first passes of the hand's alignment.
-COARSE = 3
+COARSE = 6
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def fit_hand(
     for i, gate in enumerate(gates):
         aligned = se3.perturb(np.eye(4), xi, centre) @ measured
         # the first passes only bring the hand near: some of its pixels, each with the weight of those left out
-        step = COARSE if i < len(gates) - 2 else 1
+        step = COARSE if i < len(gates) - 1 else 1
         some = points[::step]
         distance, direction, robust = hand_terms(surface, aligned, some, gate)
         row_weight = step * weight[::step] * robust

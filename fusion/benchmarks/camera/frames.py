@@ -61,7 +61,7 @@ def _scanned(path: Path) -> ObjectModel:
     from scenes.geometry.objects import ObjectModel
 
     model = ObjectModel.load(path)
-    return ObjectModel(model.name, model.vertices, model.faces, detect_symmetries(model), model.mended)
+    return model.with_symmetries(detect_symmetries(model))
 
 
 def frames(

@@ -40,6 +40,8 @@ MODEL = "drill"
 STEPS = AlignSettings(iterations=10, tolerance_angle=0.0, tolerance_distance=0.0)
 # A run that takes longer than this (s) is measured once.
 LONG = 2.0
+# Processor seconds that localize may take of so many contacts.
+ASKED = {1e4: 1.0, 1e6: 10.0}
 # Growth that is still called proportional.
 PROPORTIONAL = 1.2
 
@@ -63,7 +65,7 @@ def run(settings: BenchSettings) -> Report:
     parts: list[tuple[str, str, Sequence[float], Callable[[float], Work], bool]] = [
         ("Rows of an alignment of 8 poses", "rows", _powers(1, 4 if quick else 6), _rows, True),
         ("Poses aligned to 10 rows", "poses", _powers(1, 3 if quick else 6), _poses, True),
-        ("Contacts of localize", "contacts", _powers(1, 3 if quick else 5), _contacts, False),
+        ("Contacts of localize", "contacts", _powers(1, 4 if quick else 6), _contacts, False),
         ("Faces of a new object's lattice", "faces", _spheres()[1:4] if quick else _spheres(), _faces, False),
         ("Pixels of an estimate by vision", "pixels", _images(quick), _image, False),
     ]
@@ -74,6 +76,11 @@ def run(settings: BenchSettings) -> Report:
         if claimed:
             exponent = growth(found[-2], found[-1])
             report.claims.append(Claim(f"{title}: exponent at the largest", exponent, PROPORTIONAL, False))
+        for one in found:
+            if unit == "contacts" and one.size in ASKED:
+                report.claims.append(
+                    Claim(f"{one.size:.0e} contacts: processor s", 1e-3 * one.cpu, ASKED[one.size], False)
+                )
         settings.show(report.tables[-1])
     _threads(report, repeats, settings)
     for quantity, value in (("processor ms", "cpu"), ("MB", "memory")):
@@ -154,7 +161,7 @@ def _faces(size: float) -> Work:
     return lambda: build(vertices, faces, FieldSettings())
 
 
-def _image(size: float) -> Work:
+def _image(size: float, start: bool = True) -> Work:
     from fusion.estimation.estimate import estimate
     from scenes.geometry.cameras import Camera
     from scenes.geometry.rendering import Renderer
@@ -166,8 +173,8 @@ def _image(size: float) -> Work:
     camera = Camera(focal, focal, 0.5 * (width - 1), 0.5 * (height - 1), width, height)
     pose = se3.make_pose(se3.exp_rotation(np.array([2.0, 0.4, 0.3])), np.array([0.0, 0.0, 0.6]))
     depth = Renderer({"object": (model.vertices, model.faces)}).render(camera, {"object": pose}).depth
-    start = se3.displaced(pose, 0.15, 0.01, model.centroid, np.random.default_rng(0))
-    frame = Frame(0, camera=camera, depth=depth, prior=start)
+    near = se3.displaced(pose, 0.15, 0.01, model.centroid, np.random.default_rng(0))
+    frame = Frame(0, camera=camera, depth=depth, prior=near if start else None)
     return lambda: estimate(frame, model, use=("vision",))
 
 
@@ -181,20 +188,30 @@ def _add(report: Report, title: str, unit: str, found: Sequence[Measured]) -> No
 
 
 def _threads(report: Report, repeats: int, settings: BenchSettings) -> None:
-    """Alignment of 2000 poses on 1, 2, 4, … threads, as far as there are cores."""
+    """An alignment of 2000 poses, a frame with and without a start, and many contacts, on 1, 2, 4, … threads, as far as
+    there are cores.
+    """
     model = library.make(MODEL)
     rows = make(model.sample_surface(100, seed=0)[0], 1e-3, VISION)
     starts = _starts(model, 500 if settings.quick else 2000)
+    many = 1e4 if settings.quick else 1e5
+    works: dict[str, Work] = {
+        f"alignment of {len(starts)} poses": lambda: align(model, rows, starts, settings=STEPS),
+        "estimate, start": _image(640 * 480),
+        "estimate, no start": _image(640 * 480, start=False),
+        "localize, 30 contacts": _contacts(30),
+        f"localize, {many:.0e} contacts": _contacts(many),
+    }
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    table = Table(
-        "Threads of an alignment", [Column("threads", 0), Column("ms", 1), Column("cpu ms", 1), Column("times faster")]
-    )
-    first = math.nan
-    for count in (c for c in (1, 2, 4, 8, 16, 32, 64) if c <= cores):
-        with _allowed(count):
-            one = measure(count, lambda: align(model, rows, starts, settings=STEPS), repeats)
-        first = one.wall if count == 1 else first
-        table.add(count, one.wall, one.cpu, first / one.wall)
+    columns = [Column("work"), Column("threads", 0), Column("ms", 1), Column("cpu ms", 1), Column("times faster", 2)]
+    table = Table("Threads", columns)
+    for name, work in works.items():
+        first = math.nan
+        for count in (c for c in (1, 2, 4, 8, 16, 32, 64) if c <= cores):
+            with _allowed(count):
+                one = measure(count, work, repeats)
+            first = one.wall if count == 1 else first
+            table.add(name, count, one.wall, one.cpu, first / one.wall)
     table.note = f"{cores} cores"
     report.tables.append(table)
     settings.show(table)

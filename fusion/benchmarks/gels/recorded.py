@@ -73,7 +73,7 @@ def add_recorded(report: Report, settings: BenchSettings) -> None:
 
 def _round(model: ObjectModel) -> ObjectModel:
     limits = DetectionSettings(tolerance=ALIKE, share=ALIKE_SHARE)
-    return ObjectModel(model.name, model.vertices, model.faces, detect_symmetries(model, limits), model.mended)
+    return model.with_symmetries(detect_symmetries(model, limits))
 
 
 def _grasp(model: ObjectModel, capture, seed: int):  # type: ignore[no-untyped-def]  # a capture and a row of cells

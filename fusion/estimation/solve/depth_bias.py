@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,10 +33,7 @@ class DepthBias:
         length = depth.bias_length
         if camera is None or not len(points):
             return DepthBias(camera, np.zeros((0, 2)), np.zeros((0, 0)), length)
-        from scipy.spatial import cKDTree
-
         uv, _ = camera.project(points)
-        near = cKDTree(uv)
         low, high = uv.min(axis=0), uv.max(axis=0)
         step = spacing * length
         while True:
@@ -43,12 +41,17 @@ class DepthBias:
             if counts.prod() <= 4 * most:
                 axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts)]
                 grid = np.stack([x.ravel() for x in np.meshgrid(*axes)], axis=1)
-                grid = grid[near.query(grid)[0] < step]
+                grid = grid[_is_near(grid, uv, step)]
                 if len(grid) <= most:
                     break
             step *= 1.2
         kernel = _kernel(grid, grid, length) + 1e-6 * np.eye(len(grid))
         return DepthBias(camera, grid, np.asarray(np.linalg.cholesky(kernel), dtype=np.float64), length)
+
+    @cached_property
+    def _whitening(self) -> Array:
+        """(k, k) the factor's inverse."""
+        return np.asarray(np.linalg.inv(self.factor), dtype=np.float64)
 
     def __len__(self) -> int:
         return len(self.inducing)
@@ -58,9 +61,15 @@ class DepthBias:
         if self.camera is None or not len(self) or not len(points):
             return np.zeros((len(points), len(self)))
         uv, _ = self.camera.project(points)
-        return np.asarray(np.linalg.solve(self.factor, _kernel(self.inducing, uv, self.length)).T, dtype=np.float64)
+        return np.asarray(_kernel(uv, self.inducing, self.length) @ self._whitening.T, dtype=np.float64)
+
+
+def _is_near(grid: Array, uv: Array, reach: float) -> NDArray[np.bool_]:
+    """(k,) whether any of uv (n, 2) is nearer than `reach` to grid (k, 2), all pixels."""
+    return np.array([np.square(uv - node).sum(axis=1).min() < reach * reach for node in grid], dtype=bool)
 
 
 def _kernel(a: Array, b: Array, length: float) -> Array:
-    square = np.sum((a[:, None] - b[None]) ** 2, axis=-1)
-    return np.asarray(np.exp(-0.5 * square / length**2), dtype=np.float64)
+    # axis by axis: no array of differences, n by m by 2
+    square = np.square(a[:, None, 0] - b[None, :, 0]) + np.square(a[:, None, 1] - b[None, :, 1])
+    return np.asarray(np.exp(square * (-0.5 / length**2)), dtype=np.float64)

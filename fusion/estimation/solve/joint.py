@@ -67,7 +67,32 @@ class JointResult:
         return se3.perturb(np.eye(4), self.xi, self.centre)
 
 
+@dataclass(frozen=True)
+class Settled:
+    """Where a solution ended: pose (4, 4) camera_from_object, the other unknowns, cost, Gauss-Newton matrix of `system`
+    and the log evidence of its level of shared errors.
+    """
+
+    system: System
+    pose: Array
+    unknown: Array
+    cost: float
+    normal: Array
+    log_evidence: float
+    level: float
+
+    @property
+    def free(self) -> int:
+        """How many unknowns, the first, are solved for."""
+        return self.system.size if self.system.problem.ties_depth else SCALE
+
+
 def solve(problem: JointProblem, pose: Array, level: float, weight: float | None = None) -> JointResult:
+    """The minimum near `pose` (4, 4) for shared errors `level` times as large as believed, and how sure it is."""
+    return answered(settle(problem, pose, level, weight))
+
+
+def settle(problem: JointProblem, pose: Array, level: float, weight: float | None = None) -> Settled:
     """Gauss-Newton from `pose` (4, 4) for shared errors `level` times as large as believed.
 
     weight: of a pixel; the least of all rigs' when not told, so that log evidences of levels can be compared. Where
@@ -100,14 +125,23 @@ def solve(problem: JointProblem, pose: Array, level: float, weight: float | None
                 break
         else:
             damping = max(damping, 1e-5) * 10
-    whole = normal + np.diag(system.width)
-    gain, log_det = _marginal(whole[:free, :free])
+    _, log_det = _marginal((normal + np.diag(system.width))[:free, :free])
+    return Settled(system, here, unknown, float(cost), normal, float(-cost - 0.5 * log_det), level)
+
+
+def answered(settled: Settled) -> JointResult:
+    """A solution with its covariances."""
+    system, here, unknown, free = settled.system, settled.pose, settled.unknown, settled.free
+    problem = system.problem
+    whole = settled.normal + np.diag(system.width)
+    gain, _ = _marginal(whole[:free, :free])
     covariance = gain
     if free < system.size:
         inverse = np.linalg.solve(whole[:free, :free], whole[:free, free:])[:6]
         covariance = gain + inverse @ inverse.T
     vision = system.vision(here, unknown)[0] if len(problem.seen) else 0.0
     misfit = system.misfit()
+    independent, shared = _split(system, here, settled.normal)
     covariance = misfit * covariance + system.excess_spread(whole[:free, :free], misfit) + _mesh_spread(problem)
     return JointResult(
         here,
@@ -115,11 +149,12 @@ def solve(problem: JointProblem, pose: Array, level: float, weight: float | None
         system.white_xi @ unknown[XI],
         system.centre,
         float(system.white[SCALE] * unknown[SCALE]),
-        float(cost),
-        float(-cost - 0.5 * log_det),
-        level,
+        settled.cost,
+        settled.log_evidence,
+        settled.level,
         vision,
-        *(misfit * part for part in _split(system, here, normal)),
+        independent=misfit * independent,
+        shared=misfit * shared,
         as_seen=_as_seen(system, here, unknown),
     )
 

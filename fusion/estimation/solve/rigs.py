@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.solve.joint import JointResult, solve
+from fusion.estimation.solve.joint import JointResult, answered, settle, solve
 from fusion.estimation.solve.problem import JointProblem
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -26,9 +26,9 @@ def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[Joint
     pairs = list(zip(problems, starts))[: settings.modes]
     if not problem.ties_depth:
         return [solve(one, start, 1.0) for one, start in pairs]
-    tried = [solve(problem, starts[0], settings.rigs[0].level)]
+    tried = [settle(problem, starts[0], settings.rigs[0].level)]
     for rig in settings.rigs[1:]:
-        tried.append(solve(problem, tried[-1].pose, rig.level))
+        tried.append(settle(problem, tried[-1].pose, rig.level))
     score = np.array([t.log_evidence + np.log(rig.share) for t, rig in zip(tried, settings.rigs)])
     weights = np.exp(score - score.max())
     best = int(np.argmax(score))
@@ -36,7 +36,10 @@ def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[Joint
     if rig.weight > settings.least_weight:
         first = solve(problem, tried[best].pose, rig.level, rig.weight)
         return [first, *(solve(one, start, rig.level, rig.weight) for one, start in pairs[1:])]
-    first = _averaged(problem.model, tried, weights / weights.sum(), tried[best])
+    weights = weights / weights.sum()
+    likely = np.flatnonzero(weights >= settings.negligible)
+    answers = [answered(tried[k]) for k in likely]
+    first = _averaged(problem.model, answers, weights[likely], answers[int(np.argmax(weights[likely]))])
     return [first, *(solve(one, start, rig.level) for one, start in pairs[1:])]
 
 

@@ -32,6 +32,8 @@ class JointSettings:
     # anything is seen, and the weight of a pixel in it. A rig without shared errors, a usual one, a poor one; with one
     # in between, at 0.2 or 0.4, frames that show little of the hand took it too often, and were too sure.
     rigs: tuple[Rig, ...] = (Rig(0.25, 0.1, 0.35), Rig(1.0, 0.7, 0.22), Rig(2.0, 0.15, 0.22), Rig(4.0, 0.05, 0.22))
+    # Rigs of less than this share of the mixture are left out of it.
+    negligible: float = 2e-3
     # Share of a contact's sigma by which its normal may have been felt elsewhere on a bent surface (AlignSettings).
     bend: float = 1.0
     # Modes that are solved (the rest of the posterior is negligible), and candidates for choosing the level.

@@ -183,14 +183,13 @@ class System:
         groups = int(group.max()) + 1
         if groups < problem.settings.least_blocks:
             return np.zeros((6, 6))
-        moved = np.zeros((groups, 6))
-        own = np.zeros((free, free))
-        for g in range(groups):
-            mine = group == g
+        parts, pulls = np.zeros((groups, free, free)), np.zeros((groups, free))
+        order = np.argsort(group, kind="stable")
+        for g, mine in enumerate(np.split(order, np.cumsum(np.bincount(group))[:-1])):
             weighted = jac[mine] * information[mine, None]
-            part = weighted.T @ jac[mine]
-            own += part
-            moved[g] = np.linalg.solve(whole - part * problem.settings.leave, weighted.T @ residual[mine])[:6]
+            parts[g], pulls[g] = weighted.T @ jac[mine], weighted.T @ residual[mine]
+        own = parts.sum(axis=0)
+        moved = np.linalg.solve(whole - parts * problem.settings.leave, pulls[:, :, None])[:, :6, 0]
         spread = moved.T @ moved * ((groups - 1.0) / groups)
         inverse = np.linalg.solve(whole, np.eye(free)[:, :6])
         said = misfit * (inverse.T @ own @ inverse)
@@ -256,7 +255,7 @@ class System:
         return constant, gradient * scale, normal
 
 
-def _blocks(uv: Array, count: int, least: float) -> NDArray[np.int64]:
+def _blocks(uv: Array, count: float, least: float) -> NDArray[np.int64]:
     """(n,) block of each pixel (n, 2): squares of the image, about `count` of them, no side shorter than `least`."""
     side = max(least, float(np.sqrt(np.prod(np.ptp(uv, axis=0) + 1.0) / count)))
     block = np.floor((uv - uv.min(axis=0)) / side).astype(np.int64)

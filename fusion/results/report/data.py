@@ -21,6 +21,7 @@ from fusion.results.report import pictures, words
 from fusion.results.report.grasps import add_grasps
 from fusion.results.report.outline import silhouette
 from fusion.results.report.rows import comparison_rows, rounded, summary_rows
+from fusion.results.report.shapes import shown_hand, shown_object
 from fusion.truth import metrics
 from fusion.truth.errors import Judge
 from scenes.errors import InputError
@@ -34,12 +35,13 @@ Json = dict[str, Any]
 
 TENTHS_OF_MM = 1e4  # per metre
 
-# What a page of a hundred frames can carry in 10 MB, and a canvas can sort in a few milliseconds.
-MODEL_FACES = 1400
+# A page of thirty frames stays below 2 MB, one of a hundred below 5; the model comes once a page.
+MODEL_FACES = 5000
 HAND_FACES = 2200
 CLOUD_POINTS = 2600
 PICTURE_WIDTH = 640
-FEW_FRAMES = 40  # beyond this many frames, each is given less
+SMALLEST_SHARE = 0.5  # of the pictures' width, however many frames there are
+FEW_FRAMES = 12  # beyond this many frames, each is given less
 
 # Cloud points farther from the object than this many of its radii are not shown.
 CLOUD_REACH = 2.2
@@ -89,14 +91,13 @@ class _FrameBuilder:
         self.model = model
         self.share = min(1.0, FEW_FRAMES / max(1, count)) ** 0.5
         self.renderer = Renderer({"object": (model.vertices, model.faces)})
-        self.judge = Judge(model)
+        self.judge = Judge.of(model)
         self.shown_vertices = np.zeros((0, 3))
         self.hand_faces: str | None = None
-        self._hand_count = 0
 
     def model_mesh(self) -> Json:
         """The model with at most MODEL_FACES triangles, relative to its centroid."""
-        vertices, faces = _reduced(self.model.vertices - self.model.centroid, self.model.faces, MODEL_FACES)
+        vertices, faces = shown_object(self.model, MODEL_FACES)
         self.shown_vertices = vertices + self.model.centroid
         return {"v": _shorts(vertices), "f": _base64(faces.astype("<u2"))}
 
@@ -155,7 +156,8 @@ class _FrameBuilder:
         figure("σ position", 1e3 * translation, "mm", "standard deviation in the worst direction")
         if rotation <= words.FREE_ROTATION:
             figure("σ rotation", float(np.rad2deg(rotation)), "°", "standard deviation about the worst axis")
-        figure("Sure", 100 * estimate.confidence, "%", "probability that the surface is within 5 mm")
+        within = f"probability that the surface error is below {1e3 * estimate.sure_within:.3g} mm"
+        figure("Sure", 100 * estimate.confidence, "%", within)
         figure("Visible", 100 * estimate.visible_fraction, "%", "share of the object that the camera sees")
         figure("Time", estimate.time_ms, "ms", "all stages that ran")
         return out
@@ -172,7 +174,7 @@ class _FrameBuilder:
         outlines = {name: silhouette(self.renderer, "object", camera, pose) for name, pose in shown.items()}
         marks = camera.project(contacts)[0] if len(contacts) else np.zeros((0, 2))
         around = [polygon for polygons in outlines.values() for polygon in polygons]
-        wide = round(PICTURE_WIDTH * max(0.7, self.share))
+        wide = round(PICTURE_WIDTH * max(SMALLEST_SHARE, self.share))
         crop = pictures.choose_crop(np.concatenate([*around, marks]), (camera.width, camera.height), wide=wide)
         origin = np.array([crop.left, crop.top]) - 0.5
         out: Json = {
@@ -189,11 +191,12 @@ class _FrameBuilder:
         if frame.depth is not None:
             anchor = next(iter(shown.values()), None)
             window = frame.depth[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
-            near, far = _depth_range(window, anchor, self.model)
-            out["depth"] = pictures.depth_picture(frame.depth, crop, near, far)
+            middle = None if anchor is None else float(poses.apply(anchor, self.model.centroid[None])[0, 2])
+            near, far = pictures.depth_range(window, middle, self.model.radius)
+            out["depth"] = pictures.data_uri(pictures.depth_image(frame.depth, crop, near, far))
             out["range_m"] = [round(near, 3), round(far, 3)]
         if frame.rgb is not None:
-            out["colour"] = pictures.colour_picture(frame.rgb, crop)
+            out["colour"] = pictures.data_uri(pictures.colour_image(frame.rgb, crop))
         return out
 
     def _cloud(self, frame: Frame, pose: Array | None, centre: Array) -> Json | None:
@@ -218,17 +221,15 @@ class _FrameBuilder:
     def _hand(self, frame: Frame, centre: Array) -> Json | None:
         if frame.hand is None or frame.joints is None or frame.world_from_hand is None:
             return None
-        vertices, faces, _ = frame.hand.mesh(frame.joints)
-        camera_from_hand = frame.camera_from_world @ frame.world_from_hand
-        vertices = poses.apply(camera_from_hand, np.asarray(vertices, dtype=np.float64)) - centre
-        most = round(HAND_FACES * self.share)
-        if len(faces) > most:
-            vertices, faces = _reduced(vertices, np.asarray(faces), most)
-            return {"v": _shorts(vertices), "f": _base64(faces.astype("<u2"))}
+        # hundreds: pages of nearly as many frames share what is kept of a hand
+        local, faces, links = shown_hand(frame.hand, 100 * math.ceil(HAND_FACES * self.share / 100))
+        hand_from_link = np.array(list(frame.hand.forward_kinematics(frame.joints).values()))
+        camera_from_link = (frame.camera_from_world @ frame.world_from_hand @ hand_from_link)[links]
+        vertices = np.einsum("nij,nj->ni", camera_from_link[:, :3, :3], local) + camera_from_link[:, :3, 3] - centre
+        packed = _base64(faces.astype("<u2"))
         if self.hand_faces is None:
-            self.hand_faces, self._hand_count = _base64(faces.astype("<u2")), len(faces)
-        own = {} if len(faces) == self._hand_count else {"f": _base64(faces.astype("<u2"))}
-        return {"v": _shorts(vertices), **own}
+            self.hand_faces = packed
+        return {"v": _shorts(vertices), **({} if packed == self.hand_faces else {"f": packed})}
 
     def _contacts(self, contacts: Any, estimate: Estimate, centre: Array) -> list[Json]:
         """One entry a contact of the frame, then the residuals that no recorded contact belongs to (from wrenches)."""
@@ -294,35 +295,6 @@ def _chosen(matters: NDArray[np.bool_], most: int) -> NDArray[np.int64]:
     rest = min(len(outside), most - kept)
     parts = [rng.choice(inside, kept, replace=False), rng.choice(outside, rest, replace=False)]
     return np.sort(np.concatenate(parts)).astype(np.int64)
-
-
-def _depth_range(depth: NDArray[np.floating], pose: Array | None, model: ObjectModel) -> tuple[float, float]:
-    """Depths (m) that the colours span: object and hand where the pose tells, else most of what the window holds."""
-    valid = depth[np.isfinite(depth) & (depth > 0)]
-    if not valid.size:
-        return 0.0, 1.0
-    low, high = np.percentile(valid, (2, 90))
-    middle = 0.0 if pose is None else float(poses.apply(pose, model.centroid[None])[0, 2])
-    if middle > 0:
-        # what is before the object is the hand: all of it within reach; what is behind is background
-        low = np.clip(low, middle - 4.0 * model.radius, middle - model.radius)
-        high = middle + 2.6 * model.radius
-    low = max(0.0, float(low))
-    return low, float(max(high, low + 1e-3))
-
-
-def _reduced(vertices: Array, faces: NDArray[np.integer], most: int) -> tuple[Array, NDArray[np.int64]]:
-    """A mesh of at most `most` triangles with the same look (quadric decimation)."""
-    if len(faces) <= most:
-        return vertices, np.asarray(faces, dtype=np.int64)
-    from scenes._open3d import open3d
-
-    o3d = open3d()
-    mesh = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(vertices), o3d.utility.Vector3iVector(np.asarray(faces, dtype=np.int32))
-    )
-    small = mesh.simplify_quadric_decimation(most)
-    return np.asarray(small.vertices), np.asarray(small.triangles, dtype=np.int64)
 
 
 def _shorts(points: ArrayLike) -> str:

@@ -293,6 +293,19 @@ def test_help_is_quick_to_load_and_the_pipe_may_close():
     assert "Traceback" not in done.stderr
 
 
+def test_an_estimate_of_known_meshes_loads_no_mesh_library(lab_frame, drill, tmp_path):
+    # what the first run read, repaired and measured of the object and of the hand's links is kept by the files' bytes
+    capture = write_capture(tmp_path / "held", [lab_frame], drill, hand=lab_frame.hand)
+    code = "import sys; from fusion.cli.main import start; start(); print(*sys.modules)"
+    command = [sys.executable, "-c", code, "estimate", str(capture), "--out", str(tmp_path / "out")]
+    for _ in range(2):
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert {"numba", "cv2", "fusion.results.report.page"} <= loaded
+    heavy = {"trimesh", "PIL", "scipy.optimize", "scipy.stats", "scipy.interpolate", "scipy.ndimage", "scipy.signal"}
+    assert heavy & loaded == set()
+
+
 def test_every_command_has_json_and_seed(capsys):
     actions = next(a for a in build_parser()._actions if a.dest == "command")
     wanted = {"demo", "synth", "validate", "estimate", "compare", "evaluate", "localize", "convert"}

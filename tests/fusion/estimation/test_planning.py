@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from fusion.estimation.estimate import estimate
 from fusion.estimation.proposals import ProposalSettings, search_stages
 from fusion.estimation.search import PlanSettings, find_modes, valley_steps, worth_solving
 from scenes.evidence import table as evidence
@@ -100,3 +101,13 @@ def test_no_valley_through_a_pose_that_is_sure_when_blurred(drill):
     sure = Prior(prior.pose, 1e12 * np.eye(6))
     steps = valley_steps(drill, rows, prior.pose, STAGES[0], sure, PlanSettings(), ModeSettings())
     assert len(steps) == len(near_symmetries(drill))
+
+
+def test_what_vision_alone_does_not_know_well_enough_is_asked_of_both_and_looked_at_once(lab_frame, drill):
+    usual = estimate(lab_frame, drill)
+    strict = estimate(lab_frame, drill, tolerance=(1e-6, 1e-6))
+    names = [stage.name for stage in strict.trace]
+    assert names.count("look") == names.count("solve together") == names.count("judge") == 1
+    assert [stage.ran for stage in strict.trace if stage.name == "feel"] == [False, True]
+    assert (strict.pose == usual.pose).all()
+    assert (strict.covariance == usual.covariance).all()

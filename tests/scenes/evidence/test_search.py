@@ -9,6 +9,7 @@ from scenes.evidence.align import Alignment, Prior
 from scenes.evidence.search import (
     SearchStage,
     distinct_first,
+    leaders,
     rotation_grid,
     search,
     starts_around,
@@ -148,3 +149,34 @@ def test_poses_that_fell_together_count_once(rng):
     result = Alignment(stack, costs, np.zeros((12, 6, 6)), np.ones(12, dtype=np.int64))
     assert distinct_first(model, result, 10).tolist() == [3, 1, 2, 0]
     assert distinct_first(model, result, 2).tolist() == [3, 1]
+
+
+def leaders_by_arrays(model, candidates, apart):
+    """The twin of `leaders` in plain NumPy."""
+    chosen, group = [], np.full(len(candidates), -1)
+    middles = poses.apply(candidates, model.centroid[None])[:, 0]
+    for n, pose in enumerate(candidates):
+        for k, other in enumerate(chosen):
+            alike = model.symmetries.nearest(pose, candidates[other])
+            chord = np.linalg.norm(alike[:3, :3] - candidates[other][:3, :3]) / np.sqrt(2.0)
+            if chord * model.radius + np.linalg.norm(middles[n] - middles[other]) < apart:
+                group[n] = k
+                break
+        else:
+            group[n] = len(chosen)
+            chosen.append(n)
+    return chosen, group
+
+
+@pytest.mark.parametrize("name", ["drill", "box", "bottle", "cylinder", "sphere"])
+def test_leaders_stand_for_poses_that_look_alike(name, rng):
+    model = library.make(name)
+    some = poses.perturb(np.eye(4), rng.normal(size=(12, 6)) * ([2.0] * 3 + [0.02] * 3), model.centroid)
+    alike = some @ model.symmetry_poses(5)[rng.integers(len(model.symmetry_poses(5)), size=12)]
+    near = poses.perturb(alike, rng.normal(size=(12, 6)) * ([0.05] * 3 + [0.002] * 3), model.centroid)
+    candidates = np.concatenate([some, alike, near])[rng.permutation(36)]
+    for apart in (0.001, 0.2 * model.radius, model.radius):
+        expected, of = leaders_by_arrays(model, candidates, apart)
+        chosen, group = leaders(model, candidates, apart)
+        assert np.array_equal(chosen, expected)
+        assert np.array_equal(group, of)

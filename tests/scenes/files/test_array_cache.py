@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scenes.cache import cache_folder, remembered
+from scenes.cache import are_triangles, cache_folder, remembered, remembered_of_file
 
 CONTENT = (np.arange(6.0).reshape(2, 3), np.array([[0, 1, 2]]))
 
@@ -106,3 +106,40 @@ def test_what_objects_and_hands_keep_is_read_back_the_same(folder, monkeypatch):
     for one, other in zip(first, everything()):
         assert one.dtype == other.dtype
         assert np.array_equal(one, other)
+
+
+def test_a_file_is_known_by_its_bytes_wherever_it_lies(folder, tmp_path):
+    first, copied, other = (tmp_path / name for name in ("a/mesh.ply", "b/copy.ply", "b/mesh.stl"))
+    for path in (first, copied, other):
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(b"the same")
+    make = Maker()
+    for path, calls in ((first, 1), (copied, 1), (other, 2)):
+        remembered_of_file("kind", 1, path, make, sound)
+        assert make.calls == calls, path
+    first.write_bytes(b"not the same")
+    remembered_of_file("kind", 1, first, make, sound)
+    assert make.calls == 3
+    beside = tmp_path / "scene.gltf"  # its vertices may lie in a file beside it
+    beside.write_bytes(b"{}")
+    for calls in (4, 5):
+        remembered_of_file("kind", 1, beside, make, sound)
+        assert make.calls == calls
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"faces": np.array([[0, 1, 3]])},
+        {"faces": np.array([[0, 1, -1]])},
+        {"faces": np.zeros((0, 3), dtype=np.int64)},
+        {"faces": np.array([[0.0, 1.0, 2.0]])},
+        {"vertices": np.full((3, 3), np.nan)},
+        {"vertices": np.eye(3, dtype=np.float32)},
+        {"vertices": np.eye(3)[:, :2]},
+    ],
+)
+def test_stored_triangles_are_looked_at(damage):
+    whole = {"vertices": np.eye(3), "faces": np.array([[0, 1, 2]])}
+    assert are_triangles(whole)
+    assert not are_triangles({**whole, **damage})

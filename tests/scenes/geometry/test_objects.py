@@ -15,6 +15,24 @@ from scenes.geometry.objects import ObjectModel, check_size
 from scenes.synthesis import library
 
 
+def test_a_mesh_is_read_and_repaired_once(tmp_path, monkeypatch):
+    monkeypatch.setenv("PALPATE_CACHE", str(tmp_path / "cache"))
+    box = trimesh.creation.box((0.08, 0.05, 0.03))
+    open_box = trimesh.Trimesh(box.vertices, box.faces[1:], process=False)
+    path = tmp_path / "box.stl"
+    open_box.export(path)
+    first = ObjectModel.load(path)
+    with pytest.raises(MeshError, match="diameter"):  # the same bytes in another unit are another object
+        ObjectModel.load(path, unit="mm")
+    monkeypatch.setattr(trimesh, "load", None)
+    again = ObjectModel.load(path, name="known")
+    assert again.name == "known"
+    assert again.mended == first.mended != ()
+    assert (again.vertices == first.vertices).all()
+    assert (again.faces == first.faces).all()
+    assert again.diameter == first.diameter == pytest.approx(np.linalg.norm([0.08, 0.05, 0.03]))
+
+
 @pytest.mark.parametrize("name", library.names())
 def test_volume_centroid_and_diameter_against_trimesh(name):
     model = library.make(name)
@@ -181,3 +199,17 @@ def test_no_point_that_is_near_is_sorted_out_as_far(name, distance):
     assert maybe.mean() < 0.5
     far = surface.may_be_within(points + 10.0, distance)
     assert not far.any()
+
+
+def test_cells_near_a_mesh_are_those_that_its_widened_boxes_reach(rng):
+    model, distance = library.make("l_block"), 0.0093
+    corners = model.vertices[model.faces]
+    low, high = corners.min(axis=1) - distance, corners.max(axis=1) + distance
+    origin, extent = low.min(axis=0), np.ptp(np.concatenate([low, high]), axis=0)
+    cell = max(distance, extent.max() / 64)
+    points = rng.uniform(origin - 0.02, origin + extent + 0.02, (2000, 3))
+    place = np.floor((points - origin) / cell)[:, None]
+    first, last = np.floor((low - origin) / cell), np.floor((high - origin) / cell)
+    reached = ((place >= first) & (place <= last)).all(axis=2).any(axis=1)
+    assert 0.1 < reached.mean() < 0.9
+    assert np.array_equal(model.surface.may_be_within(points, distance), reached)

@@ -1,0 +1,93 @@
+"""The predicted image in plain NumPy: the twin of vision.predicted_kernels, array by array."""
+
+import numpy as np
+
+from scenes.geometry import poses as se3
+from scenes.geometry.cameras import is_reading
+
+
+def predicted(found, pose, side):
+    """Shares (seen, agree, past, hidden, behind_hand, outline) and hits of one pose (4, 4); found: a Predictor."""
+    s, camera, depth, belief = found.settings, found.camera, found._depth, found._belief
+    u, v, inside = grid(found, pose, side)
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
+    inverse = se3.inverse(pose)
+    local = rays @ inverse[:3, :3].T
+    expected = np.full(u.shape, np.inf)
+    if inside.any():
+        origins = np.broadcast_to(inverse[:3, 3], local.shape)
+        expected[inside] = found.model.surface.cast(origins[inside], local[inside])
+    hit = np.isfinite(expected)
+    z = np.where(hit, expected, 1.0)
+    at = np.where(inside, v, 0), np.where(inside, u, 0)
+    seen = np.where(inside, depth[at].astype(np.float64), 0.0)
+    read = is_reading(seen) & inside
+    seen = np.where(read, seen, 0.0)
+    smooth = np.hypot(belief.independent_sigma(z), belief.bias_sigma)
+    tolerance = s.tolerance * np.hypot(smooth, belief.scale_sigma * z)
+    known = read & hit
+    off = np.where(known, seen - z, 0.0)
+    by_hand = known & is_hand(found, at, seen)
+    plane = known & is_plane(found, rays, seen)
+    past = known & ((off > tolerance) | (plane & (off < -tolerance)))
+    beside = known & (nearest_around(depth, s.edge_pixels)[at] < z + tolerance)
+    past_share = np.where(past & beside & (off > 0), s.past_beside, 1.0) * past
+    other = plane if found._mask is None else plane | ~found._mask[at]
+    near = known & ~by_hand & ~other & (np.abs(off) <= tolerance)
+    hidden = known & ~by_hand & ~past & ~near
+    fade = np.exp(-0.5 * np.square(off / (s.fading * smooth))) * near
+    total = max(hit.sum() - s.unread * (hit & ~read).sum(), 1.0)
+    sums = [x.sum() / total for x in (fade, near, past_share, hidden, by_hand & ~past)]
+    return *sums, runs_on(s, hit, near, read, seen, side), int(hit.sum())
+
+
+def grid(found, pose, side):
+    """Pixels u, v (side^2,) over the box of the outline, and which of them are in the image."""
+    c = found.camera
+    points = found._points @ pose[:3, :3].T + pose[:3, 3]
+    z = points[:, 2]
+    ahead = (z > 1e-3).all()
+    safe = np.where(z > 1e-3, z, 1.0)
+    uv = np.stack([c.fx * points[:, 0] / safe + c.cx, c.fy * points[:, 1] / safe + c.cy], axis=1)
+    low = np.clip(uv.min(axis=0) - 1.0, -c.width, 2 * c.width)
+    high = np.clip(uv.max(axis=0) + 1.0, -c.width, 2 * c.width)
+    steps = (np.arange(side) + 0.5)[:, None] / side
+    u, v = np.round(low + steps * (high - low)).astype(np.int64).T
+    u, v = (x.ravel() for x in np.meshgrid(u, v))
+    return u, v, (u >= 0) & (v >= 0) & (u < c.width) & (v < c.height) & ahead
+
+
+def is_hand(found, at, seen):
+    low, high = found._hand
+    if not len(low):
+        return np.zeros(seen.shape, dtype=bool)
+    place = at[0] // found.settings.hand_step, at[1] // found.settings.hand_step
+    return (seen > low[place] - found.settings.hand_margin) & (seen < high[place] + found.settings.hand_margin)
+
+
+def is_plane(found, rays, seen):
+    if found._plane is None:
+        return np.zeros(seen.shape, dtype=bool)
+    room = found.settings.plane_margin + found.settings.plane_sigmas * found._belief.independent_sigma(seen)
+    return np.abs(seen * (rays @ found._plane[:3]) + found._plane[3]) < room
+
+
+def nearest_around(depth, reach):
+    """(h, w) least depth (m) that is read within `reach` pixels along either axis; inf for none."""
+    read = np.pad(np.where(is_reading(depth), depth, np.inf), reach, constant_values=np.inf)
+    windows = np.lib.stride_tricks.sliding_window_view(read, (2 * reach + 1, 2 * reach + 1))
+    return windows.min(axis=(2, 3))
+
+
+def runs_on(settings, hit, near, read, seen, side):
+    """Share of the outline across which the surface that is seen inside goes on as it was."""
+    hit, near, read, seen = (np.pad(x.reshape(side, side), 1) for x in (hit, near, read, seen))
+    smooth = border = 0
+    for axis in (0, 1):
+        for step in (1, -1):
+            beyond = hit & ~np.roll(hit, step, axis)
+            lead = 2.0 * seen - np.roll(seen, -step, axis)
+            close = np.abs(np.roll(seen, step, axis) - lead) < settings.smooth + settings.smooth_share * seen
+            smooth += (beyond & near & np.roll(near, -step, axis) & np.roll(read, step, axis) & close).sum()
+            border += beyond.sum()
+    return smooth / max(border, 1)

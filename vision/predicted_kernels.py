@@ -1,0 +1,209 @@
+"""The compiled predicted image: rays over the outline of each pose, what each of them is, and what they add up to.
+
+One pass over the rays of many poses, without arrays between the steps; the twin in plain NumPy is in the tests. Camera
+frame, metres, pixels.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from scenes.geometry.cameras import FARTHEST_READING
+
+# What a ray is: meets the object, its pixel is read, at the predicted depth, hidden by something unknown, by the hand.
+HIT, READ, NEAR, HIDDEN, BY_HAND = 1, 2, 4, 8, 16
+
+# Columns of what the rays of a pose add up to: rays that met the object, those of them without a reading, seen (falling
+# off with the difference), at the predicted depth, seen past, hidden, by the hand, and the share of the outline across
+# which the surface runs on.
+HITS, UNREAD, SEEN, AGREE, PAST, BEHIND, BEHIND_HAND, OUTLINE = range(8)
+SUMS = 8
+
+# Nearer than this (m) before the camera nothing is projected.
+_NEAREST = 1e-3
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def outline_rays(points, rotations, translations, camera, middle, u, v, rays, index):
+    """Pixels u, v (n, side) over the box of each pose's outline; fills rays and index, and returns how many rays.
+
+    points (m, 3): of the surface, object frame. rotations (n, 3, 3), translations (n, 3): camera_from_object. camera:
+    fx, fy, cx, cy, width, height. middle (3,): what the ray caster takes off its points. rays (n side^2, 6): origin and
+    direction with z = 1, object frame about the middle, of the pixels in the image; index: where among all they belong.
+    """
+    fx, fy, cx, cy, width, height = camera
+    side = u.shape[1]
+    count = 0
+    for n in range(rotations.shape[0]):
+        r, t = rotations[n], translations[n]
+        low_u = low_v = math.inf
+        high_u = high_v = -math.inf
+        ahead = True
+        for k in range(points.shape[0]):
+            px, py, pz = points[k, 0], points[k, 1], points[k, 2]
+            x = r[0, 0] * px + r[0, 1] * py + r[0, 2] * pz + t[0]
+            y = r[1, 0] * px + r[1, 1] * py + r[1, 2] * pz + t[1]
+            z = r[2, 0] * px + r[2, 1] * py + r[2, 2] * pz + t[2]
+            if not z > _NEAREST:
+                ahead = False
+                z = 1.0
+            a, b = fx * x / z + cx, fy * y / z + cy
+            low_u, high_u = min(low_u, a), max(high_u, a)
+            low_v, high_v = min(low_v, b), max(high_v, b)
+        # far outside the image nothing is asked
+        low_u, high_u = min(max(low_u - 1.0, -width), 2.0 * width), min(max(high_u + 1.0, -width), 2.0 * width)
+        low_v, high_v = min(max(low_v - 1.0, -width), 2.0 * width), min(max(high_v + 1.0, -width), 2.0 * width)
+        for i in range(side):
+            share = (i + 0.5) / side
+            u[n, i] = int(np.rint(low_u + share * (high_u - low_u)))
+            v[n, i] = int(np.rint(low_v + share * (high_v - low_v)))
+        if not ahead:
+            continue
+        ox = -(r[0, 0] * t[0] + r[1, 0] * t[1] + r[2, 0] * t[2]) - middle[0]
+        oy = -(r[0, 1] * t[0] + r[1, 1] * t[1] + r[2, 1] * t[2]) - middle[1]
+        oz = -(r[0, 2] * t[0] + r[1, 2] * t[1] + r[2, 2] * t[2]) - middle[2]
+        for j in range(side):
+            if v[n, j] < 0 or v[n, j] >= height:
+                continue
+            y = (v[n, j] - cy) / fy
+            for i in range(side):
+                if u[n, i] < 0 or u[n, i] >= width:
+                    continue
+                x = (u[n, i] - cx) / fx
+                rays[count, 0], rays[count, 1], rays[count, 2] = ox, oy, oz
+                rays[count, 3] = r[0, 0] * x + r[1, 0] * y + r[2, 0]
+                rays[count, 4] = r[0, 1] * x + r[1, 1] * y + r[2, 1]
+                rays[count, 5] = r[0, 2] * x + r[1, 2] * y + r[2, 2]
+                index[count] = (n * side + j) * side + i
+                count += 1
+    return count
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def compare_pixels(met, index, u, v, image, camera, noise, limits, expected, seen, state, past, fade):
+    """What each ray is: fills expected, seen, state, past and fade, all (n side^2,), which begin as zeros.
+
+    met (k,): depth (m) at which ray `index` (k,) meets the object, inf for none. u, v (n, side): see outline_rays.
+    image: depth (h, w); mask (h, w) or (0, 0); least and largest depth (m) of the hand at every so many pixels or
+    (0, 0); plane (4,), zeros for none. noise: floor, growth, depth it grows from, bias and scale of a DepthModel.
+    limits: tolerance (sigmas), fading (sigmas), share past beside an edge, reach of an edge (px), step of the hand (px)
+    and its margin (m), margin (m) and sigmas of the plane.
+    state: bits as named here; expected and seen: depths (m), 0 where there is none; past: how much of a ray is seen
+    past; fade: how well one at the predicted depth agrees.
+    """
+    depth, mask, hand_low, hand_high, plane = image
+    fx, fy, cx, cy, _, _ = camera
+    floor, growth, least_from, bias, scale = noise
+    tolerance_sigmas, fading, beside_share, reach, step, hand_margin, plane_margin, plane_sigmas = limits
+    height, width = depth.shape
+    side = u.shape[1]
+    has_hand, has_mask = hand_low.shape[0] > 0, mask.shape[0] > 0
+    has_plane = plane[0] != 0.0 or plane[1] != 0.0 or plane[2] != 0.0
+    for k in range(index.shape[0]):
+        place = index[k]
+        n = place // (side * side)
+        column, row = u[n, place % side], v[n, (place // side) % side]
+        reading = np.float64(depth[row, column])
+        read = 0.0 < reading < FARTHEST_READING
+        bits = READ if read else 0
+        seen[place] = reading if read else 0.0
+        z = met[k]
+        if not z < math.inf:
+            state[place] = bits
+            continue
+        bits |= HIT
+        expected[place] = z
+        if not read:
+            state[place] = bits
+            continue
+        independent = floor + growth * (z - least_from) * (z - least_from)
+        smooth = math.sqrt(independent * independent + bias * bias)
+        tolerance = tolerance_sigmas * math.sqrt(smooth * smooth + scale * scale * z * z)
+        off = reading - z
+        by_hand = False
+        if has_hand:
+            low, high = hand_low[row // step, column // step], hand_high[row // step, column // step]
+            by_hand = low - hand_margin < reading < high + hand_margin
+        is_plane = False
+        if has_plane:
+            away = plane[0] * (column - cx) / fx + plane[1] * (row - cy) / fy + plane[2]
+            room = plane_margin + plane_sigmas * (floor + growth * (reading - least_from) * (reading - least_from))
+            is_plane = abs(reading * away + plane[3]) < room
+        # nothing is under the table or behind the wall; what is at its depth is the table, and hides the object at most
+        is_past = off > tolerance or (is_plane and off < -tolerance)
+        if is_past:
+            past[place] = 1.0
+            # beside the edge of something near a camera often reads what is behind it: stereo's windows, mixed light
+            if off > 0.0 and _beside(depth, row, column, reach, z + tolerance, height, width):
+                past[place] = beside_share
+        other = is_plane or (has_mask and not mask[row, column])
+        near = not by_hand and not other and abs(off) <= tolerance
+        if near:
+            bits |= NEAR
+            away = off / (fading * smooth)
+            fade[place] = math.exp(-0.5 * away * away)
+        if by_hand:
+            if not is_past:
+                bits |= BY_HAND
+        elif not is_past and not near:
+            bits |= HIDDEN
+        state[place] = bits
+
+
+@numba.njit(cache=True, nogil=True)
+def _beside(depth, row, column, reach, nearer, height, width):
+    """Whether within `reach` pixels along either axis something is read that is nearer (m)."""
+    for j in range(max(row - reach, 0), min(row + reach + 1, height)):
+        for i in range(max(column - reach, 0), min(column + reach + 1, width)):
+            if 0.0 < depth[j, i] < nearer:
+                return True
+    return False
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def sum_up(side, smooth, smooth_share, seen, state, past, fade, out):
+    """What the rays (n side^2,) of each pose add up to: fills out (n, SUMS); see the columns' names.
+
+    The surface runs on across the outline where the pixel beyond it is within smooth (m) and smooth_share (of depth) of
+    where the two pixels before it lead.
+    """
+    for n in range(out.shape[0]):
+        begin = n * side * side
+        edges = running = 0
+        for j in range(side):
+            for i in range(side):
+                k = begin + j * side + i
+                bits = state[k]
+                if not bits & HIT:
+                    continue
+                out[n, HITS] += 1.0
+                if not bits & READ:
+                    out[n, UNREAD] += 1.0
+                out[n, SEEN] += fade[k]
+                out[n, PAST] += past[k]
+                if bits & NEAR:
+                    out[n, AGREE] += 1.0
+                elif bits & HIDDEN:
+                    out[n, BEHIND] += 1.0
+                elif bits & BY_HAND:
+                    out[n, BEHIND_HAND] += 1.0
+                for way in range(4):
+                    # the neighbour outside, and the one inside on the other side
+                    dj, di = (way - 1, 0) if way % 2 == 0 else (0, way - 2)
+                    in_grid = 0 <= j + dj < side and 0 <= i + di < side
+                    beyond = k + dj * side + di
+                    if in_grid and state[beyond] & HIT:
+                        continue
+                    edges += 1
+                    back = k - dj * side - di
+                    if not in_grid or not 0 <= j - dj < side or not 0 <= i - di < side:
+                        continue
+                    if not bits & NEAR or not state[back] & NEAR or not state[beyond] & READ:
+                        continue
+                    lead = 2.0 * seen[k] - seen[back]
+                    if abs(seen[beyond] - lead) < smooth + smooth_share * seen[k]:
+                        running += 1
+        out[n, OUTLINE] = running / max(edges, 1)
