@@ -27,9 +27,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Judged:
-    """verdict, its reason; covariance (6, 6) of all that may be the case; right: chance that the first mode is the right
-    one; confidence; modes: the hypotheses with their weights; how contacts (residuals) and pixels (share explained, rms m) agree; visible: share of the object that is
-    seen; unobservable: directions, in words.
+    """verdict, its reason; covariance (6, 6) of all that may be the case; right: chance that the first mode is right;
+    confidence; modes: the hypotheses with their weights; how contacts (residuals) and pixels (share explained, rms m)
+    agree; visible: share of the object that is seen; unobservable: directions, in words.
     """
 
     verdict: str
