@@ -28,7 +28,7 @@ BENCHMARKS = {
     "scenes": "fusion.benchmarks.camera.scenes",
     "segmentation": "fusion.benchmarks.camera.segmentation",
     "colour": "fusion.benchmarks.camera.colour",
-    "tracking": "fusion.benchmarks.frames.tracking",
+    "tracking": "fusion.benchmarks.tracking.bench",
 }
 
 

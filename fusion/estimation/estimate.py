@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import Asked, check_limits, sure_to_be_within
-from fusion.estimation.confidence import chances, whole_covariance, within
+from fusion.estimation.confidence import whole_covariance, within
 from fusion.estimation.moments import moments
 from fusion.estimation.proposals import search_stages, starts_of
 from fusion.estimation.propose import modes_anywhere, modes_near
@@ -168,13 +168,8 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         seeing = visibility(viewed, model, pose, beliefs.depth)
         picture = predictor.predict(pose[None]) if predictor.sees else None
         nats = float(costs(model, felt.rows, pose[None])[0]) if contacts else 0.0
-        right, near = chances(model, modes, picture, residuals, nats, settings=settings.confidence)
-        sure = right * near
-        word, why = posterior.verdict(model, modes, residuals, share, seeing, settings.verdict)
-        if word == "ok" and nats > settings.verdict.most_contradicted * max(contacts, 1):
-            word, why = "lost", "the contacts, or their normals, contradict every pose"
-        if word == "ok" and sure < settings.confidence.sure:
-            word, why = "ambiguous", f"only {sure:.0%} sure to be within {1e3 * settings.confidence.tolerance:.3g} mm"
+        agreed = residuals, nats, share, seeing, picture
+        right, sure, word, why = posterior.judged(model, modes, *agreed, settings.verdict, settings.confidence)
         covariance = modes[0].covariance
         if word != "ok":
             covariance = whole_covariance(model, modes, right, believed, settings.confidence)
