@@ -88,15 +88,15 @@ def compare_pixels(met, index, u, v, image, camera, noise, limits, expected, see
 
     met (k,): depth (m) at which ray `index` (k,) meets the object, inf for none. u, v (n, side): see outline_rays.
     image: depth (h, w); mask (h, w) or (0, 0); least and largest depth (m) of the hand at every so many pixels or
-    (0, 0); plane (4,), zeros for none. noise: floor, growth, bias and scale of a DepthModel. limits: tolerance
-    (sigmas), fading (sigmas), share past beside an edge, reach of an edge (px), step of the hand (px) and its margin
-    (m), margin (m) and sigmas of the plane.
+    (0, 0); plane (4,), zeros for none. noise: floor, growth, depth it grows from, bias and scale of a DepthModel.
+    limits: tolerance (sigmas), fading (sigmas), share past beside an edge, reach of an edge (px), step of the hand (px)
+    and its margin (m), margin (m) and sigmas of the plane.
     state: bits as named here; expected and seen: depths (m), 0 where there is none; past: how much of a ray is seen
     past; fade: how well one at the predicted depth agrees.
     """
     depth, mask, hand_low, hand_high, plane = image
     fx, fy, cx, cy, _, _ = camera
-    floor, growth, bias, scale = noise
+    floor, growth, least_from, bias, scale = noise
     tolerance_sigmas, fading, beside_share, reach, step, hand_margin, plane_margin, plane_sigmas = limits
     height, width = depth.shape
     side = u.shape[1]
@@ -119,7 +119,7 @@ def compare_pixels(met, index, u, v, image, camera, noise, limits, expected, see
         if not read:
             state[place] = bits
             continue
-        independent = floor + growth * (z - 0.4) * (z - 0.4)
+        independent = floor + growth * (z - least_from) * (z - least_from)
         smooth = math.sqrt(independent * independent + bias * bias)
         tolerance = tolerance_sigmas * math.sqrt(smooth * smooth + scale * scale * z * z)
         off = reading - z
@@ -130,7 +130,7 @@ def compare_pixels(met, index, u, v, image, camera, noise, limits, expected, see
         is_plane = False
         if has_plane:
             away = plane[0] * (column - cx) / fx + plane[1] * (row - cy) / fy + plane[2]
-            room = plane_margin + plane_sigmas * (floor + growth * (reading - 0.4) * (reading - 0.4))
+            room = plane_margin + plane_sigmas * (floor + growth * (reading - least_from) * (reading - least_from))
             is_plane = abs(reading * away + plane[3]) < room
         # nothing is under the table or behind the wall; what is at its depth is the table, and hides the object at most
         is_past = off > tolerance or (is_plane and off < -tolerance)

@@ -52,6 +52,7 @@ def _sight_shares(
     rotations,
     translations,
     floor,
+    nearest,
     growth,
     bias,
     scale,
@@ -88,7 +89,7 @@ def _sight_shares(
             seen = depth[v, u]
             if not seen > 0.0:
                 continue
-            independent = floor + growth * (z - 0.4) * (z - 0.4)
+            independent = floor + growth * (z - nearest) * (z - nearest)
             tolerance = 2.5 * math.sqrt(independent * independent + bias * bias + scale * scale * z * z) + slack
             if seen > z + tolerance:
                 past += 1
@@ -133,7 +134,7 @@ class Sight:
         rotations = np.ascontiguousarray(candidates[:, :3, :3])
         translations = np.ascontiguousarray(candidates[:, :3, 3])
         view = (self._depth, c.fx, c.fy, c.cx, c.cy, points, normals, s.least_cosine)
-        noise = (m.axial_floor, m.axial_growth, m.bias_sigma, m.scale_sigma, slack)
+        noise = (m.axial_floor, m.axial_from, m.axial_growth, m.bias_sigma, m.scale_sigma, slack)
 
         def work(part: slice) -> None:
             _sight_shares(*view, rotations[part], translations[part], *noise, out[part])

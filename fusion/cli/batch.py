@@ -7,19 +7,23 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion.cli.config import add_config, read_config
+from fusion.cli.config import add_config, read_config, told
 from fusion.cli.options import (
+    add_beliefs,
     add_object,
     add_prior,
+    add_sure,
     add_trust,
     announce_compiling,
     names,
     number,
     out_folder,
+    percent,
     positive,
     progress,
     say,
     show_table,
+    with_sure,
     write_json,
 )
 
@@ -39,6 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--use", metavar="SENSES", type=names, default=("vision", "touch"), help="vision,touch (default)"
     )
     add_prior(parser)
+    add_sure(parser)
+    add_beliefs(parser)
     add_config(parser)
     parser.add_argument("--out", metavar="DIR", type=Path, help="where to write (default out/NAME of the folder)")
     parser.add_argument("--no-report", action="store_true", help="skip the captures' report.html")
@@ -50,30 +56,30 @@ def run(args: argparse.Namespace) -> int:
     from fusion.estimation.asked import check_senses
     from fusion.results.batch import Job, Outcome, find_captures, finished
     from fusion.results.batch_files import write_all
-    from fusion.results.runs import prior_setter
+    from fusion.results.runs import frame_setter
     from fusion.results.summary import summary_of
     from scenes.files.whole import sweep
 
     use = tuple(sorted(check_senses(args.use), reverse=True))
-    prior_setter(args.prior, args.seed)  # a mistake in it is one line now, not one a capture
+    believed = tuple(told(args))
+    frame_setter(args.prior, args.seed, believed)  # a mistake in it is one line now, not one a capture
     paths = find_captures(args.folder)
     out = out_folder(args, args.folder.resolve().name)
-    told: dict[str, Any] = {
+    asked: dict[str, Any] = {
         "use": use,
         "prior": args.prior,
         "object": args.object,
         "unit": args.unit,
         "report": not args.no_report,
     }
-    told["trust_paths"] = args.trust_paths
-    if args.config is not None:
-        config = read_config(args.config)
-        told |= {"settings": config.estimate, "beliefs": config.believed}
+    asked |= {"trust_paths": args.trust_paths, "told": believed}
+    if args.config is not None or args.sure_within is not None:
+        asked["settings"] = with_sure(read_config(args.config).estimate, args)
     jobs = []
     for path in paths:
         name = path.relative_to(args.folder).as_posix()
         name = args.folder.resolve().name if name == "." else name
-        jobs.append(Job(str(path.resolve()), name, str((out / name).resolve()), seed=args.seed, **told))
+        jobs.append(Job(str(path.resolve()), name, str((out / name).resolve()), seed=args.seed, **asked))
     found: dict[str, Outcome] = {}
     for job in jobs:
         sweep(Path(job.out))  # what an earlier run was killed over
@@ -113,14 +119,15 @@ def _outcomes(args: argparse.Namespace, jobs: list[Job]) -> Iterator[Outcome]:
 def _show(outcomes: list[Outcome], summary: dict[str, Any]) -> None:
     from fusion.results.summary import median
 
-    heads = ("capture", "frames", "ok", "ambiguous", "lost", "ADD-S mm", "rot °", "time ms")
+    heads = ("capture", "frames", "ok", "ambiguous", "lost", "sure", "ADD-S mm", "rot °", "time ms")
     rows = []
     for outcome in outcomes:
         if outcome.status == "error":
             continue
         counts = [str(sum(row["verdict"] == word for row in outcome.rows)) for word in ("ok", "ambiguous", "lost")]
-        middle = [median([row[name] for row in outcome.rows]) for name in ("add_s_mm", "rotation_deg", "time_ms")]
-        measured = [number(middle[0]), number(middle[1]), number(middle[2], 0)]
+        names_of = ("confidence", "add_s_mm", "rotation_deg", "time_ms")
+        middle = [median([row[name] for row in outcome.rows]) for name in names_of]
+        measured = [percent(middle[0]), number(middle[1]), number(middle[2]), number(middle[3], 0)]
         rows.append((outcome.job.name, str(len(outcome.rows)), *counts, *measured))
     if rows:
         show_table(heads, rows)

@@ -6,8 +6,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fusion.cli.config import add_config, read_config
+from fusion.cli.config import add_config, read_config, told
 from fusion.cli.options import (
+    add_beliefs,
     add_object,
     add_prior,
     add_trust,
@@ -20,7 +21,7 @@ from fusion.cli.options import (
     show_table,
     write_json,
 )
-from fusion.results.runs import load_object, prior_setter
+from fusion.results.runs import frame_setter, load_object
 
 if TYPE_CHECKING:
     from fusion.truth.compare import Summary
@@ -51,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_object(parser, what="instead of the captures' object")
     add_prior(parser)
+    add_beliefs(parser)
     add_config(parser)
     parser.add_argument("--plot", metavar="FILE", type=Path, help="also draw the errors: .html or .svg")
 
@@ -67,12 +69,12 @@ def run(args: argparse.Namespace) -> int:
         check_suffix(args.plot)
         check_target(args.plot)
     config = read_config(args.config)
+    prepare = frame_setter(args.prior, args.seed, told(args))
     captures = [read_capture(path, args.trust_paths) for path in args.captures]
     model = load_object(args.object, args.unit) if args.object else None
     total = len(methods) * sum(map(len, captures))
     announce_compiling()
-    prepare = prior_setter(args.prior, args.seed)
-    found_rows = compare(captures, methods, args.seed, model, prepare, config.estimate, config.believed)
+    found_rows = compare(captures, methods, args.seed, model, prepare, config.estimate)
     rows = list(progress(found_rows, total, "comparing"))
     summaries = summarise(rows)
     groups = list(dict.fromkeys(row.group for row in rows))

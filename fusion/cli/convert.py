@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fusion.cli.options import (
+    add_beliefs,
     add_object,
     add_trust,
+    beliefs_told,
     check_folder,
     check_target,
     positive_number,
@@ -84,11 +86,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--fps", metavar="F", type=positive_number, default=STAMP_RATE, help="tum: where no stamps are known (30)"
     )
+    add_beliefs(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0; what was written and what was dropped is listed."""
+    from scenes.errors import InputError
+    from scenes.recordings.telling import believed
+    from scenes.recordings.writing import tell
+
+    told = beliefs_told(args)
+    believed(None, told)  # a mistake in it is one line now, not one after the work
+    if told and (args.source / "capture.json").is_file():
+        raise InputError(f"{told[0][0]}: expected a recording that becomes a capture, got a capture")
     done = convert(args)
+    for path in done.written if told else ():
+        if (path / "capture.json").is_file():
+            tell(path, told)
     write_json(args.json, done.to_json())
     for path in done.written:
         say(f"wrote {path}")

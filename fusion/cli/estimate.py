@@ -4,22 +4,30 @@ from __future__ import annotations
 
 import argparse
 
-from fusion.cli.config import add_config, read_config
+from fusion.cli.config import add_config, read_config, told
 from fusion.cli.options import (
+    add_beliefs,
     add_run,
+    add_sure,
     announce_compiling,
     length_and_angle,
     number,
     out_folder,
+    percent,
     pose_lines,
     positive_number,
     progress,
     say,
     show_table,
+    with_sure,
     write_run,
 )
-from fusion.results.runs import estimates, load_object, prior_setter
+from fusion.results.runs import estimates, frame_setter, load_object
 
+HEADS = (
+    *("frame", "verdict", "sure", "ADD-S mm", "rot °", "trans mm", "cloud mm", "contacts mm", "time ms"),
+    "not known",
+)
 # Frames whose reasons are printed; result.json has all of them.
 MOST_REMARKS = 5
 # Frames whose pose is printed; poses.csv and result.json have all of them.
@@ -29,6 +37,8 @@ MOST_POSES = 10
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
     add_run(parser)
+    add_sure(parser)
+    add_beliefs(parser)
     add_config(parser)
     parser.add_argument(
         "--tolerance", metavar="MM,DEG", type=length_and_angle, help="good enough, like 1,2: work beyond is skipped"
@@ -45,22 +55,34 @@ def run(args: argparse.Namespace) -> int:
 
     senses = tuple(sorted(check_senses(args.use), reverse=True))
     config = read_config(args.config)
+    prepare = frame_setter(args.prior, args.seed, told(args))
     capture = read_capture(args.capture, args.trust_paths)
     out_folder(args, capture.name)  # before the work, not after it
     model = load_object(args.object, args.unit) if args.object else capture.model
-    prepare = prior_setter(args.prior, args.seed)
     judge = Judge.of(model)
     frames, answers, errors, rows = [], [], [], []
     announce_compiling()
     shown = progress(capture, len(capture), "estimating")
     limits = args.tolerance, args.budget_ms
-    for frame, answer in estimates(shown, model, prepare, senses, args.seed, *limits, config.estimate, config.believed):
+    settings = with_sure(config.estimate, args)
+    for frame, answer in estimates(shown, model, prepare, senses, args.seed, *limits, settings):
         frames.append(frame)
         answers.append(answer)
         errors.append(frame_errors(judge, frame, answer))
         rows.append(_row(answer, errors[-1], judge.agreement(frame, answer.pose)))
     written = write_run(args, capture, model, frames, answers, errors)
-    heads = ("frame", "verdict", "ADD-S mm", "rot °", "trans mm", "cloud mm", "contacts mm", "time ms", "not known")
+    heads = (
+        "frame",
+        "verdict",
+        "sure",
+        "ADD-S mm",
+        "rot °",
+        "trans mm",
+        "cloud mm",
+        "contacts mm",
+        "time ms",
+        "not known",
+    )
     show_table(heads, rows)
     for line in (*_poses(answers), *_remarks(answers)):
         say(line)
@@ -101,6 +123,7 @@ def _row(answer, errors, agreement) -> list[str]:  # type: ignore[no-untyped-def
     return [
         str(answer.frame),
         answer.verdict,
+        percent(answer.confidence),
         *(number(None if value is None else value * factor) for value, factor in zip(against, factors)),
         number(1e3 * agreement.cloud),
         number(_contacts_mm(answer, agreement)),

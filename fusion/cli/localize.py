@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fusion.cli.options import (
+    add_beliefs,
     add_object,
     add_trust,
     announce_compiling,
+    beliefs_told,
     number,
     pose_lines,
     positive,
@@ -21,6 +23,7 @@ from fusion.results.runs import load_object
 
 if TYPE_CHECKING:
     from scenes.geometry.objects import ObjectModel
+    from scenes.recordings.beliefs import Beliefs
     from scenes.recordings.frames import Contacts
 
 METHODS = (
@@ -58,12 +61,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--max-contacts", metavar="N", type=positive, help="contacts used, another choice each trial; all are judged"
     )
     parser.add_argument("--frame", metavar="N", type=int, help="of a contacts.csv with several frames, this one")
+    add_beliefs(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when the last trial is lost."""
     from scenes.errors import InputError, unknown
     from scenes.recordings.frames import Frame
+    from scenes.recordings.telling import believed
     from scenes.recordings.validation import check_usable
 
     if args.method not in METHODS:
@@ -74,6 +79,10 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("localize: expected --object NAME|MESH for contacts, got none")
     if args.cloud is not None and args.method != "multistart":
         raise InputError(f"method: expected multistart with --cloud, got {args.method!r}")
+    told = beliefs_told(args)
+    if told and args.cloud is None:
+        raise InputError(f"{told[0][0]}: expected --cloud FILE beside it: contacts alone tell their own noise")
+    beliefs = believed(None, told)
     contacts = read_contacts(args.contacts, args.frame)
     cloud = _read_cloud(args.cloud)
     model = load_object(args.object, args.unit)
@@ -85,14 +94,14 @@ def run(args: argparse.Namespace) -> int:
     if cloud is None:
         _by_touch(model, few, few, args.method, args.seed)
     else:
-        _by_both(model, few, few, cloud, args.seed)
+        _by_both(model, few, few, cloud, args.seed, beliefs)
     trials, verdicts = [], []
     for trial in range(args.trials):
         used = _some(contacts, args.max_contacts, args.seed + trial)
         if cloud is None:
             found = _by_touch(model, used, contacts, args.method, args.seed + trial)
         else:
-            found = _by_both(model, used, contacts, cloud, args.seed + trial)
+            found = _by_both(model, used, contacts, cloud, args.seed + trial, beliefs)
         trials.append(found)
         verdicts.append(found["verdict"])
     _show(trials, cloud is not None)
@@ -116,8 +125,10 @@ def _run_gels(args: argparse.Namespace) -> int:
     from touch.gels.localize import localize_gels
     from touch.gels.patches import patches_of
 
-    if args.cloud is not None or args.method != "multistart" or args.max_contacts is not None:
-        raise InputError("localize: expected no --cloud, --method or --max-contacts with a capture: its gels are used")
+    other = args.cloud is not None or args.method != "multistart" or args.max_contacts is not None
+    if other or beliefs_told(args):
+        message = "no --cloud, --method, --max-contacts or beliefs with a capture: its gels are used"
+        raise InputError(f"localize: expected {message}")
     capture = read_capture(args.contacts, args.trust_paths)
     frame = capture[0] if args.frame is None else capture.frame(args.frame)
     if not frame.gels:
@@ -224,7 +235,9 @@ def _by_touch(model: ObjectModel, used: Contacts, every: Contacts, method: str, 
     }
 
 
-def _by_both(model: ObjectModel, used: Contacts, every: Contacts, cloud: Any, seed: int) -> dict[str, Any]:
+def _by_both(
+    model: ObjectModel, used: Contacts, every: Contacts, cloud: Any, seed: int, beliefs: Beliefs
+) -> dict[str, Any]:
     """The fused answer, and what each sense alone makes of the same data."""
     from fusion.estimation.estimate import estimate
     from fusion.truth.errors import Judge
@@ -233,7 +246,7 @@ def _by_both(model: ObjectModel, used: Contacts, every: Contacts, cloud: Any, se
     frame, judged, judge = Frame(0, contacts=used, cloud=cloud), Frame(0, contacts=every, cloud=cloud), Judge(model)
     senses: dict[str, Any] = {}
     for name, use in (("vision", ("vision",)), ("touch", ("touch",)), ("fused", ("vision", "touch"))):
-        answer = estimate(frame, model, use=use, seed=seed)
+        answer = estimate(frame, model, use=use, seed=seed, beliefs=beliefs)
         agreement = judge.agreement(judged, answer.pose)
         senses[name] = {
             "pose": answer.pose.tolist(),

@@ -16,10 +16,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from fusion.results import runs
-from scenes.errors import InputError
+from scenes.errors import InputError, unknown
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from fusion.estimation.settings import EstimateSettings
+    from scenes.recordings.telling import Told
 
 
 T = TypeVar("T")
@@ -63,6 +66,73 @@ def add_prior(parser: argparse.ArgumentParser) -> None:
         help="coarse start: none, ground truth plus noise like gt+33mm,16deg, or a prior.json;"
         " default: the capture's own",
     )
+
+
+def add_beliefs(parser: argparse.ArgumentParser) -> None:
+    """--camera, --calibration, --joints, --mesh: over --config, and that over what a capture says."""
+    group = parser.add_argument_group("what is believed of the recording", "instead of what its capture.json says")
+    group.add_argument(
+        "--camera",
+        metavar="NAME|FILE",
+        help="the depth camera: kinect-v1, xtion, d435, d455, azure-kinect, l515, clean (simulated), or a TOML file"
+        " with fields of [beliefs.depth], `like` one of these",
+    )
+    group.add_argument(
+        "--calibration",
+        metavar="MM,DEG",
+        type=length_and_angle,
+        help="sigma per axis of where the camera has the robot",
+    )
+    group.add_argument("--joints", metavar="DEG", type=positive_number, help="sigma of a finger's joint")
+    group.add_argument("--mesh", metavar="MM", type=positive_number, help="sigma of what the mesh leaves out")
+
+
+def add_sure(parser: argparse.ArgumentParser) -> None:
+    """--sure-within."""
+    parser.add_argument(
+        "--sure-within",
+        metavar="MM",
+        type=positive_number,
+        help="`sure` is the probability that ADD-S is below this (default 5)",
+    )
+
+
+def with_sure(settings: EstimateSettings, args: argparse.Namespace) -> EstimateSettings:
+    """The settings with what --sure-within says."""
+    from fusion.estimation.asked import sure_to_be_within
+
+    return sure_to_be_within(settings, None if args.sure_within is None else 1e-3 * args.sure_within)
+
+
+def beliefs_told(args: argparse.Namespace) -> list[Told]:
+    """The tables of beliefs that the flags of `add_beliefs` make; none for a command without them."""
+    from scenes.recordings.telling import of_joints
+
+    found: list[Told] = []
+    if getattr(args, "camera", None) is not None:
+        found.append(_camera_told(args.camera))
+    if getattr(args, "calibration", None) is not None:
+        sizes = dict(zip(("translation_sigma", "rotation_sigma"), args.calibration))
+        found.append(("--calibration", {"calibration": sizes}))
+    if getattr(args, "joints", None) is not None:
+        found.append(("--joints", of_joints(math.radians(args.joints))))
+    if getattr(args, "mesh", None) is not None:
+        found.append(("--mesh", {"mesh_sigma": 1e-3 * args.mesh}))
+    return found
+
+
+def _camera_told(text: str) -> Told:
+    """--camera's name, or the fields of its file: whatever the file leaves out is as of the camera it is `like`."""
+    from scenes.files.merged import read_toml
+    from scenes.recordings.depth_cameras import DEPTH_CAMERAS
+
+    path = Path(text)
+    if text in DEPTH_CAMERAS:
+        return "--camera", {"camera": text}
+    if not path.is_file():
+        raise unknown("--camera", text, DEPTH_CAMERAS, "a TOML file or one of")
+    content = read_toml(path)
+    return f"--camera {path}", {"camera": content.pop("like", "kinect-v1"), "depth": content}
 
 
 def whole(text: str) -> int:
@@ -156,6 +226,18 @@ def say(text: str) -> None:
         sys.stdout.write(f"{text}\n")
 
 
+def warn(text: str) -> None:
+    """One line on standard error that is no error, of this program."""
+    if not _QUIET:
+        sys.stderr.write(f"palpate: {text}\n")
+        sys.stderr.flush()
+
+
+def is_quiet() -> bool:
+    """Whether -q was given."""
+    return _QUIET
+
+
 def pose_lines(pose: Any) -> list[str]:
     """A pose (4, 4) for a person: position (mm), rotation vector (degrees), and the matrix to copy."""
     import numpy as np
@@ -199,6 +281,11 @@ def set_volume(verbose: int, quiet: bool) -> None:
         logger = logging.getLogger(package)
         logger.handlers = [handler]  # a second command of the same process says nothing twice, and is as loud as asked
         logger.setLevel({0: logging.NOTSET, 1: logging.INFO}.get(verbose, logging.DEBUG))
+
+
+def percent(value: float | None) -> str:
+    """A share for a table, in per cent; a dash for what is not known."""
+    return "–" if value is None or math.isnan(value) else f"{100 * value:.0f} %"
 
 
 def number(value: float | None, digits: int = 2) -> str:

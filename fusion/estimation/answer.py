@@ -71,7 +71,7 @@ class Estimate:
 
     covariance (6, 6) about the centroid, (turn, move): of the first mode when the verdict is `ok`; otherwise of all
     that may be the case, other modes and none of them included. Each mode has its own. confidence: probability that
-    the pose is right, see fusion.estimation.confidence.
+    the pose's ADD-S is below sure_within (m), see fusion.estimation.confidence.
     """
 
     frame: int
@@ -90,6 +90,7 @@ class Estimate:
     start: Array | None = None
     contributions: tuple[Contribution, ...] = ()
     confidence: float = float("nan")
+    sure_within: float = float("nan")
 
     @property
     def time_ms(self) -> float:
@@ -114,6 +115,7 @@ class Estimate:
             "modes": [{"pose": rows(m.pose), "weight": m.weight, "cost": number(m.cost)} for m in self.modes],
             "unobservable": list(self.unobservable),
             "confidence": number(self.confidence),
+            "sure_within_mm": number(1e3 * self.sure_within),
             "visible_fraction": number(self.visible_fraction),
             "time_ms": self.time_ms,
             "trace": [{"stage": s.name, "ran": s.ran, "why": s.why, "ms": s.ms, "rows": s.rows} for s in self.trace],

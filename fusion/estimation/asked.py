@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +12,40 @@ from fusion.estimation.settings import EstimateSettings
 from scenes.errors import InputError
 from scenes.evidence.align import Prior
 from scenes.geometry import poses as se3
+from scenes.recordings.beliefs import Beliefs
+from scenes.recordings.frames import Frame
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """One question: senses allowed, prior, tolerance (m, rad), seed; and how it is answered. or_none: only when the
+    rows alone are within the tolerance.
+    """
+
+    senses: frozenset[str]
+    prior: Prior | None
+    tolerance: tuple[float, float] | None
+    seed: int
+    beliefs: Beliefs
+    settings: EstimateSettings
+    or_none: bool = False
+
+    @staticmethod
+    def of(
+        frame: Frame,
+        prior: Array | Prior | None = None,
+        use: Iterable[str] = ("vision", "touch"),
+        tolerance: tuple[float, float] | None = None,
+        seed: int = 0,
+        settings: EstimateSettings | None = None,
+        beliefs: Beliefs | None = None,
+    ) -> Asked:
+        """As `estimate` takes it, checked; what is not said is the frame's own."""
+        settings, senses = settings or EstimateSettings(), check_senses(use)
+        believed = as_prior(prior if prior is not None else frame.prior, settings)
+        return Asked(senses, believed, tolerance, seed, beliefs or frame.beliefs or Beliefs(), settings)
 
 
 def check_senses(use: Iterable[str]) -> frozenset[str]:
@@ -29,6 +62,17 @@ def check_limits(tolerance: tuple[float, float] | None, budget_ms: float | None)
         raise InputError(f"tolerance: expected metres and radians above 0, got {tolerance}")
     if budget_ms is not None and not budget_ms >= 0:
         raise InputError(f"budget: expected milliseconds from 0, got {budget_ms}")
+
+
+def sure_to_be_within(settings: EstimateSettings, sure_within: float | None) -> EstimateSettings:
+    """The settings with another tolerance (ADD-S, m) of the confidence; None leaves theirs. Raises InputError for none
+    above 0.
+    """
+    if sure_within is None:
+        return settings
+    if not (np.isfinite(sure_within) and sure_within > 0):
+        raise InputError(f"sure_within: expected metres above 0, got {sure_within}")
+    return replace(settings, confidence=replace(settings.confidence, tolerance=float(sure_within)))
 
 
 def as_prior(prior: Array | Prior | None, settings: EstimateSettings) -> Prior | None:

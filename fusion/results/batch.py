@@ -24,7 +24,7 @@ from scenes.files.whole import draft_folder, put, replace_file
 
 if TYPE_CHECKING:
     from fusion.estimation.settings import EstimateSettings
-    from scenes.recordings.beliefs import Beliefs
+    from scenes.recordings.telling import Told
 
 # A capture whose worker dies is tried so often.
 TRIES = 2
@@ -42,6 +42,7 @@ COLUMNS = (
     "object",
     "status",
     "verdict",
+    "confidence",
     "add_s_mm",
     "rotation_deg",
     "translation_mm",
@@ -70,16 +71,15 @@ class Job:
     seed: int = 0
     trust_paths: bool = False
     settings: EstimateSettings | None = None
-    beliefs: Beliefs | None = None
+    told: tuple[Told, ...] = ()
 
     @property
     def fingerprint(self) -> str:
         """Of everything that changes the results; the same for the same question."""
-        told = {key: value for key, value in asdict(self).items() if key not in ("path", "name", "out", "trust_paths")}
-        for name in ("settings", "beliefs"):
-            if told[name] is None:
-                del told[name]
-        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
+        asked = {key: value for key, value in asdict(self).items() if key not in ("path", "name", "out", "trust_paths")}
+        asked["told"] = [table for _, table in self.told]  # not the names of the files that said so
+        asked = {key: value for key, value in asked.items() if key not in ("settings", "told") or value}
+        return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:16]
 
 
 @dataclass(frozen=True)
@@ -126,16 +126,15 @@ def run_capture(job: Job) -> list[Row]:
     """Estimate every frame of a capture and write its results: a folder that appears whole. In a worker process."""
     one_thread()
     from fusion.results.files import frame_errors, result_json, write_results
-    from fusion.results.runs import estimates, load_object, prior_setter
+    from fusion.results.runs import estimates, frame_setter, load_object
     from fusion.truth.errors import Judge, json_number
     from scenes.recordings.captures import read_capture
 
     capture = read_capture(job.path, job.trust_paths)
     model = load_object(job.object, job.unit) if job.object else capture.model
-    prepare, judge = prior_setter(job.prior, job.seed), Judge.of(model)
+    prepare, judge = frame_setter(job.prior, job.seed, job.told), Judge.of(model)
     frames, answers, errors = [], [], []
-    how: dict[str, Any] = {"settings": job.settings, "beliefs": job.beliefs}
-    for frame, answer in estimates(capture, model, prepare, job.use, job.seed, **how):
+    for frame, answer in estimates(capture, model, prepare, job.use, job.seed, settings=job.settings):
         frames.append(frame)
         answers.append(answer)
         errors.append(frame_errors(judge, frame, answer))
@@ -169,7 +168,7 @@ def _row(job: Job, name: str, answer: Any, error: Any) -> Row:
     row: Row = dict.fromkeys(COLUMNS)
     row |= {"capture": job.name, "frame": answer.frame, "object": name, "status": "done", "verdict": answer.verdict}
     row |= {key: told.get(key) for key in ("add_s_mm", "rotation_deg", "translation_mm")}
-    row |= {"visible_fraction": answer.visible_fraction, "time_ms": answer.time_ms}
+    row |= {"confidence": answer.confidence, "visible_fraction": answer.visible_fraction, "time_ms": answer.time_ms}
     return row | {"contacts": len(answer.contacts), "modes": len(answer.modes)}
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from fusion.estimation.answer import Estimate
     from fusion.estimation.settings import EstimateSettings
     from scenes.geometry.objects import ObjectModel
-    from scenes.recordings.beliefs import Beliefs
     from scenes.recordings.frames import Frame
+    from scenes.recordings.telling import Told
 
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 ANGLES = {"deg": math.pi / 180.0, "rad": 1.0}
@@ -57,6 +57,22 @@ def load_object(name: str, unit: str = "m") -> ObjectModel:
     if not Path(name).exists():
         raise unknown("object", name, known, "a mesh file or one of")
     return ObjectModel.load(name, unit=unit)
+
+
+def frame_setter(prior: str | None, seed: int, told: Sequence[Told] = ()) -> Callable[[Frame, ObjectModel], Frame]:
+    """What the shell makes of a frame before it is used: `--prior`, and the tables of beliefs over the frame's own.
+
+    Raises InputError for a prior that is none, and for beliefs that are none.
+    """
+    from dataclasses import replace
+
+    with_prior = prior_setter(prior, seed)
+    if not told:
+        return with_prior
+    from scenes.recordings.telling import believed
+
+    believed(None, told)
+    return lambda frame, model: replace(with_prior(frame, model), beliefs=believed(frame.beliefs, told))
 
 
 def prior_setter(text: str | None, seed: int) -> Callable[[Frame, ObjectModel], Frame]:
@@ -117,7 +133,6 @@ def estimates(
     tolerance: tuple[float, float] | None = None,
     budget_ms: float | None = None,
     settings: EstimateSettings | None = None,
-    beliefs: Beliefs | None = None,
 ) -> Iterator[tuple[Frame, Estimate]]:
     """Each frame as `prepare` has it, and its answer. The first is estimated twice: that loads the compiled kernels,
     and a frame's time should tell of the frame. Raises CaptureError for a frame that no estimate should be made of.
@@ -128,7 +143,7 @@ def estimates(
     log = logging.getLogger(__name__)
 
     def answered(frame: Frame, tolerance: tuple[float, float] | None) -> Estimate:
-        return estimate(frame, model, None, use, tolerance, budget_ms, seed, settings, beliefs)
+        return estimate(frame, model, None, use, tolerance, budget_ms, seed, settings)
 
     warm = False
     for one in recorded:

@@ -8,7 +8,7 @@ from typing import Any
 
 from fusion.results.batch import Outcome
 
-NUMBERS = ("add_s_mm", "rotation_deg", "translation_mm", "time_ms")
+NUMBERS = ("confidence", "add_s_mm", "rotation_deg", "translation_mm", "time_ms")
 
 
 def summary_of(outcomes: Sequence[Outcome]) -> dict[str, Any]:

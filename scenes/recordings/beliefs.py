@@ -6,30 +6,63 @@ Metres, radians, pixels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenes.errors import InputError
+
 Array = NDArray[np.float64]
+
+# Beyond these (m, rad, px, shares) a number is in another unit than the field's; those named below them may be 0.
+LARGEST = {
+    **{"axial_floor": 0.1, "axial_growth": 1.0, "axial_from": 10.0, "axial_steep": 0.1},
+    **{"lateral_sigma": 50.0, "lateral_growth": 10.0, "bias_sigma": 0.1, "bias_length": 5000.0},
+    **{"sharing_length": 5000.0, "sharing_length_unknown": 5000.0, "cloud_sigma": 0.1, "cloud_patches": 1e6},
+    **{"scale_sigma": 0.2, "edge_pixels": 50},
+    **{"translation_sigma": 0.5, "rotation_sigma": 0.8, "unknown_sigma": 0.1, "fingertip_sigma": 0.1},
+    "mesh_sigma": 0.05,
+}
+MAY_BE_ZERO = ("axial_growth", "axial_from", "axial_steep", "lateral_growth", "edge_pixels")
+
+
+def check_sizes(believed: Any) -> None:
+    """Raise InputError, naming the field, for a number of a belief that is none, or cannot be in the field's unit."""
+    for one in fields(believed):
+        value = getattr(believed, one.name)
+        if not isinstance(value, int | float):
+            continue
+        low, high = one.name in MAY_BE_ZERO, LARGEST[one.name]
+        if not (math.isfinite(value) and (value >= 0 if low else value > 0) and value <= high):
+            least = "from 0" if low else "above 0"
+            raise InputError(f"{one.name}: expected a number {least} and up to {high:g}, got {value:g}")
 
 
 @dataclass(frozen=True)
 class DepthModel:
-    """What is believed of a depth camera (structured light or stereo at arm's length).
+    """What is believed of a depth camera; cameras one can buy are in `scenes.recordings.depth_cameras`.
 
-    Independent noise follows Nguyen, Izadi & Lovell (3DIMPVT 2012); the rest is what calibration reports of such
-    cameras agree on (Basso, Menegatti & Pretto, IEEE T-RO 2018: smooth local distortion and a global depth error).
+    By default structured light or stereo at arm's length. Independent noise follows Nguyen, Izadi & Lovell (3DIMPVT
+    2012); the rest is what calibration reports of such cameras agree on (Basso, Menegatti & Pretto, IEEE T-RO 2018:
+    smooth local distortion and a global depth error).
     """
 
-    # Axial noise at 0.4 m and its growth, metres and 1/metres.
+    # Axial noise where it is least, metres; that depth, metres; and its growth with the square of what is beyond or
+    # before, 1/metres. From 0 it is a constant and a quadratic term, as of stereo and of time of flight.
     axial_floor: float = 0.0012
+    axial_from: float = 0.4
     axial_growth: float = 0.0019
     # Where the surface slopes there is more: a pixel reads the depth of a place beside its own (pixels; Nguyen et al.,
     # eq. 2), and beyond 60 degrees of incidence the axial noise grows (metres^1.5; eq. 4).
     lateral_sigma: float = 0.8
     lateral_growth: float = 0.035
     axial_steep: float = 0.0001
+    # Within so many pixels of the edge of something near, a reading may be of what is behind it: windows of stereo,
+    # mixed light of time of flight.
+    edge_pixels: int = 4
     # Smooth bias of the surface, metres, and the correlation length of that bias in pixels: exp(-d^2 / (2 length^2)).
     bias_sigma: float = 0.0025
     bias_length: float = 40.0
@@ -45,9 +78,13 @@ class DepthModel:
     # Relative error of the depth scale.
     scale_sigma: float = 0.006
 
+    def __post_init__(self) -> None:
+        """Refuse what is no size."""
+        check_sizes(self)
+
     def independent_sigma(self, depth: Array) -> Array:
         """Standard deviation (m) of one pixel's independent noise at depth (m)."""
-        return self.axial_floor + self.axial_growth * np.square(depth - 0.4)
+        return self.axial_floor + self.axial_growth * np.square(depth - self.axial_from)
 
     def sloping_sigma(self, depth: Array, cosine: Array, focal: float) -> Array:
         """Standard deviation (m) along its ray of a pixel whose ray meets the surface at an incidence of this cosine.
@@ -70,6 +107,10 @@ class CalibrationModel:
     translation_sigma: float = 0.0028
     rotation_sigma: float = float(np.deg2rad(0.42))
 
+    def __post_init__(self) -> None:
+        """Refuse what is no size."""
+        check_sizes(self)
+
 
 @dataclass(frozen=True)
 class TouchModel:
@@ -78,8 +119,12 @@ class TouchModel:
     # What a contact is worth beside another sense when its recording does not say, metres: kinematics, calibration and
     # fingertip shape together (iCub's fingertips are some millimetres off its stereo cloud).
     unknown_sigma: float = 0.004
-    # Error of the finger joints between palm and fingertip, metres (0.3 degrees at three joints).
+    # Error of the finger joints between palm and fingertip, metres (0.4 degrees at three joints).
     fingertip_sigma: float = 0.0011
+
+    def __post_init__(self) -> None:
+        """Refuse what is no size."""
+        check_sizes(self)
 
 
 @dataclass(frozen=True)
@@ -91,3 +136,7 @@ class Beliefs:
     touch: TouchModel = field(default_factory=TouchModel)
     # What a mesh and its lattice leave out of a real object, metres: scans of products agree to half a millimetre.
     mesh_sigma: float = 0.0006
+
+    def __post_init__(self) -> None:
+        """Refuse what is no size."""
+        check_sizes(self)

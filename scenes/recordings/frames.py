@@ -154,6 +154,9 @@ class Contacts:
         """All rows of all parts, in order."""
         if not parts:
             return Contacts(np.zeros((0, 3)))
+        filled = [p for p in parts if len(p)]
+        if len(filled) == 1:
+            return filled[0]
         return Contacts(
             np.concatenate([p.points for p in parts]),
             np.concatenate([p.normals for p in parts]),
@@ -254,6 +257,10 @@ class Frame:
         put("gels", checks.gel_images, where)
         if self.camera is not None or self.depth is not None:
             checks.instance(self.camera, Camera, where, "camera", "Camera.from_matrix(K, width, height)")
+        if self.beliefs is not None:
+            from scenes.recordings.beliefs import Beliefs
+
+            checks.instance(self.beliefs, Beliefs, where, "beliefs", "Beliefs(depth=…)")
         sizes = {
             name: (image.shape[1], image.shape[0])
             for name, image in (("depth", self.depth), ("rgb", self.rgb), ("mask", self.mask))

@@ -10,6 +10,8 @@ from scenes.errors import CaptureError, InputError
 from scenes.files.problems import Problem, Report, refuse
 from scenes.geometry.objects import METRES_PER_UNIT, ObjectModel
 from scenes.recordings import bop
+from scenes.recordings.beliefs import Beliefs
+from scenes.recordings.telling import believed
 from scenes.recordings.writing import FORMAT, VERSION
 
 WORLDS = ("camera", "robot base")
@@ -23,7 +25,9 @@ RECORDINGS = ("scene_camera.json", "cam_K.txt", "metadata.yaml", "cloud.off", "d
 
 @dataclass(frozen=True)
 class Manifest:
-    """capture.json: object id, model file (inside the folder) and its unit, name; hand files or None; world; notes."""
+    """capture.json: object id, model file (inside the folder) and its unit, name; hand files or None; world; notes;
+    what it says its sensors are worth, None where it says nothing.
+    """
 
     object_id: int
     model: str
@@ -32,6 +36,7 @@ class Manifest:
     hand: tuple[str, str | None] | None
     world: str
     notes: dict[str, Any]
+    beliefs: Beliefs | None = None
 
 
 def read_model(folder: Path, manifest: Manifest) -> ObjectModel:
@@ -114,4 +119,15 @@ def read_manifest(folder: Path, report: Report) -> Manifest:
         files,
         world if world in WORLDS else "camera",
         notes if isinstance(notes, dict) else {},
+        _beliefs(content, path, report),
     )
+
+
+def _beliefs(content: dict[str, Any], path: Path, report: Report) -> Beliefs | None:
+    if "beliefs" not in content:
+        return None
+    try:
+        return believed(None, [("beliefs", content["beliefs"])])
+    except InputError as error:
+        report(Problem(str(path), None, str(error)))
+        return None

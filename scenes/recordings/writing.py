@@ -11,10 +11,13 @@ import numpy as np
 from scenes.errors import CaptureError, InputError, unknown
 from scenes.files import images, tables
 from scenes.files.ply import write_ply
+from scenes.files.problems import refuse
 from scenes.files.whole import draft_folder, put
 from scenes.geometry.objects import METRES_PER_UNIT, ObjectModel
 from scenes.recordings import bop
+from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
+from scenes.recordings.telling import Told, beliefs_json, believed
 from scenes.robot.hands import Hand
 
 FORMAT = "palpate-capture"
@@ -39,8 +42,9 @@ def write_capture(
     world: "camera" or "robot base". depth_scale: millimetres per count of the depth images (0.1 reaches 6.5 m), one for
     all or by the number of every frame that has a camera. object_id: BOP's number of the object, from 0.
     model_unit: unit of the mesh file, one of m, cm, mm, inch. with_mask: write the frames' masks where they have one.
-    notes: kept in capture.json (how it was made). An older capture of the same name is replaced once the new one is
-    complete; raises CaptureError for a folder that holds anything else, InputError for frames that do not fit.
+    notes: kept in capture.json (how it was made); so is what the frames say their sensors are worth, all of them the
+    same. An older capture of the same name is replaced once the new one is complete; raises CaptureError for a folder
+    that holds anything else, InputError for frames that do not fit.
     """
     folder = Path(folder)
     if model_unit not in METRES_PER_UNIT:
@@ -49,8 +53,8 @@ def write_capture(
     with draft_folder(folder) as partial:
         _write_model(partial, model, model_unit, object_id)
         _write_hand(partial, hand)
-        count = _Recorder(partial, world, depth_scale, with_mask, object_id).write(frames)
-        if count == 0:
+        recorder = _Recorder(partial, world, depth_scale, with_mask, object_id)
+        if recorder.write(frames) == 0:
             raise InputError(f"{folder}: expected at least one frame to write, got none")
         bop.write_json(
             partial / "capture.json",
@@ -60,11 +64,21 @@ def write_capture(
                 "object": {"id": object_id, "model": model_file(object_id), "unit": model_unit, "name": model.name},
                 "hand": None if hand is None else {"urdf": "hand/hand.urdf", "sensors": "hand/sensors.json"},
                 "world": world,
+                **({"beliefs": beliefs_json(recorder.beliefs)} if recorder.beliefs is not None else {}),
                 **({"notes": dict(notes)} if notes else {}),
             },
         )
         put(partial, folder)
     return folder
+
+
+def tell(folder: str | Path, told: Iterable[Told]) -> None:
+    """Lay tables of beliefs over those of a capture's capture.json; InputError for what has no place."""
+    path = Path(folder) / "capture.json"
+    content = bop.read_json(path, refuse)
+    before = [("beliefs", content["beliefs"])] if "beliefs" in content else []
+    content["beliefs"] = beliefs_json(believed(None, [*before, *told]))
+    bop.write_json(path, content)
 
 
 def model_file(object_id: int) -> str:
@@ -105,6 +119,7 @@ class _Recorder:
         self.truths: dict[str, Any] = {}
         self.priors: dict[str, Any] = {}
         self.rows: dict[str, list[tuple[object, ...]]] = {}
+        self.beliefs: Beliefs | None = None
 
     def write(self, frames: Iterable[Frame]) -> int:
         """Write them all; returns how many there were."""
@@ -112,7 +127,10 @@ class _Recorder:
         for frame in frames:
             if frame.index in seen or frame.index < 0:
                 raise InputError(f"{self.folder}: expected frame numbers from 0, each once, got {frame.index} again")
+            if seen and frame.beliefs != self.beliefs:
+                raise InputError(f"{self.folder}: expected frames of the same beliefs, got others in {frame.index}")
             seen.add(frame.index)
+            self.beliefs = frame.beliefs
             self._frame(frame)
         for name, entries in (
             ("scene_camera.json", self.cameras),

@@ -24,7 +24,7 @@ README = ROOT / "README.md"
 PAGES = [README, *sorted(DOCS.glob("*.md"))]
 # Pages whose blocks are run below, and those that another test runs or whose recordings and minutes no test has: of
 # these every command is held against the parser.
-RUN_HERE = {"tutorial.md", "faq.md", "README.md", "commands.md", "gallery.md"}
+RUN_HERE = {"tutorial.md", "live.md", "faq.md", "README.md", "commands.md", "gallery.md"}
 ONLY_PARSED = {
     "formats.md": "test_formats_docs.py runs it on recordings that it makes",
     "benchmarks.md": "benches take minutes to hours, and some need recorded contact sets",
@@ -39,6 +39,16 @@ def test_the_tutorial_ends_at_the_object(tmp_path, monkeypatch):
     moved = names["answer"].pose[:3, 3] - names["truth"][:3, 3]
     assert np.linalg.norm(moved) < 0.003
     assert (tmp_path / "out/bracket/report.html").is_file()
+
+
+def test_a_tracker_runs_live(tmp_path, monkeypatch):
+    """Fed by a callback and by a bag that grows, with frames missing and late."""
+    pytest.importorskip("rosbags", reason="the extra ros is not installed")
+    monkeypatch.chdir(tmp_path)
+    names = docs_commands.run(DOCS / "live.md", tmp_path)
+    truth = {frame.index: frame.camera_from_object_truth for frame in names["frames"]}
+    for answer in names["seen"][-1], names["one"]:
+        assert np.linalg.norm(answer.pose[:3, 3] - truth[answer.frame][:3, 3]) < 0.02
 
 
 @pytest.mark.slow

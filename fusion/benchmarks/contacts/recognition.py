@@ -22,6 +22,8 @@ CONTACTS = 100
 NOISES = (0.0, 0.002, 0.005)
 FEW = (1, 2, 3, 5, 10, 20)
 OUTLIERS = (0.0, 0.1, 0.2, 0.3, 0.5)
+# Contacts and their noise (m) of a tool that is not among the candidates.
+STRANGERS = ((100, 0.0), (100, 0.002), (40, 0.0), (40, 0.001))
 # False contacts lie this far off the surface, metres: another part of the hand touched something else.
 OUTLIER_SPREAD = 0.03
 
@@ -70,6 +72,8 @@ def run(settings: BenchSettings) -> Report:
         report.tables.append(_table(title, table))
     hopeless, wrong_hopeless = _hopeless(models, settings)
     report.tables.append(hopeless)
+    strangers, wrong_strangers = _strangers(models, settings)
+    report.tables.append(strangers)
     trials = [t for cells in (noisy, false, few) for cell in cells.values() for t in cell]
     clean = noisy[f"{1e3 * NOISES[0]:.0f} mm"]
     errors = sum(t.confident_error for t in trials) + wrong_recorded + wrong_hopeless
@@ -77,6 +81,7 @@ def run(settings: BenchSettings) -> Report:
     report.claims += [
         Claim("clean contacts named right, share", float(np.mean([t.right for t in clean])), 1.0, True),
         Claim("confident errors", float(errors), 0, False, 0),
+        Claim("a relative named for sure, its tool not among the candidates, share", wrong_strangers, 0.05, False),
         Claim(f"{len(models)} candidates, {CONTACTS} contacts, s", float(np.mean(times)), 0.5, False, 3),
         Claim("recorded sets, slowest, s", max(seconds), 0.5, False, 3),
     ]
@@ -176,6 +181,34 @@ def _table(title: str, cells: dict[str, list[_Trial]]) -> Table:
             Spread.of([t.found.time_s for t in trials], 1e3),
         )
     return table
+
+
+def _strangers(models: list[ObjectModel], settings: BenchSettings) -> tuple[Table, float]:
+    """Contacts of each tool while it is not among the candidates, its relatives are: "none of these" is the answer."""
+    columns = [
+        Column("contacts"),
+        Column("noise mm", 0),
+        Column("tools", 0),
+        Column("named for sure"),
+        Column("none of these"),
+    ]
+    table = Table(
+        "The tool is not among the candidates",
+        columns,
+        note="named for sure: a relative, wrongly; none of these: told with more than half of the likelihood",
+    )
+    wrong = tried = 0
+    for count, noise in settings.some(STRANGERS, 1):
+        sure, none = [], []
+        for k in settings.progress(range(0, len(models), 3 if settings.quick else 1), len(models), "strangers"):
+            rng = np.random.default_rng([settings.seed, count, int(1e4 * noise), k])
+            others = [model for model in models if model is not models[k]]
+            found = identify(others, _touched(models[k], count, noise, rng), settings.seed)
+            sure.append(found.verdict == "ok")
+            none.append(found.none > 0.5)
+        table.add(str(count), 1e3 * noise, len(sure), Rate.of(sure), Rate.of(none))
+        wrong, tried = wrong + sum(sure), tried + len(sure)
+    return table, wrong / tried
 
 
 def _hopeless(models: list[ObjectModel], settings: BenchSettings) -> tuple[Table, int]:

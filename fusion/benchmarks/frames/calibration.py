@@ -1,4 +1,5 @@
-"""Is an answer as sure as it is right? NEES, coverage, verdicts by family and hidden share, with and without a start.
+"""Is an answer as sure as it is right? NEES, coverage, verdicts by family and hidden share, with and without a start;
+how often answers are right that state how sure they are.
 
 Every frame is another grasp, view and draw of all errors (docs/evaluation.md names the families).
 """
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.benchmarks.families.table import FAMILIES, REPORT, TUNING, chosen
+from fusion.benchmarks.frames.reliability import add_reliability
 from fusion.benchmarks.printing.charts import Chart
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Quantile, Rate, Report, Table
 from fusion.benchmarks.strata import Answer, add_strata, cells_of, collect
@@ -35,6 +37,7 @@ def run(settings: BenchSettings) -> Report:
     )
     answers = collect(cells, settings)
     add_strata(report, answers, missing, settings)
+    add_reliability(report, answers, settings)
     with_start = [a for a in answers if a.start]
     _by_verdict(report, with_start, settings)
     _curve(report, with_start)

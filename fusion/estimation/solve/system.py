@@ -255,7 +255,7 @@ class System:
         return constant, gradient * scale, normal
 
 
-def _blocks(uv: Array, count: int, least: float) -> NDArray[np.int64]:
+def _blocks(uv: Array, count: float, least: float) -> NDArray[np.int64]:
     """(n,) block of each pixel (n, 2): squares of the image, about `count` of them, no side shorter than `least`."""
     side = max(least, float(np.sqrt(np.prod(np.ptp(uv, axis=0) + 1.0) / count)))
     block = np.floor((uv - uv.min(axis=0)) / side).astype(np.int64)

@@ -156,7 +156,8 @@ class _FrameBuilder:
         figure("σ position", 1e3 * translation, "mm", "standard deviation in the worst direction")
         if rotation <= words.FREE_ROTATION:
             figure("σ rotation", float(np.rad2deg(rotation)), "°", "standard deviation about the worst axis")
-        figure("Sure", 100 * estimate.confidence, "%", "probability that the surface is within 5 mm")
+        within = f"probability that the surface error is below {1e3 * estimate.sure_within:.3g} mm"
+        figure("Sure", 100 * estimate.confidence, "%", within)
         figure("Visible", 100 * estimate.visible_fraction, "%", "share of the object that the camera sees")
         figure("Time", estimate.time_ms, "ms", "all stages that ran")
         return out

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,14 +25,17 @@ from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
 from scenes.recordings import bop
+from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.captures import Capture, write_capture
 from scenes.recordings.frames import Frame
 from scenes.recordings.manifest import Manifest, read_model
+from scenes.recordings.telling import beliefs_json, believed
 
 Array = NDArray[np.float64]
 
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 SPLIT = "test"
+BELIEFS = "beliefs.json"
 # Tolerance of bop_toolkit's visibility test, for the shares of scene_gt_info.json where there is no mask.
 VISIBILITY_DELTA = 0.015
 
@@ -69,6 +72,7 @@ def convert(folder: Path, out: Path, choice: Choice | None = None, model: Object
     entries = {number: _camera(folder, number, entry) for number, entry in cameras.items()}
     scales = {number: entry.depth_scale for number, entry in entries.items()}
     placed = bool(entries) and all(entry.camera_from_world is not None for entry in entries.values())
+    beliefs = _beliefs(folder / BELIEFS)
     dropped = Dropped()
     kept: list[int] = []
 
@@ -81,7 +85,7 @@ def convert(folder: Path, out: Path, choice: Choice | None = None, model: Object
             frame = _frame(folder, number, entries[number], row, truths.get(number), placed, dropped)
             if frame is not None:
                 kept.append(number)
-                yield frame
+                yield replace(frame, beliefs=beliefs)
 
     notes: dict[str, Any] = {"source": "bop", "scene_id": int(folder.name) if folder.name.isdecimal() else 0}
     seen = _shares(shares, rows)
@@ -93,6 +97,11 @@ def convert(folder: Path, out: Path, choice: Choice | None = None, model: Object
         out, at_least_one(frames(), folder, dropped), model, None, world, scales, notes=notes, object_id=object_id
     )
     return Converted((written,), len(kept), dropped)
+
+
+def _beliefs(path: Path) -> Beliefs | None:
+    """What a capture said of its sensors when it was written as BOP."""
+    return believed(None, [(str(path), bop.read_json(path, refuse))]) if path.is_file() else None
 
 
 def objects(folder: Path) -> list[int]:
@@ -121,16 +130,16 @@ def read(folder: Path, choice: Choice, most: int) -> tuple[ObjectModel, list[Fra
     return _model(folder, object_id, choice.models), found
 
 
-def _optional(path: Path) -> dict[int, Any]:
+def _optional(path: Path) -> Mapping[int, Any]:
     return bop.read_frames(path, refuse) if path.is_file() else {}
 
 
-def _known(truths: dict[int, Any]) -> list[int]:
+def _known(truths: Mapping[int, Any]) -> list[int]:
     rows = [row for entry in truths.values() if isinstance(entry, list) for row in entry if isinstance(row, dict)]
     return sorted({row["obj_id"] for row in rows if isinstance(row.get("obj_id"), int)})
 
 
-def _object_id(folder: Path, truths: dict[int, Any], asked: int | None) -> int:
+def _object_id(folder: Path, truths: Mapping[int, Any], asked: int | None) -> int:
     known = _known(truths)
     listed = ", ".join(map(str, known))
     if asked is not None:
@@ -237,7 +246,7 @@ def _truth(where: str, row: dict[str, Any]) -> Array:
     return found[0]
 
 
-def _shares(shares: dict[int, Any], rows: dict[int, int | None]) -> dict[str, float]:
+def _shares(shares: Mapping[int, Any], rows: dict[int, int | None]) -> dict[str, float]:
     """visib_fract of the chosen instance by image, where scene_gt_info.json says it."""
     found = {}
     for number, row in rows.items():
@@ -285,6 +294,8 @@ def export(capture: Capture, out: Path) -> Converted:
         if not kept:
             raise CaptureError(f"{capture.path}: expected a frame with a camera to write as BOP, found none")
         bop.write_json(partial / scene / "scene_camera.json", kept)
+        if capture.beliefs is not None:  # no file of BOP's, but nobody else minds it and the way back finds it
+            bop.write_json(partial / scene / BELIEFS, beliefs_json(capture.beliefs))
         if truths:
             bop.write_json(partial / scene / "scene_gt.json", truths)
             bop.write_json(partial / scene / "scene_gt_info.json", infos)

@@ -7,7 +7,7 @@ within the map's tolerance; transforms are interpolated (`ros_transforms`); cont
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +84,8 @@ def convert(path: Path, out: Path, topics: TopicMap, model: ObjectModel | None =
         recording = _read(bag, topics, dropped)
         plans = _plan(path, topics, recording, dropped, missing)
         scale = Scale(topics.of_role("depth")[0].options.get("depth_scale"))
-        frames = whole_frames(bag, topics, plans, scale, dropped)
+        whole = whole_frames(bag, topics, plans, scale, dropped)
+        frames = (replace(frame, beliefs=topics.beliefs) for frame in whole)
         stamps = {str(plan.frame.index): plan.stamp for plan in plans}
         notes = {"source": "ros", "bag": path.name, "tolerance_s": topics.tolerance_s, "stamps_ns": stamps}
         written = write_capture(

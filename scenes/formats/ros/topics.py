@@ -14,11 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.errors import CaptureError
+from scenes.errors import CaptureError, InputError
 from scenes.files.problems import refuse
 from scenes.geometry import poses
 from scenes.geometry.objects import METRES_PER_UNIT
 from scenes.recordings import bop
+from scenes.recordings.beliefs import Beliefs
+from scenes.recordings.telling import believed
 
 Array = NDArray[np.float64]
 
@@ -69,6 +71,7 @@ KEYS = (
     "intrinsics",
     "static_frames",
     "marker",
+    "beliefs",
 )
 
 
@@ -89,7 +92,8 @@ class TopicMap:
     sensors or None), None when the map names none; world: "camera" or "robot base"; frames: TF frames by what they are
     to the capture; required: roles without which a frame is dropped; definitions: message definitions by type;
     intrinsics (fx, fy, cx, cy; pixels) where no topic has them; static_frames: (parent, child, parent_from_child) that
-    no topic has; marker: camera_from_tracker and marker_from_object (4, 4) around the poses of a marker's topic.
+    no topic has; marker: camera_from_tracker and marker_from_object (4, 4) around the poses of a marker's topic;
+    beliefs: what the sensors are worth.
     """
 
     path: Path
@@ -104,6 +108,7 @@ class TopicMap:
     intrinsics: tuple[float, float, float, float] | None = None
     static_frames: tuple[tuple[str, str, Array], ...] = ()
     marker: tuple[Array, Array] | None = None
+    beliefs: Beliefs | None = None
 
     def of_role(self, role: str) -> list[Topic]:
         """The topics of a role, in the map's order."""
@@ -163,6 +168,7 @@ def parse_map(content: Any, path: Path) -> TopicMap:
         _intrinsics(content.get("intrinsics"), demand),
         _static_frames(content.get("static_frames", []), demand),
         _marker(content.get("marker"), any(topic.role == "marker" for topic in read), demand),
+        _beliefs(path, content),
     )
 
 
@@ -191,6 +197,15 @@ def _topic(name: str, entry: Any, demand: Demand) -> Topic:
     missing = [key.rstrip("!") for key in ROLES[str(role)] if key.endswith("!") and key.rstrip("!") not in options]
     demand(not missing, f"{name}: {', '.join(missing)} for the role {role}", "none")
     return Topic(name, str(role), options)
+
+
+def _beliefs(path: Path, content: dict[str, Any]) -> Beliefs | None:
+    if "beliefs" not in content:
+        return None
+    try:
+        return believed(None, [("beliefs", content["beliefs"])])
+    except InputError as error:
+        raise CaptureError(f"{path}: {error}") from error
 
 
 def _intrinsics(entry: Any, demand: Demand) -> tuple[float, float, float, float] | None:

@@ -3,10 +3,11 @@
 import json
 
 import numpy as np
+import pytest
 from scipy.stats import chi2
 
 from fusion.benchmarks import strata
-from fusion.benchmarks.frames import calibration
+from fusion.benchmarks.frames import calibration, reliability
 from fusion.benchmarks.printing.tables import BenchSettings, Report
 
 
@@ -66,3 +67,57 @@ def test_a_row_counts_what_it_says():
     cell = json.loads(json.dumps(table.to_json()))["rows"][0]["< 5 mm"]
     assert (cell["hits"], cell["n"]) == (2, 4)
     assert not strata.strata_table(answers, "fused", False).rows
+
+
+def _stated(true, said, count=4000, family="lab", seed=0):
+    """Answers that are right with probability `true`, and say `said`."""
+    rng = np.random.default_rng(seed)
+    right = rng.random(count) < true
+    return [
+        strata.Answer(family, 0.3, "fused", True, 0.001 if r else 0.02, 1.0, 0.5, "ok", confidence=float(said))
+        for r in right
+    ]
+
+
+def _reliability(answers):
+    report = Report("calibration", "", "", 0)
+    reliability.add_reliability(report, answers, BenchSettings())
+    rows = [dict(zip([c.name for c in report.tables[0].columns], row, strict=True)) for row in report.tables[0].rows]
+    return report, {(row["family"], row["role"], row["sense"]): row for row in rows}
+
+
+def test_the_calibration_error_is_the_gap_between_stated_and_observed():
+    """Of answers that say 99 % and of which 80 % are right the gap is 19 %; with 60 % that are right so often, none."""
+    report, rows = _reliability(_stated(0.8, 0.99) + _stated(0.6, 0.6, family="harsh", seed=1))
+    assert abs(rows["lab", "tuning", "fused"]["calibration error %"] - 19.0) < 1.5
+    honest = rows["harsh", "report", "fused"]
+    assert honest["calibration error %"] < 2.0
+    assert 0.3 < honest["of it by chance %"] < 1.5
+    claims = {claim.what: claim for claim in report.claims}
+    assert not claims["tuning families, fused: expected calibration error of the confidence"].met
+    assert claims["report families, fused: expected calibration error of the confidence"].met
+    bins = [row for row in report.tables[1].rows if row[0] == "lab"]
+    assert [(row[3], row[4]) for row in bins] == [("98-100 %", 4000)]
+    content = json.loads(json.dumps(report.to_json()))
+    cell = content["tables"][1]["rows"][0]
+    assert cell["right"]["n"] == 4000
+    assert abs(cell["right"]["share"] - 0.8) < 0.03
+    assert cell["mean stated %"] == pytest.approx(99.0)
+
+
+def test_every_confidence_has_one_bin():
+    stated = np.array([0.0, 0.2, 0.5, 0.799999, 0.8, 0.95, 0.98, 1.0])
+    bins = reliability.bins_of(stated, np.ones(8, dtype=bool))
+    assert sum(one.right.n for one in bins) == len(stated)
+    assert [one.low for one in bins] == [0.0, 0.2, 0.5, 0.8, 0.95, 0.98]
+    assert reliability.expected_error(np.ones(8), np.ones(8, dtype=bool)) == 0.0
+    assert np.isnan(reliability.expected_error(np.zeros(0), np.zeros(0, dtype=bool)))
+    assert np.isnan(reliability.by_chance(np.zeros(0)))
+    # one answer that says a half cannot be right a half: chance alone makes the gap
+    assert reliability.by_chance(np.array([0.5])) == pytest.approx(0.5)
+
+
+def test_what_tells_no_confidence_is_left_out():
+    report, rows = _reliability(_answers(1.0)[:10])
+    assert not rows
+    assert not report.claims

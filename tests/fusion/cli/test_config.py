@@ -11,10 +11,12 @@ import pytest
 from commands import refused, run
 from made_frames import plain_view
 
-from fusion.cli.config import CommandConfig, merged, read_config, to_toml
+from fusion.cli.config import CommandConfig, read_config, to_toml
 from fusion.cli.main import main
 from scenes.errors import InputError
+from scenes.files.merged import merged
 from scenes.recordings.captures import write_capture
+from scenes.recordings.depth_cameras import DEPTH_CAMERAS
 from scenes.synthesis.library import make
 
 
@@ -73,12 +75,11 @@ def test_the_first_frame_of_a_track_is_an_estimate(tmp_path):
     assert (settings.estimate.look.rows.most, settings.track.first.look.rows.most) == (500, 400)
 
 
-def test_beliefs_are_taken_where_they_are_others_than_ours(tmp_path):
-    assert CommandConfig.defaults().believed is None
-    believed = read_config(
-        written(tmp_path, "[beliefs]\nmesh_sigma = 0.001\n[beliefs.depth]\nscale_sigma = 0.02\n")
-    ).believed
-    assert (believed.mesh_sigma, believed.depth.scale_sigma) == (0.001, 0.02)
+def test_beliefs_of_a_file_are_read(tmp_path):
+    text = '[beliefs]\nmesh_sigma = 0.001\ncamera = "l515"\n[beliefs.depth]\nscale_sigma = 0.02\n'
+    beliefs = read_config(written(tmp_path, text)).beliefs
+    assert (beliefs.mesh_sigma, beliefs.depth.scale_sigma) == (0.001, 0.02)
+    assert beliefs.depth.bias_sigma == DEPTH_CAMERAS["l515"].bias_sigma
 
 
 @pytest.mark.parametrize(

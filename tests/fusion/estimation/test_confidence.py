@@ -1,0 +1,104 @@
+"""How sure an answer is: for the tolerance the caller names, in every form in which an answer is told."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from commands import refused, run
+from made_frames import plain_view
+
+from fusion.estimation.estimate import estimate
+from fusion.estimation.settings import EstimateSettings
+from fusion.results.files import read_result
+from fusion.tracking.tracker import Tracker, track
+from scenes.errors import InputError
+from scenes.files.schema import complaints
+from scenes.recordings.captures import write_capture
+from scenes.synthesis.library import make
+
+
+@pytest.fixture(scope="module")
+def box():
+    return make("box")
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory, box):
+    frames = [replace(plain_view(), index=i) for i in range(3)]
+    return write_capture(tmp_path_factory.mktemp("sure") / "plain", frames, box)
+
+
+def test_a_wider_tolerance_is_surer(box):
+    frame = plain_view()
+    answers = [estimate(frame, box, sure_within=within) for within in (0.0005, 0.002, 0.005, 0.02)]
+    assert [answer.sure_within for answer in answers] == [0.0005, 0.002, 0.005, 0.02]
+    sure = [answer.confidence for answer in answers]
+    assert np.all(np.diff(sure) >= 0)
+    assert sure[0] < sure[-1]
+    assert estimate(frame, box).confidence == answers[2].confidence  # 5 mm is the default
+    assert estimate(frame, box).sure_within == 0.005
+
+
+def test_ok_is_for_the_tolerance_that_was_named(box):
+    usual = EstimateSettings()
+    never = replace(usual, confidence=replace(usual.confidence, sure=1.1))
+    answer = estimate(plain_view(), box, sure_within=0.0025, settings=never)
+    assert answer.verdict == "ambiguous"
+    assert "sure to be within 2.5 mm" in answer.notes[0]
+
+
+@pytest.mark.parametrize("within", [0.0, -1.0, np.nan, np.inf])
+def test_a_tolerance_is_above_zero(box, within):
+    with pytest.raises(InputError, match="sure_within: expected metres above 0"):
+        estimate(plain_view(), box, sure_within=within)
+    with pytest.raises(InputError, match="sure_within"):
+        Tracker(box, sure_within=within)
+
+
+def test_nothing_sensed_is_not_sure(box):
+    nothing = replace(plain_view().without_vision().without_touch(), camera=None, prior=None)
+    answer = estimate(nothing, box)
+    assert answer.verdict == "lost"
+    assert answer.confidence < 0.05
+
+
+def test_a_track_is_as_sure_as_it_was_found_and_not_surer(box):
+    frames = [replace(plain_view(), index=i) for i in range(3)]
+    found, *rest = track(frames, box, sure_within=0.004)
+    assert 0.5 < found.confidence <= 1.0
+    for answer in rest:
+        assert answer.how == "tracked"
+        assert 0.0 < answer.confidence <= found.confidence
+        assert answer.sure_within == 0.004
+    blind = replace(frames[2].without_vision().without_touch(), index=3, camera=None, prior=None)
+    tracker = Tracker(box)
+    seen = [tracker.step(frame).confidence for frame in frames]
+    assert tracker.step(blind).confidence <= seen[-1]
+
+
+def test_every_table_and_file_has_it(capsys, tmp_path, capture):
+    assert run("estimate", capture, "--out", tmp_path / "e", "--sure-within", 3) == 0
+    printed = capsys.readouterr().out
+    assert " sure " in printed.splitlines()[0] or " sure " in printed.splitlines()[1]
+    content, answers = read_result(tmp_path / "e" / "result.json")
+    assert complaints(content, "result") == []
+    assert [entry["sure_within_mm"] for entry in content["frames"]] == pytest.approx([3.0] * 3)
+    assert [a.confidence for a in answers] == [entry["confidence"] for entry in content["frames"]]
+    assert f" {100 * answers[0].confidence:.0f} %" in printed
+    assert "surface error is below 3 mm" in (tmp_path / "e" / "report.html").read_text(encoding="utf-8")
+    assert run("track", capture, "--out", tmp_path / "t", "--no-report", "--sure-within", 3) == 0
+    assert "sure" in capsys.readouterr().out
+    tracked = json.loads((tmp_path / "t" / "result.json").read_text())["frames"]
+    assert all(entry["confidence"] is not None and entry["sure_within_mm"] == pytest.approx(3.0) for entry in tracked)
+    assert "expected a number above 0" in refused(capsys, "estimate", capture, "--sure-within", 0)
+
+
+def test_a_batch_has_it(capsys, tmp_path, capture):
+    assert run("batch", capture.parent, "--workers", 1, "--out", tmp_path / "b", "--no-report") == 0
+    assert "sure" in capsys.readouterr().out
+    rows = list(csv.DictReader((tmp_path / "b" / "results.csv").open()))
+    assert all(0.0 <= float(row["confidence"]) <= 1.0 for row in rows)
