@@ -226,6 +226,18 @@ def say(text: str) -> None:
         sys.stdout.write(f"{text}\n")
 
 
+def warn(text: str) -> None:
+    """One line on standard error that is no error, of this program."""
+    if not _QUIET:
+        sys.stderr.write(f"palpate: {text}\n")
+        sys.stderr.flush()
+
+
+def is_quiet() -> bool:
+    """Whether -q was given."""
+    return _QUIET
+
+
 def pose_lines(pose: Any) -> list[str]:
     """A pose (4, 4) for a person: position (mm), rotation vector (degrees), and the matrix to copy."""
     import numpy as np

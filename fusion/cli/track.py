@@ -1,10 +1,16 @@
-"""Follow the object through the frames of a capture, finding it again when lost; writes what estimate writes."""
+"""Follow the object through the frames of a capture, finding it again when lost; answers are written as they come."""
 
 from __future__ import annotations
 
 import argparse
+import shlex
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fusion.cli.config import add_config, read_config, told
 from fusion.cli.options import (
@@ -12,24 +18,28 @@ from fusion.cli.options import (
     add_run,
     add_sure,
     announce_compiling,
+    is_quiet,
+    non_negative,
     number,
     out_folder,
     percent,
-    progress,
+    positive_number,
     say,
     show_table,
+    warn,
     with_sure,
-    write_run,
 )
 from fusion.results.runs import load_object, prior_setter
 
 if TYPE_CHECKING:
-    from fusion.tracking.answer import TrackedEstimate
-    from fusion.truth.errors import Errors
-    from scenes.recordings.frames import Frame
+    from fusion.results.track.running import Step, TrackRun
+    from fusion.results.track.summary import Columns
 
-# A table of more frames than this shows only those in which something happened.
+# A table of more frames than this shows only those in which something happened, and no more of these.
 LONG = 40
+# Seconds between the lines that a pipe is told.
+SAID_EVERY = 10.0
+INTERRUPTED = 130
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,76 +48,202 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_sure(parser)
     add_beliefs(parser)
     add_config(parser)
+    parser.add_argument("--resume", action="store_true", help="go on where an interrupted track into --out has ended")
+    parser.add_argument(
+        "--realtime", metavar="HZ", type=positive_number, help="replay as a camera of so many frames a second delivers"
+    )
+    parser.add_argument(
+        "--checkpoint", metavar="S", type=non_negative, default=5.0, help="seconds between checkpoints (default 5)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Exit code 1 when the object is lost in the last frame."""
+    """Exit code 1 when the object is lost in the last frame, 130 when interrupted."""
     from fusion.estimation.asked import check_senses
-    from fusion.results.files import frame_errors
+    from fusion.results.track.running import RunOptions, TrackRun, asked_for
     from fusion.tracking.tracker import Tracker
-    from fusion.truth.errors import Judge
     from scenes.recordings.captures import read_capture
     from scenes.recordings.telling import believed
-    from scenes.recordings.validation import check_scale
 
     senses = tuple(sorted(check_senses(args.use), reverse=True))
     config, said = read_config(args.config), told(args)
     capture = read_capture(args.capture, args.trust_paths)
     beliefs = believed(capture.beliefs, said)
     settings = replace(config.track, first=with_sure(config.track.first, args))
-    out_folder(args, capture.name)  # before the work, not after it
+    out = out_folder(args, capture.name)  # before the work, not after it
     model = load_object(args.object, args.unit) if args.object else capture.model
     prepare = prior_setter(args.prior, args.seed)
+    asked = asked_for(capture, model, senses, args.prior, args.seed, settings, beliefs)
 
     def new_tracker() -> Tracker:
         return Tracker(model, use=senses, seed=args.seed, settings=settings, beliefs=beliefs)
 
-    judge, tracker = Judge.of(model), new_tracker()
     announce_compiling()
-    frames: list[Frame] = []
-    answers: list[TrackedEstimate] = []
-    errors: list[Errors | None] = []
-    for recorded in progress(capture, len(capture), "tracking"):
-        # the coarse start is for the beginning; a track goes on by itself
-        frame = recorded if answers and args.prior is not None else prepare(recorded, model)
-        if not answers:
-            # compiles, loads the kernels and the lattice: a frame's time should tell of the frame
-            check_scale(frame, model)
-            new_tracker().step(frame)
-        frames.append(frame)
-        answers.append(tracker.step(frame))
-        errors.append(frame_errors(judge, frame, answers[-1]))
-    written = write_run(args, capture, model, frames, answers, errors)
-    _show(answers, errors)
-    say(written)
-    return 1 if answers[-1].verdict == "lost" else 0
+    options = RunOptions(args.checkpoint, args.realtime, not args.no_report)
+    with TrackRun(capture, model, out, new_tracker, prepare, asked, options, args.resume) as track:
+        if args.resume:
+            say(
+                f"resumed after {track.done} of {len(capture)} frames"
+                if track.done
+                else "no checkpoint: from the start"
+            )
+        with _Stop() as stop, _Ticker(len(capture), args.realtime) as ticker:
+            for step in track.steps():
+                ticker.tell(step)
+                if stop.asked:
+                    break
+        track.save()
+        columns = _finish(args, track)
+    if stop.asked and track.done < len(capture):
+        again = shlex.join(["palpate", *_same_again(sys.argv[1:])])
+        warn(f"interrupted after {track.done} of {len(capture)} frames, which are in {out}; go on with: {again}")
+        return INTERRUPTED
+    return 1 if len(columns) and columns.verdict[-1] == "lost" else 0
 
 
-def _show(answers: list[TrackedEstimate], errors: list[Errors | None]) -> None:
-    """The table of frames, and the track in two lines."""
+def _finish(args: argparse.Namespace, track: TrackRun) -> Columns:
+    """The files of the whole, and what is printed of it."""
+    from fusion.results.track.summary import MOST_IN_RESULT, read_columns, summary, write_result
+
+    capture, out = track.capture, track.out
+    complete = track.done == len(capture)
+    columns = read_columns(out, track.model)
+    last = summary(columns, len(capture), args.realtime, complete)
+    head = {"capture": capture.name, "capture_path": str(capture.path.resolve()), "object": track.model.name}
+    touch = track.next_touch() if complete and len(columns) <= MOST_IN_RESULT else []
+    for path in (out / "result.json", *([args.json] if args.json is not None else ())):
+        write_result(path, out, head, columns, last, touch)
+    wrote = "poses.csv, result.jsonl, times.jsonl, result.json"
+    if not args.no_report and complete:
+        from fusion.results.track.report import write_track_report
+
+        write_track_report(out, capture.name, track.model, columns, last, capture.frame_ids)
+        wrote += ", report.html"
+    _show(columns, last)
+    say(f"wrote {out / wrote}")
+    return columns
+
+
+def _same_again(words: list[str]) -> list[str]:
+    return words if "--resume" in words else [*words, "--resume"]
+
+
+class _Stop:
+    """Ctrl-C (or a service's SIGTERM) asks to end after this frame; the second one ends at once."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> _Stop:
+        if threading.current_thread() is threading.main_thread():  # in another, whoever called hears it
+            self._before = {kind: signal.signal(kind, self._heard) for kind in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for kind, handler in self._before.items():
+            signal.signal(kind, handler)
+
+    def _heard(self, kind: int, _: object) -> None:
+        if self.asked:
+            raise KeyboardInterrupt
+        self.asked = True
+        warn("stopping after this frame; once more stops at once")
+
+
+class _Ticker:
+    """How far it is: a bar on a terminal; in a pipe a plain line now and then. Both on standard error."""
+
+    def __init__(
+        self, total: int, hertz: float | None, clock: Callable[[], float] = time.monotonic, every: float = SAID_EVERY
+    ) -> None:
+        self._total, self._hertz, self._clock, self._every = total, hertz, clock, every
+        self._bar: Any = None
+        self._said_at = clock()
+        self._times: list[float] = []
+        self._counts = {"slips": 0, "lost": 0, "left out": 0}
+        self._slipping = False
+
+    def __enter__(self) -> _Ticker:
+        if sys.stderr.isatty() and not is_quiet() and self._total > 1:
+            from rich.console import Console
+            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+            columns = (TextColumn("tracking"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+            self._bar = Progress(
+                *columns, TextColumn("{task.description}"), console=Console(stderr=True), transient=True
+            )
+            self._bar.start()
+            self._bar.add_task("", total=self._total)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def tell(self, step: Step) -> None:
+        """One more frame."""
+        answer = step.answer
+        slips = answer is not None and answer.slip
+        self._counts["slips"] += slips and not self._slipping
+        self._slipping = slips
+        self._counts["lost"] += answer is not None and answer.verdict == "lost"
+        self._counts["left out"] += step.behind + (answer is None)
+        self._times.append(step.ms)
+        if answer is None:
+            warn(f"frame {step.number} is left out: {step.why}")
+        elif step.problems:
+            warn(f"frame {step.number} is tracked without what is broken: {'; '.join(step.problems)}")
+        if self._bar is not None:
+            self._bar.update(0, completed=step.done, description=self._words())
+            self._times = self._times[-30:]
+        elif self._clock() - self._said_at >= self._every:
+            warn(f"{step.done} of {self._total} frames, {self._words()}")
+            self._said_at, self._times = self._clock(), []
+
+    def _words(self) -> str:
+        told = ", ".join(f"{count} {what}" for what, count in self._counts.items() if count)
+        return f"{sum(self._times) / len(self._times):.0f} ms a frame" + (f", {told}" if told else "")
+
+
+def _show(columns: Columns, last: dict[str, Any]) -> None:
+    """The table of frames, and the track in a few lines."""
     import numpy as np
 
-    heads = ("frame", "how", "verdict", "sure", "in the hand", "ADD-S mm", "rot °", "trans mm", "time ms", "not known")
+    heads = ("frame", "how", "verdict", "sure", "in the hand", "ADD-S mm", "rot °", "trans mm", "time ms", "σ mm")
+    told = [
+        i
+        for i in range(len(columns))
+        if len(columns) <= LONG
+        or columns.moved[i]
+        or columns.slip[i]
+        or columns.how[i] != "tracked"
+        or columns.verdict[i] != "ok"
+    ]
     rows = []
-    for answer, error in zip(answers, errors):
-        told = answer.moved_in_hand or answer.how != "tracked" or answer.verdict != "ok"
-        if len(answers) > LONG and not told:
-            continue
-        values = (
-            (None,) * 3 if error is None else (1e3 * error.add_s, np.rad2deg(error.rotation), 1e3 * error.translation)
-        )
-        measured = [number(value) for value in values]
-        slip = "slips" if answer.slip else "moves" if answer.moved_in_hand else "–"
-        unknown = ", ".join(answer.unobservable) or "–"
-        said = str(answer.frame), answer.how, answer.verdict, percent(answer.confidence), slip
-        rows.append((*said, *measured, number(answer.time_ms, 0), unknown))
-    title = None if len(answers) <= LONG else f"{len(rows)} of {len(answers)} frames in which something happened"
+    for i in told[:LONG]:
+        measured = [number(float(columns.errors[name][i])) for name in ("add_s_mm", "rotation_deg", "translation_mm")]
+        slip = "slips" if columns.slip[i] else "moves" if columns.moved[i] else "–"
+        times = number(float(columns.step[i]), 0), number(1e3 * float(columns.sigma[i, 1]))
+        said = str(columns.frame[i]), columns.how[i], columns.verdict[i], percent(float(columns.confidence[i]))
+        rows.append((*said, slip, *measured, *times))
+    title = None
+    if len(columns) > LONG:
+        title = f"{len(told)} of {len(columns)} frames in which something happened"
+        title += f": the first {LONG}, the others are in result.jsonl" if len(told) > LONG else ""
     show_table(heads, rows, title)
-    known = [error for error in errors if error is not None]
-    if known:
-        median, worst = (1e3 * float(f([e.add_s for e in known])) for f in (np.median, np.max))
-        say(f"ADD-S: median {median:.2f} mm, largest {worst:.2f} mm")
-    count = {how: sum(a.how == how for a in answers) for how in ("tracked", "carried", "re-initialised", "lost")}
-    times = [a.time_ms for a in answers if a.how == "tracked"]
-    went = ", ".join(f"{n} {how}" for how, n in count.items() if n) or "started"
-    say(f"{len(answers)} frames: {went}" + (f"; median {np.median(times):.0f} ms a tracked frame" if times else ""))
+    known = columns.errors["add_s_mm"][np.isfinite(columns.errors["add_s_mm"])]
+    if len(known):
+        say(f"ADD-S: median {np.median(known):.2f} mm, largest {known.max():.2f} mm")
+    count = ", ".join(f"{n} {how}" for how, n in last["how"].items())
+    left_out = last["frames_skipped"]
+    skipped = "".join(f", {n} left out ({cause})" for cause, n in left_out.items() if n)
+    say(f"{last['frames_answered']} frames: {count or 'none'}{skipped}; {last['slips']['count']} slips")
+    say(_times("a frame", last["step_ms"]))
+    if last["hertz"] is not None:
+        say(_times(f"from a frame's arrival at {last['hertz']:g} Hz to its answer", last["latency_ms"]))
+
+
+def _times(what: str, found: dict[str, float | None]) -> str:
+    said = ", ".join(f"{name} {number(value, 1)}" for name, value in found.items())
+    return f"ms {what}: {said}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -83,11 +83,15 @@ def find_result(path: str | Path) -> Path | None:
 def read_result(path: str | Path) -> tuple[dict[str, Any], list[Estimate]]:
     """The content of a result.json and its answers; raises InputError for a file that is none.
 
-    Modes have the covariance of the whole: the file has no other.
+    Modes have the covariance of the whole: the file has no other. Of a long track the frames are in a file beside it.
     """
     try:
         content = json.loads(Path(path).read_text(encoding="utf-8-sig"))
-        answers = [_answer(entry) for entry in content["frames"]]
+        entries: Iterable[dict[str, Any]] = content["frames"]
+        if content.get("frames_file"):
+            with (Path(path).parent / content["frames_file"]).open(encoding="utf-8") as file:
+                entries = [json.loads(line) for line in file]
+        answers = [answer_of(entry) for entry in entries]
     except OSError as error:
         raise InputError(f"{path}: expected a result.json, it cannot be opened: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -119,7 +123,8 @@ def capture_of(result: Path, content: dict[str, Any], given: Path | None = None)
     )
 
 
-def _answer(entry: dict[str, Any]) -> Estimate:
+def answer_of(entry: dict[str, Any]) -> Estimate:
+    """The answer that an entry of a result says; a KeyError or ValueError for one that says none."""
     pose = _pose(entry["camera_from_object"], "camera_from_object")
     held = entry.get("hand_from_object")
     spread = entry.get("covariance")
@@ -141,7 +146,7 @@ def _answer(entry: dict[str, Any]) -> Estimate:
         hand_from_object=None if held is None else _pose(held, "hand_from_object"),
         visible_fraction=_number(entry.get("visible_fraction")),
         trace=tuple(
-            Stage(str(s["stage"]), bool(s["ran"]), str(s["why"]), float(s["ms"]), int(s["rows"]))
+            Stage(str(s["stage"]), bool(s["ran"]), str(s["why"]), float(s.get("ms", 0.0)), int(s["rows"]))
             for s in entry.get("trace", [])
         ),
         contacts=contacts,

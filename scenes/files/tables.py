@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterable, Sequence
+from array import array
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -106,30 +107,47 @@ def read_table(path: str | Path, columns: Sequence[CsvColumn], report: Report) -
         report(Problem(file, None, f"cannot be read: {error.strerror}"))
         return CsvTable(file)
     rows = csv.reader(text.splitlines())
-    header = [name.strip() for name in next(rows, [])]
-    if not header:
-        needed = ",".join(c.name for c in columns if not c.optional)
-        report(Problem(file, None, f"expected the header {needed}, got an empty file"))
-        return CsvTable(file)
-    missing = [c.name for c in columns if not c.optional and c.name not in header]
-    if missing:
-        got = ",".join(header)[:80]
-        report(Problem(file, None, f"expected the column{'s'[: len(missing) > 1]} {', '.join(missing)}, got {got}"))
-        return CsvTable(file)
     try:
-        return _parse(file, rows, header, columns, report)
+        header = csv_header(file, rows, columns, report)
+        return (
+            CsvTable(file) if header is None else as_table(file, csv_rows(file, rows, header, columns, report), columns)
+        )
     except csv.Error as error:
         report(Problem(file, None, f"line {rows.line_num}: {error}"))
         return CsvTable(file)
 
 
-def _parse(file: str, rows: Any, header: list[str], columns: Sequence[CsvColumn], report: Report) -> CsvTable:
+def csv_header(file: str, rows: Any, columns: Sequence[CsvColumn], report: Report) -> list[str] | None:
+    """The header of a csv.reader that has given nothing; None after a report when it lacks a needed column."""
+    header = [name.strip() for name in next(rows, [])]
+    if not header:
+        needed = ",".join(c.name for c in columns if not c.optional)
+        report(Problem(file, None, f"expected the header {needed}, got an empty file"))
+        return None
+    missing = [c.name for c in columns if not c.optional and c.name not in header]
+    if missing:
+        got = ",".join(header)[:80]
+        report(Problem(file, None, f"expected the column{'s'[: len(missing) > 1]} {', '.join(missing)}, got {got}"))
+        return None
+    return header
+
+
+@dataclass(frozen=True)
+class CsvRow:
+    """One row without a problem: the line where it ends, its numbers and texts by column name."""
+
+    line: int
+    numbers: dict[str, float]
+    texts: dict[str, str]
+
+
+def csv_rows(
+    file: str, rows: Any, header: list[str], columns: Sequence[CsvColumn], report: Report, before: int = 0
+) -> Iterator[CsvRow]:
+    """The rows of a csv.reader that has given its header, problems reported; before: lines of the file before its."""
     at = {c.name: header.index(c.name) for c in columns if c.name in header}
-    numbers: dict[str, list[float]] = {c.name: [] for c in columns if c.kind != "text"}
-    texts: dict[str, list[str]] = {c.name: [] for c in columns if c.kind == "text"}
-    lines: list[int] = []
     for row in rows:
-        line = rows.line_num
+        line = before + rows.line_num
         if not any(cell.strip() for cell in row):
             continue
         if len(row) != len(header):
@@ -152,17 +170,22 @@ def _parse(file: str, rows: Any, header: list[str], columns: Sequence[CsvColumn]
             report(Problem(file, frame, f"line {line}, {complaint}"))
         if wrong:
             continue
-        for name, value in parsed.items():
+        yield CsvRow(line, parsed, {c.name: _as_meant(values[c.name]) for c in columns if c.kind == "text"})
+
+
+def as_table(file: str, rows: Iterable[CsvRow], columns: Sequence[CsvColumn]) -> CsvTable:
+    """The rows side by side."""
+    numbers = {c.name: array("d") for c in columns if c.kind != "text"}
+    texts: dict[str, list[str]] = {c.name: [] for c in columns if c.kind == "text"}
+    lines = array("q")
+    for row in rows:
+        for name, value in row.numbers.items():
             numbers[name].append(value)
-        for name in texts:
-            texts[name].append(_as_meant(values[name]))
-        lines.append(line)
-    return CsvTable(
-        file,
-        {name: np.array(values, dtype=np.float64) for name, values in numbers.items()},
-        texts,
-        np.array(lines, dtype=np.int64),
-    )
+        for name, text in row.texts.items():
+            texts[name].append(text)
+        lines.append(row.line)
+    columns_of = {name: np.array(values, dtype=np.float64) for name, values in numbers.items()}
+    return CsvTable(file, columns_of, texts, np.array(lines, dtype=np.int64))
 
 
 def _number(text: str, column: CsvColumn) -> tuple[float, str]:

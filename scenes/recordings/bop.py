@@ -10,7 +10,8 @@ import csv
 import io
 import json
 import math
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -77,8 +78,51 @@ def write_json(path: str | Path, content: Any) -> None:
     replace_file(Path(path), (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
 
 
-def read_frames(path: str | Path, report: Report) -> dict[int, Any]:
+class FrameEntries(Mapping[int, Any]):
+    """Entries of a JSON file by frame number, read again when they are asked for: an hour of recording has a hundred
+    thousand. Raises CaptureError for a file that has changed meanwhile.
+    """
+
+    def __init__(self, path: Path, places: Mapping[int, tuple[int, int]]) -> None:
+        """places: first byte of each frame's entry, and the byte after it."""
+        self._path = path
+        self._places = np.array([(frame, *place) for frame, place in places.items()], dtype=np.int64).reshape(-1, 3)
+        self._order = np.argsort(self._places[:, 0], kind="stable")
+
+    def __getitem__(self, frame: int) -> Any:
+        row = self._row(frame)
+        if row is None:
+            raise KeyError(frame)
+        first, after = map(int, self._places[row, 1:])
+        try:
+            with self._path.open("rb") as file:
+                file.seek(first)
+                return json.loads(file.read(after - first))
+        except (OSError, ValueError) as error:
+            raise CaptureError(
+                f"{self._path}, frame {frame}: expected the file as it was when it was opened"
+            ) from error
+
+    def __contains__(self, frame: object) -> bool:
+        return isinstance(frame, int) and self._row(frame) is not None
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._places[:, 0].tolist())
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def _row(self, frame: int) -> int | None:
+        at = int(np.searchsorted(self._places[:, 0], frame, sorter=self._order))
+        row = int(self._order[at]) if at < len(self._order) else -1
+        return row if row >= 0 and self._places[row, 0] == frame else None
+
+
+def read_frames(path: str | Path, report: Report) -> Mapping[int, Any]:
     """A JSON object keyed by frame number, as {frame: entry}."""
+    places = _frame_places(Path(path))
+    if places is not None:
+        return FrameEntries(Path(path), places)
     content = read_json(path, report)
     if content is None:
         return {}
@@ -92,6 +136,50 @@ def read_frames(path: str | Path, report: Report) -> dict[int, Any]:
         else:
             report(Problem(str(path), None, f"expected frame numbers as keys, got {key[:40]!r}"))
     return frames
+
+
+_BLANK = re.compile(r"[ \t\n\r]*")
+
+
+def _frame_places(path: Path) -> dict[int, tuple[int, int]] | None:
+    """First byte of each entry of a JSON object keyed by frame, and the byte after it; None for any other file."""
+    decoder = json.JSONDecoder()
+    places: dict[int, tuple[int, int]] = {}
+    try:
+        content = path.read_bytes()
+        text = content.decode("utf-8-sig")
+        if not text.isascii():  # then bytes are not characters
+            return None
+        mark_of_order = len(content) - len(text)
+        at, mark = _past(text, 0, "{"), ","
+        if text[at] == "}":
+            at, mark = _blank(text, at + 1), "}"
+        while mark == ",":
+            key, end = decoder.raw_decode(text, at)
+            if not key.isdecimal():
+                return None
+            start = _past(text, end, ":")
+            _, end = decoder.raw_decode(text, start)
+            places[int(key)] = (mark_of_order + start, mark_of_order + end)
+            end = _blank(text, end)
+            at, mark = _blank(text, end + 1), text[end]
+        return places if mark == "}" and at == len(text) else None
+    except (OSError, ValueError, IndexError, AttributeError, RecursionError):
+        return None
+
+
+def _blank(text: str, at: int) -> int:
+    """Where what comes next begins."""
+    found = _BLANK.match(text, at)
+    return at if found is None else found.end()
+
+
+def _past(text: str, at: int, mark: str) -> int:
+    """Where what comes after a mark begins; raises ValueError for another mark."""
+    at = _blank(text, at)
+    if text[at] != mark:
+        raise ValueError(f"expected {mark}")
+    return _blank(text, at + 1)
 
 
 def numbers(value: Any, count: int, what: str) -> Array:
@@ -233,15 +321,19 @@ def model_json(vertices: Array, diameter: float, symmetries: Symmetries) -> dict
 
 def write_poses(path: str | Path, rows: Iterable[PoseRow]) -> None:
     """Write poses.csv in BOP's format: R row-major, t in millimetres, time in seconds; whole or not at all."""
+    replace_file(Path(path), f"{','.join(POSES_HEADER)}\n{pose_lines(rows)}".encode())
+
+
+def pose_lines(rows: Iterable[PoseRow]) -> str:
+    """The rows as lines of a poses.csv, without its header."""
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(POSES_HEADER)
     for row in rows:
         rotation = " ".join(repr(x) for x in row.pose[:3, :3].ravel().tolist())
         translation = " ".join(repr(x) for x in (row.pose[:3, 3] / MM).tolist())
         cells = (row.scene_id, row.im_id, row.obj_id, repr(float(row.score)), rotation, translation)
         writer.writerow([*cells, repr(float(row.time))])
-    replace_file(Path(path), text.getvalue().encode())
+    return text.getvalue()
 
 
 def read_poses(path: str | Path) -> list[PoseRow]:

@@ -8,7 +8,7 @@ frame: reading refuses at the first problem, `scenes.recordings.validation` coll
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError, PalpateError
 from scenes.files import images, tables
+from scenes.files.framed import FramedTable
 from scenes.files.inside import refuse_links_outside, stays_inside
 from scenes.files.problems import Problem, Report, refuse
 from scenes.geometry import poses
@@ -69,6 +70,7 @@ class Capture:
         self._tactile = self._tactile_files(".csv")
         self._gels = self._tactile_files(".png")
         self.frame_ids = self._find_frames()
+        self._known = frozenset(self.frame_ids)
         self._check_strays()
         _log.info("%s: %s, %d of its frames", self.path, self.manifest.name, len(self.frame_ids))
 
@@ -119,7 +121,7 @@ class Capture:
 
     def frame(self, number: int) -> Frame:
         """The frame of that number. Raises CaptureError for one that is not there or is malformed."""
-        if number not in self.frame_ids:
+        if number not in self._known:
             raise CaptureError(f"{self.path}: expected a frame of {_span(self.frame_ids)}, got {number}")
         camera, camera_from_world = None, np.eye(4)
         entry = self._attempt("scene_camera.json", number, lambda: self._camera_entry(number))
@@ -171,11 +173,11 @@ class Capture:
             self.report(Problem(self._file(name), number, str(error)))
             return None
 
-    def _table(self, name: str) -> tables.CsvTable:
+    def _table(self, name: str) -> FramedTable | tables.CsvTable:
         path = self.path / name
-        return tables.read_table(path, CSV_FILES[name], self.report) if path.is_file() else tables.CsvTable(str(path))
+        return FramedTable(path, CSV_FILES[name], self.report) if path.is_file() else tables.CsvTable(str(path))
 
-    def _by_frame(self, name: str) -> dict[int, Any]:
+    def _by_frame(self, name: str) -> Mapping[int, Any]:
         path = self.path / name
         return bop.read_frames(path, self.report) if path.is_file() else {}
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -130,16 +130,16 @@ def read(folder: Path, choice: Choice, most: int) -> tuple[ObjectModel, list[Fra
     return _model(folder, object_id, choice.models), found
 
 
-def _optional(path: Path) -> dict[int, Any]:
+def _optional(path: Path) -> Mapping[int, Any]:
     return bop.read_frames(path, refuse) if path.is_file() else {}
 
 
-def _known(truths: dict[int, Any]) -> list[int]:
+def _known(truths: Mapping[int, Any]) -> list[int]:
     rows = [row for entry in truths.values() if isinstance(entry, list) for row in entry if isinstance(row, dict)]
     return sorted({row["obj_id"] for row in rows if isinstance(row.get("obj_id"), int)})
 
 
-def _object_id(folder: Path, truths: dict[int, Any], asked: int | None) -> int:
+def _object_id(folder: Path, truths: Mapping[int, Any], asked: int | None) -> int:
     known = _known(truths)
     listed = ", ".join(map(str, known))
     if asked is not None:
@@ -246,7 +246,7 @@ def _truth(where: str, row: dict[str, Any]) -> Array:
     return found[0]
 
 
-def _shares(shares: dict[int, Any], rows: dict[int, int | None]) -> dict[str, float]:
+def _shares(shares: Mapping[int, Any], rows: dict[int, int | None]) -> dict[str, float]:
     """visib_fract of the chosen instance by image, where scene_gt_info.json says it."""
     found = {}
     for number, row in rows.items():

@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fusion.benchmarks.frames.tracking import Said, Tally, count_slips
+from fusion.benchmarks.tracking.methods import Said
+from fusion.benchmarks.tracking.tally import Tally, count_slips, losses
 from fusion.cli.main import main
 from scenes.geometry import poses
 from scenes.synthesis import library
@@ -25,7 +26,8 @@ def test_track_writes_what_estimate_writes(capture, tmp_path, capsys):
     out = tmp_path / "out"
     code = main(["track", str(capture), "--out", str(out), "--json", str(tmp_path / "t.json")])
     assert code == 0
-    assert {p.name for p in out.iterdir()} == {"poses.csv", "result.json", "report.html"}
+    growing = {"poses.csv", "result.jsonl", "times.jsonl", "track.checkpoint"}
+    assert {p.name for p in out.iterdir()} == {*growing, "result.json", "report.html", "report"}
     content = json.loads((tmp_path / "t.json").read_text())
     assert [f["frame"] for f in content["frames"]] == [0, 1, 2]
     assert [f["tracking"]["how"] for f in content["frames"]] == ["started", "tracked", "tracked"]
@@ -33,7 +35,7 @@ def test_track_writes_what_estimate_writes(capture, tmp_path, capsys):
     assert content["errors"]["success_add_s_below_5mm"] == 1.0
     assert (out / "poses.csv").read_text().startswith("scene_id,im_id,obj_id,score,R,t,time")
     shown = capsys.readouterr().out
-    assert "3 frames: 2 tracked" in shown
+    assert "3 frames: 1 started, 2 tracked" in shown
 
 
 def test_track_refuses_what_is_no_capture_and_unknown_senses(capture, tmp_path, capsys):
@@ -57,3 +59,8 @@ def test_slips_are_counted_once_and_alarms_by_their_beginning():
     count_slips(tally, model, frames, said, {"slips": [{"first": 11, "last": 13}]})
     assert (tally.slips, tally.hits, tally.alarms, tally.steady) == (1, 1, 2, 40 - 6)
     assert (tally.moved_hits, tally.moved_alarms) == (1, 0)
+
+
+def test_losses_are_counted_when_they_end():
+    assert losses([0.001, 0.02, 0.03, 0.002, 0.02]) == [2]
+    assert losses([0.001]) == []
