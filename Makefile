@@ -10,7 +10,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 SOURCES := scenes vision touch fusion tests
 
 .DEFAULT_GOAL := help
-.PHONY: help install install-test demo test test-slow lint bench docs clean
+.PHONY: help install install-test demo test test-slow lint bench docs gallery clean
 
 help:
 	@echo "make install    .venv with the command .venv/bin/palpate; quick when nothing changed"
@@ -19,6 +19,7 @@ help:
 	@echo "make lint       ruff and mypy"
 	@echo "make bench      the benchmarks"
 	@echo "make docs       the pages as a site in $(OUT)/docs, links checked"
+	@echo "make gallery    the gallery's scenes and pictures anew"
 
 install: $(VENV)/installed
 
@@ -47,6 +48,7 @@ test: install-test
 	@$(BIN)/python -m pytest -m "not slow" -n auto
 
 test-slow: install-test
+	@$(PIP) install --no-compile --editable '.[docs]'
 	@$(BIN)/python -m pytest -m slow
 
 lint: install-test
@@ -61,6 +63,9 @@ docs: install
 	@$(PIP) install --no-compile --editable '.[docs]'
 	@$(BIN)/python docs/build_api.py
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict --site-dir $(OUT)/docs
+
+gallery: install
+	@$(BIN)/python docs/build_gallery.py
 
 clean:
 	rm -rf $(VENV) $(OUT) build dist *.egg-info

@@ -28,6 +28,8 @@ ROOMS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
         {
             "fusion.estimation.answer": ("Stage", "ContactResidual", "Contribution"),
             "fusion.results.files": ("read_result", "write_results", "result_json"),
+            "fusion.results.report.page": ("write_report",),
+            "fusion.results.report.stills": ("still",),
             "fusion.truth.errors": ("Judge", "Errors"),
             "fusion.truth.metrics": (
                 *("model_points", "add", "add_s", "mssd", "mspd", "vsd", "rotation_error", "translation_error"),

@@ -25,6 +25,8 @@ def open3d() -> ModuleType:
     path = libusb_package.get_library_path()
     if path is not None:
         ctypes.CDLL(os.fspath(path), mode=ctypes.RTLD_GLOBAL)
+    # in a notebook it would start a server of its own and say so; nothing here draws with it
+    os.environ.setdefault("OPEN3D_DISABLE_WEB_VISUALIZER", "true")
     stand_in = PLOTLY not in sys.modules and "open3d" not in sys.modules
     if stand_in:
         sys.modules[PLOTLY] = _drawing_later()

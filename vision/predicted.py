@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scenes.evidence import table as tables
 from scenes.evidence.table import VISION, Evidence
 from scenes.geometry import poses as se3
-from scenes.geometry.cameras import Camera
+from scenes.geometry.cameras import Camera, is_reading
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import DepthModel
 from scenes.recordings.frames import Frame
@@ -293,6 +293,26 @@ class Predictor:
         rows = tables.outside(points, s.empty_sigma, VISION, gate=s.empty_gate)
         hits = float(view.has(kernels.HIT).sum())
         return rows.reweighted(s.cells / max(hits, 1.0) / len(s.empty_depths))
+
+    def hides(self, places: Array, beyond: Array) -> NDArray[np.bool_]:
+        """(n,) whether something is in front of depths `beyond` (n,) m at places (n, 2) of the image (px): a reading
+        nearer than any error of it explains, or the robot's hand. Places outside the image are hidden.
+        """
+        assert self.camera is not None
+        assert self._depth is not None
+        s, c = self.settings, self.camera
+        u, v = np.round(places[:, 0]).astype(np.int64), np.round(places[:, 1]).astype(np.int64)
+        inside = (u >= 0) & (v >= 0) & (u < c.width) & (v < c.height)
+        u, v = np.where(inside, u, 0), np.where(inside, v, 0)
+        seen = self._depth[v, u].astype(np.float64)
+        read = is_reading(seen)
+        seen = np.where(read, seen, np.inf)
+        smooth = np.hypot(self._belief.independent_sigma(beyond), self._belief.bias_sigma)
+        tolerance = s.tolerance * np.hypot(smooth, self._belief.scale_sigma * beyond)
+        hidden = read & (seen < beyond - tolerance)
+        if self._hand[0].size:
+            hidden |= self._hand[0][v // s.hand_step, u // s.hand_step] < beyond + s.hand_margin
+        return np.asarray(hidden | ~inside)
 
 
 def _widened(mask: NDArray[np.bool_], margin: int) -> NDArray[np.bool_]:

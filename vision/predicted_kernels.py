@@ -88,9 +88,9 @@ def compare_pixels(met, index, u, v, image, camera, noise, limits, expected, see
 
     met (k,): depth (m) at which ray `index` (k,) meets the object, inf for none. u, v (n, side): see outline_rays.
     image: depth (h, w); mask (h, w) or (0, 0); least and largest depth (m) of the hand at every so many pixels or
-    (0, 0); plane (4,), zeros for none. noise: floor, growth, where it grows from (m), bias and scale of a DepthModel. limits: tolerance
-    (sigmas), fading (sigmas), share past beside an edge, reach of an edge (px), step of the hand (px) and its margin
-    (m), margin (m) and sigmas of the plane.
+    (0, 0); plane (4,), zeros for none. noise: floor, growth, depth it grows from, bias and scale of a DepthModel.
+    limits: tolerance (sigmas), fading (sigmas), share past beside an edge, reach of an edge (px), step of the hand (px)
+    and its margin (m), margin (m) and sigmas of the plane.
     state: bits as named here; expected and seen: depths (m), 0 where there is none; past: how much of a ray is seen
     past; fade: how well one at the predicted depth agrees.
     """

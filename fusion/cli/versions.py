@@ -19,6 +19,7 @@ NEEDED = (
     "rich",
     "jsonschema",
     "threadpoolctl",
+    "shtab",
 )
 # Extras and the package that each adds.
 OPTIONAL = {"viewer": "viser", "cluster": "distributed", "ros": "rosbags", "peers": "small_gicp"}

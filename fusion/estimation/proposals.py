@@ -5,17 +5,21 @@ Camera frame, metres, radians.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation.steps.walk import WalkSettings
 from scenes.evidence.align import Prior
 from scenes.evidence.search import SearchStage, starts_of_prior
 from scenes.evidence.table import Evidence
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
+from touch.gels.localize import sifted_starts
+from touch.gels.patches import Patch
+from touch.held import HeldSettings
 from touch.multistart import contact_starts
 from vision.starts import StartSettings, seen_starts
 
@@ -48,6 +52,13 @@ class ProposalSettings:
         default_factory=lambda: StartSettings(pairs=50, even=200, keep_pairs=60, keep_even=30, oriented=80)
     )
 
+    # Starts between the fingers, and walks by the whole objective: near a prior, and where nothing is known.
+    held: HeldSettings = field(default_factory=HeldSettings)
+    walk: WalkSettings = field(default_factory=WalkSettings)
+    walk_far: WalkSettings = field(
+        default_factory=lambda: WalkSettings(((24, 8, 0.6), (16, 8, 0.3), (10, 8, 0.15), (8, 8, 0.08)), angle=0.35)
+    )
+
     def blur(self, model: ObjectModel) -> float:
         """First blur (m) of a search for this object."""
         return float(np.clip(self.blur_share * model.radius, *self.blur_limits))
@@ -67,9 +78,10 @@ def starts_of(
     rank: Callable[[Array, float], Array],
     settings: ProposalSettings,
     rng: np.random.Generator,
+    patches: Sequence[Patch] = (),
 ) -> Array:
-    """Starts (n, 4, 4): draws from the prior, or from contacts and pixels when there is none. rows, with what
-    rank(poses, blur) adds, tell which of the pixels' are promising.
+    """Starts (n, 4, 4): draws from the prior, or from contacts, pixels and gels' patches when there is none. rows, with
+    what rank(poses, blur) adds, tell which of the pixels' are promising.
     """
     if prior is not None:
         return starts_of_prior(model, prior, settings.starts_near, settings.widest_angle, model.diameter, rng)
@@ -78,4 +90,6 @@ def starts_of(
         parts.append(contact_starts(model, contacts, settings.starts_global // (2 if len(pixels) else 1), rng))
     if len(pixels):
         parts.append(seen_starts(model, pixels, rows, rank, rng, settings.seen))
+    if patches:
+        parts.append(sifted_starts(model, patches, rng))
     return np.concatenate(parts)

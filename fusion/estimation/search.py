@@ -84,11 +84,14 @@ class PlanSettings:
 
 @dataclass(frozen=True)
 class Found:
-    """Modes of a search after refinement with all rows; starts looked at; why no more were, or what was doubted."""
+    """Modes of a search after refinement with all rows; starts looked at; why no more were, or what was doubted. also:
+    poses (4, 4) that are solved with them, however unlikely they seem before calibration is solved for.
+    """
 
     modes: tuple[Mode, ...]
     looked_at: int
     why: str
+    also: tuple[Array, ...] = ()
 
 
 def find_modes(
@@ -190,11 +193,11 @@ def valley_steps(
     return np.concatenate([se3.perturb(pose, np.concatenate(delta), model.centroid), alike]) if delta else alike
 
 
-def worth_solving(modes: tuple[Mode, ...], settings: PlanSettings) -> list[Array]:
-    """Poses of the modes that the joint solution could still put first."""
-    if not settings.skipping:
-        return [m.pose for m in modes]
-    return [m.pose for m in modes if m.weight >= settings.negligible or m is modes[0]]
+def worth_solving(found: Found, settings: PlanSettings, most: int) -> list[Array]:
+    """Poses (4, 4), at most so many, that the joint solution could still put first: modes, best first, and `also`."""
+    modes = found.modes
+    worth = [m.pose for m in modes if m.weight >= settings.negligible or m is modes[0] or not settings.skipping]
+    return [*worth[: max(1, most - len(found.also))], *found.also][:most]
 
 
 def _displaced(model: ObjectModel, poses: Array, pose: Array) -> Array:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 # A capture whose worker dies is tried so often.
 TRIES = 2
 MARKER = "batch.json"
+THUMBNAIL = "thumbnail.jpg"
 # What one thread a worker means, for everything that brings its own.
 THREADS = ("PALPATE_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
@@ -144,7 +145,9 @@ def run_capture(job: Job) -> list[Row]:
         write_results(draft, capture, answers, content)
         if job.report:
             from fusion.results.report.page import write_report
+            from fusion.results.report.stills import write_thumbnail
 
+            write_thumbnail(draft / THUMBNAIL, frames, model, answers)
             write_report(draft / "report.html", capture.name, frames, model, answers, None, content["errors"])
         rows = json_number([_row(job, model.name, answer, error) for answer, error in zip(answers, errors)])
         marker = {"fingerprint": job.fingerprint, "rows": rows}

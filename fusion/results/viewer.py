@@ -36,6 +36,13 @@ REACH = 6.0
 # Length (m) of a contact's normal, and frames a second of playing.
 NORMAL = 0.02
 RATE = 10.0
+# The first view: the hand counts up to so many of the object's radii from its middle; the camera looks from so far
+# (rad) beside and above the real one's direction, as in the report's tilted view, and leaves this share as a margin.
+HELD = 2.0
+ASIDE, ABOVE = 0.5, 0.42
+MARGIN = 1.15
+# The browser's camera's vertical angle (rad): little distortion at a hand's distance.
+FIELD = 0.8
 # The ellipsoid holds 99 % of a Gaussian in three dimensions.
 SIGMAS = 3.37
 
@@ -60,8 +67,13 @@ class Viewer:
         except OSError as error:
             raise InputError(f"port: expected a free one, {port} is not: {error}") from error
         self.server.scene.set_up_direction("-y")
+        self._framed = (np.zeros(3), 1.0)
         self._build_gui()
         self.show(0)
+        self.server.initial_camera.fov = FIELD
+        self.server.initial_camera.look_at = self._framed[0]
+        self.server.initial_camera.position = self._eye(FIELD, 1.0)
+        self.server.on_client_connect(self._frame)
 
     @property
     def url(self) -> str:
@@ -70,13 +82,40 @@ class Viewer:
 
     def _build_gui(self) -> None:
         gui, last = self.server.gui, len(self.capture) - 1
-        self.slider: Any = gui.add_slider("Frame", 0, max(1, last), 1, 0, disabled=last == 0)
-        self.playing = gui.add_checkbox("Play", False, disabled=last == 0)
+        gui.configure_theme(show_logo=False, show_share_button=False, control_width="small")
+        gui.set_panel_label(self.capture.name)
         self.words = gui.add_markdown("")
-        self.toggles = {layer: gui.add_checkbox(layer.capitalize(), layer != "truth") for layer in LAYERS}
+        self.slider: Any = gui.add_slider("Frame", 0, max(1, last), 1, 0, visible=last > 0)
+        self.playing = gui.add_checkbox("Play", False, visible=last > 0)
+        # folded, for on a phone the panel lies over the picture
+        with gui.add_folder("Layers", expand_by_default=False):
+            self.toggles = {layer: gui.add_checkbox(layer.capitalize(), layer != "truth") for layer in LAYERS}
+            again: Any = gui.add_button("Frame the object")
         self.slider.on_update(lambda _: self.show(int(self.slider.value)))
         for toggle in self.toggles.values():
             toggle.on_update(lambda _: self._apply_toggles())
+        again.on_click(lambda _: self._frame_all())
+
+    def _frame_all(self) -> None:
+        for client in self.server.get_clients().values():
+            self._frame(client)
+
+    def _frame(self, client: Any) -> None:
+        """Turn a browser's camera to the object and what holds it, whatever its window's shape."""
+        camera = client.camera
+        with client.atomic():
+            camera.position = self._eye(camera.fov, camera.aspect)
+            camera.look_at = self._framed[0]
+            camera.up_direction = (0.0, -1.0, 0.0)
+
+    def _eye(self, fov: float, aspect: float) -> Array:
+        """Where a camera of that vertical angle (rad) and width over height sees the ball that is framed."""
+        middle, radius = self._framed
+        narrow = min(fov, 2.0 * np.arctan(np.tan(0.5 * fov) * aspect))
+        away = MARGIN * radius / max(np.sin(0.5 * narrow), 1e-3)
+        # y is down: the camera goes up and aside
+        way = np.array([-np.sin(ASIDE) * np.cos(ABOVE), -np.sin(ABOVE), -np.cos(ASIDE) * np.cos(ABOVE)])
+        return middle + away * way
 
     def show(self, position: int) -> None:
         """Draw the frame at that position of the capture."""
@@ -86,31 +125,57 @@ class Viewer:
             for handle in self.shown.values():
                 handle.remove()
             self.shown = {}
+            self._framed = self._ball(frame, answer)
             self._draw_seen(frame, answer)
             self._draw_answer(answer)
             self.words.content = _words(frame, answer)
         self._apply_toggles()
 
+    def _ball(self, frame: Frame, answer: Estimate | None) -> tuple[Array, float]:
+        """Centre and radius of a ball around the object, where it is thought to be, and the hand near it; around all
+        points where nothing is known of it.
+        """
+        pose = _where(frame, answer)
+        if pose is None:
+            parts = all_points(frame)
+        else:
+            parts = se3.apply(pose, self.model.vertices)
+            held = self._hand(frame)
+            if held is not None:
+                middle = se3.apply(pose, self.model.centroid[None])[0]
+                near = np.linalg.norm(held[0] - middle, axis=1) < HELD * self.model.radius
+                parts = np.concatenate([parts, held[0][near]])
+        parts = parts[np.isfinite(parts).all(axis=1)]
+        if not len(parts):
+            return np.array([0.0, 0.0, 1.0]), 0.5
+        middle = 0.5 * (parts.min(axis=0) + parts.max(axis=0))
+        return middle, float(max(np.linalg.norm(parts - middle, axis=1).max(), 1e-3))
+
+    def _hand(self, frame: Frame) -> tuple[Array, NDArray[np.int64]] | None:
+        """The hand's vertices in the camera's frame, and its faces."""
+        if frame.hand is None or frame.joints is None or frame.world_from_hand is None:
+            return None
+        vertices, faces, _ = frame.hand.mesh(frame.joints)
+        return se3.apply(frame.camera_from_world @ frame.world_from_hand, vertices), faces
+
     def _draw_seen(self, frame: Frame, answer: Estimate | None) -> None:
         """Cloud, true pose, hand and contacts."""
         scene = self.server.scene
         points = all_points(frame)
-        where = answer.pose if answer is not None else frame.camera_from_object_truth
-        where = where if where is not None else frame.prior
-        if where is not None and np.isfinite(where).all():
+        where = _where(frame, answer)
+        if where is not None:
             middle = se3.apply(where, self.model.centroid[None])[0]
             points = points[np.linalg.norm(points - middle, axis=1) < REACH * self.model.radius]
         points = points[:: max(1, len(points) // MOST_POINTS)]
         if len(points):
             self.shown["cloud"] = scene.add_point_cloud(
-                "/cloud", points.astype(np.float32), COLOURS["cloud"], point_size=0.001
+                "/cloud", points.astype(np.float32), COLOURS["cloud"], point_size=0.0006
             )
         if frame.camera_from_object_truth is not None:
             self.shown["truth"] = self._placed("/truth", frame.camera_from_object_truth, "truth", wireframe=True)
-        if frame.hand is not None and frame.joints is not None and frame.world_from_hand is not None:
-            vertices, faces, _ = frame.hand.mesh(frame.joints)
-            moved = se3.apply(frame.camera_from_world @ frame.world_from_hand, vertices)
-            self.shown["hand"] = scene.add_mesh_simple("/hand", moved, faces, color=COLOURS["hand"], opacity=0.5)
+        held = self._hand(frame)
+        if held is not None:
+            self.shown["hand"] = scene.add_mesh_simple("/hand", *held, color=COLOURS["hand"], opacity=0.5)
         contacts = frame.contacts.moved(frame.camera_from_world)
         if len(contacts):
             normals = np.nan_to_num(contacts.normals)
@@ -175,6 +240,12 @@ def ellipsoid(covariance: Array) -> tuple[Array, NDArray[np.int64]]:
     values, axes = np.linalg.eigh(0.5 * (covariance + covariance.T))
     root = axes * (SIGMAS * np.sqrt(np.maximum(values, 0.0)))
     return np.asarray(ball.vertices) @ root.T, np.asarray(ball.faces, dtype=np.int64)
+
+
+def _where(frame: Frame, answer: Estimate | None) -> Array | None:
+    """Where the object is thought to be: the answer's pose, else the truth's, else the prior's."""
+    told = (None if answer is None else answer.pose, frame.camera_from_object_truth, frame.prior)
+    return next((pose for pose in told if pose is not None and np.isfinite(pose).all()), None)
 
 
 def _words(frame: Frame, answer: Estimate | None) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -23,7 +24,7 @@ README = ROOT / "README.md"
 PAGES = [README, *sorted(DOCS.glob("*.md"))]
 # Pages whose blocks are run below, and those that another test runs or whose recordings and minutes no test has: of
 # these every command is held against the parser.
-RUN_HERE = {"tutorial.md", "live.md", "faq.md", "README.md", "commands.md"}
+RUN_HERE = {"tutorial.md", "live.md", "faq.md", "README.md", "commands.md", "gallery.md"}
 ONLY_PARSED = {
     "formats.md": "test_formats_docs.py runs it on recordings that it makes",
     "benchmarks.md": "benches take minutes to hours, and some need recorded contact sets",
@@ -67,6 +68,36 @@ def test_every_command_has_an_example_that_works(tmp_path, monkeypatch):
     docs_commands.run(DOCS / "commands.md", tmp_path)
     assert (tmp_path / "out/all/index.html").is_file()
     assert (tmp_path / "drill.ply").is_file()
+
+
+def test_the_gallery_has_its_scenes_and_pictures():
+    """As docs/build_gallery.py has them, in a megabyte and a half."""
+    page, made = (DOCS / "gallery.md").read_text(encoding="utf-8"), docs_commands.script("build_gallery")
+    typed = [
+        line.split("  # ")[0]
+        for block in docs_commands.blocks(DOCS / "gallery.md", "sh")
+        for line in block.splitlines()
+    ]
+    assert typed == [line.split("  # ")[0] for scene in made.SCENES for line in scene.lines]
+    assert re.findall(r"^## (.*)$", page, re.MULTILINE) == [scene.title for scene in made.SCENES]
+    pictures = sorted(path.name for path in made.PICTURES.iterdir())
+    assert pictures == sorted(f"{scene.name}.jpg" for scene in made.SCENES)
+    assert sum(path.stat().st_size for path in made.PICTURES.iterdir()) < 1.5e6
+    assert len(made.SCENES) == 12
+
+
+@pytest.mark.slow
+def test_the_gallery_is_what_its_commands_print(tmp_path, monkeypatch):
+    """Each verdict; a shell's exit code says which are lost."""
+    monkeypatch.chdir(tmp_path)
+    docs_commands.run(DOCS / "gallery.md", tmp_path)
+    told = re.findall(r"The answer is \*\*(\w+)\*\*", (DOCS / "gallery.md").read_text(encoding="utf-8"))
+    scenes = docs_commands.script("build_gallery").SCENES
+    said = {}
+    for scene in scenes:
+        (frame,) = json.loads((tmp_path / "out" / scene.name / "result.json").read_text())["frames"]
+        said[scene.name] = frame["verdict"]
+    assert said == dict(zip([scene.name for scene in scenes], told)), "run `make gallery`"
 
 
 def test_the_front_page(tmp_path, monkeypatch):

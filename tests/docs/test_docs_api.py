@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
+import importlib
 
-from docs_commands import ROOT
+import docs_commands
 
 import fusion
 import scenes
@@ -13,11 +12,7 @@ import touch
 
 
 def builder():
-    spec = importlib.util.spec_from_file_location("build_api", ROOT / "docs" / "build_api.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    return docs_commands.script("build_api")
 
 
 def test_the_page_is_up_to_date():

@@ -8,10 +8,12 @@ and a colon end the line before them are written. A `text` block is what the blo
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import io
 import re
 import shlex
 import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -110,6 +112,17 @@ def run(page: Path, folder: Path, given: dict[str, Any] | None = None) -> dict[s
         elif block.language == "sh":
             said = "".join(_run_line(line, folder, where) for line in lines_of(block))
     return names
+
+
+def script(name: str) -> Any:
+    """A script of docs/, as a module."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
 
 
 def matches(expected: str, said: str) -> bool:

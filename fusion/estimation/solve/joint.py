@@ -42,6 +42,7 @@ class JointResult:
     Of the frame alone, without the prior on the pose: covariances (6, 6) independent, of independent noise, and shared,
     of calibration, depth scale and bias; a direction that the frame does not tell is as wide as the object, in shared.
     as_seen (4, 4): where the uncorrected depth image shows the object, scale and mean bias put back along its ray.
+    follows (6, 6): by how much xi is expected to be otherwise where the pose turns out to be otherwise.
     """
 
     pose: Array
@@ -56,6 +57,7 @@ class JointResult:
     independent: Array = field(default_factory=lambda: np.zeros((6, 6)))
     shared: Array = field(default_factory=lambda: np.zeros((6, 6)))
     as_seen: Array = field(default_factory=lambda: np.eye(4))
+    follows: Array = field(default_factory=lambda: np.zeros((6, 6)))
 
     @property
     def millimetres(self) -> float:
@@ -148,7 +150,7 @@ def answered(settled: Settled) -> JointResult:
         covariance = gain + inverse @ inverse.T
     vision = system.vision(here, unknown)[0] if len(problem.seen) else 0.0
     misfit = system.misfit()
-    independent, shared = _split(system, here, settled.normal)
+    independent, shared, follows = _split(system, here, settled.normal)
     covariance = misfit * covariance + system.excess_spread(whole[:free, :free], misfit) + _mesh_spread(problem)
     return JointResult(
         here,
@@ -163,6 +165,7 @@ def answered(settled: Settled) -> JointResult:
         independent=misfit * independent,
         shared=misfit * shared,
         as_seen=_as_seen(system, here, unknown),
+        follows=follows,
     )
 
 
@@ -187,8 +190,9 @@ def _as_seen(system: System, pose: Array, unknown: Array) -> Array:
     return out
 
 
-def _split(system: System, pose: Array, normal: Array) -> tuple[Array, Array]:
-    """The covariance of the frame alone, in what independent noise and what shared errors make of it.
+def _split(system: System, pose: Array, normal: Array) -> tuple[Array, Array, Array]:
+    """The covariance of the frame alone, in what independent noise and what shared errors make of it; and how the
+    calibration follows the pose: the regression of xi on delta.
 
     With H the evidence's information and L the priors', the estimate's covariance (H + L)^-1 is
     (H + L)^-1 H (H + L)^-1 from noise in the evidence plus (H + L)^-1 L (H + L)^-1 from errors as the priors have.
@@ -200,7 +204,8 @@ def _split(system: System, pose: Array, normal: Array) -> tuple[Array, Array]:
     evidence[np.arange(6, len(normal)), np.arange(6, len(normal))] -= 1.0
     inverse = np.linalg.solve(evidence + np.diag(believed), np.eye(len(normal))[:, :6])
     shared = inverse.T @ (believed[:, None] * inverse)
-    return inverse.T @ evidence @ inverse, shared
+    follows = system.white_xi @ np.linalg.solve(inverse[POSE].T, inverse[XI].T).T
+    return inverse.T @ evidence @ inverse, shared, follows
 
 
 def _marginal(normal: Array) -> tuple[Array, float]:

@@ -35,12 +35,13 @@ Json = dict[str, Any]
 
 TENTHS_OF_MM = 1e4  # per metre
 
-# What a page of a hundred frames can carry in 10 MB, and a canvas can sort in a few milliseconds.
-MODEL_FACES = 1400
+# A page of thirty frames stays below 2 MB, one of a hundred below 5; the model comes once a page.
+MODEL_FACES = 5000
 HAND_FACES = 2200
 CLOUD_POINTS = 2600
 PICTURE_WIDTH = 640
-FEW_FRAMES = 40  # beyond this many frames, each is given less
+SMALLEST_SHARE = 0.5  # of the pictures' width, however many frames there are
+FEW_FRAMES = 12  # beyond this many frames, each is given less
 
 # Cloud points farther from the object than this many of its radii are not shown.
 CLOUD_REACH = 2.2
@@ -173,7 +174,7 @@ class _FrameBuilder:
         outlines = {name: silhouette(self.renderer, "object", camera, pose) for name, pose in shown.items()}
         marks = camera.project(contacts)[0] if len(contacts) else np.zeros((0, 2))
         around = [polygon for polygons in outlines.values() for polygon in polygons]
-        wide = round(PICTURE_WIDTH * max(0.7, self.share))
+        wide = round(PICTURE_WIDTH * max(SMALLEST_SHARE, self.share))
         crop = pictures.choose_crop(np.concatenate([*around, marks]), (camera.width, camera.height), wide=wide)
         origin = np.array([crop.left, crop.top]) - 0.5
         out: Json = {
@@ -190,11 +191,12 @@ class _FrameBuilder:
         if frame.depth is not None:
             anchor = next(iter(shown.values()), None)
             window = frame.depth[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
-            near, far = _depth_range(window, anchor, self.model)
-            out["depth"] = pictures.depth_picture(frame.depth, crop, near, far)
+            middle = None if anchor is None else float(poses.apply(anchor, self.model.centroid[None])[0, 2])
+            near, far = pictures.depth_range(window, middle, self.model.radius)
+            out["depth"] = pictures.data_uri(pictures.depth_image(frame.depth, crop, near, far))
             out["range_m"] = [round(near, 3), round(far, 3)]
         if frame.rgb is not None:
-            out["colour"] = pictures.colour_picture(frame.rgb, crop)
+            out["colour"] = pictures.data_uri(pictures.colour_image(frame.rgb, crop))
         return out
 
     def _cloud(self, frame: Frame, pose: Array | None, centre: Array) -> Json | None:
@@ -293,21 +295,6 @@ def _chosen(matters: NDArray[np.bool_], most: int) -> NDArray[np.int64]:
     rest = min(len(outside), most - kept)
     parts = [rng.choice(inside, kept, replace=False), rng.choice(outside, rest, replace=False)]
     return np.sort(np.concatenate(parts)).astype(np.int64)
-
-
-def _depth_range(depth: NDArray[np.floating], pose: Array | None, model: ObjectModel) -> tuple[float, float]:
-    """Depths (m) that the colours span: object and hand where the pose tells, else most of what the window holds."""
-    valid = depth[np.isfinite(depth) & (depth > 0)]
-    if not valid.size:
-        return 0.0, 1.0
-    low, high = np.percentile(valid, (2, 90))
-    middle = 0.0 if pose is None else float(poses.apply(pose, model.centroid[None])[0, 2])
-    if middle > 0:
-        # what is before the object is the hand: all of it within reach; what is behind is background
-        low = np.clip(low, middle - 4.0 * model.radius, middle - model.radius)
-        high = middle + 2.6 * model.radius
-    low = max(0.0, float(low))
-    return low, float(max(high, low + 1e-3))
 
 
 def _shorts(points: ArrayLike) -> str:

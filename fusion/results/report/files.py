@@ -17,6 +17,7 @@ def page(body: str, title: str, style: str, parts: Mapping[str, str]) -> str:
     """A page: the head and the asset `body`, with title (plain text), style (CSS) and parts in the places of their
     names.
     """
-    filled = {"TITLE": html.escape(title), "STYLE": style, **parts}
+    # pictures are inside the page, unless it says that they lie beside it
+    filled = {"TITLE": html.escape(title), "STYLE": style, "IMAGES": "data:", **parts}
     # one pass, so that a capture named like a placeholder stays a name
     return re.sub(r"\{\{([A-Z]+)\}\}", lambda match: filled[match[1]], asset("head.html") + asset(body))

@@ -46,5 +46,6 @@ def render(data: Mapping[str, Any]) -> str:
     # inside <script> only "</" and "<!--" could end the block; the rest of the text reaches the page as text nodes
     packed = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     title = f"{data['object']['name']} · {data['capture']}"
-    scripts = {"SCENE": asset("scene.js"), "SCRIPT": asset("report.js")}
+    view = "\n".join(asset(name) for name in ("geometry.js", "webgl.js", "scene.js"))
+    scripts = {"SCENE": view, "SCRIPT": asset("report.js")}
     return page("report.html", title, asset("report.css"), {"DATA": packed, **scripts})

@@ -1,4 +1,4 @@
-"""The pictures of a report: a depth image that one can read, cropped around the object, as data URIs."""
+"""The pictures of a report: a depth image that one can read, cropped around the object, as images and as data URIs."""
 
 from __future__ import annotations
 
@@ -48,8 +48,24 @@ def choose_crop(points: Array, image_size: tuple[int, int], margin: float = 0.45
     return Crop(left, top, int(w), int(h), float(min(3.0, wide / w)))
 
 
-def depth_picture(depth: NDArray[np.floating], crop: Crop, near: float, far: float) -> str:
-    """The window of a (h, w) depth image (m, 0 = no reading) as a JPEG data URI.
+def depth_range(depth: NDArray[np.floating], middle: float | None = None, radius: float = 0.0) -> tuple[float, float]:
+    """Depths (m) that the colours span: object and hand where the object's depth `middle` (m) and its radius (m) are
+    known, else most of what the image holds.
+    """
+    valid = depth[np.isfinite(depth) & (depth > 0)]
+    if not valid.size:
+        return 0.0, 1.0
+    low, high = np.percentile(valid, (2, 90))
+    if middle is not None and middle > 0:
+        # what is before the object is the hand: all of it within reach; what is behind is background
+        low = np.clip(low, middle - 4.0 * radius, middle - radius)
+        high = middle + 2.6 * radius
+    low = max(0.0, float(low))
+    return low, float(max(high, low + 1e-3))
+
+
+def depth_image(depth: NDArray[np.floating], crop: Crop, near: float, far: float) -> Image:
+    """The window of a (h, w) depth image (m, 0 = no reading) in colours, (h, w, 3).
 
     Colour tells depth between `near` and `far`; shading by the local slope shows the shape that colour alone hides.
     """
@@ -65,21 +81,30 @@ def depth_picture(depth: NDArray[np.floating], crop: Crop, near: float, far: flo
     smooth = cv2.GaussianBlur(cv2.medianBlur(share.astype(np.float32), 5).astype(np.float64), (0, 0), 1.2)
     down, right = np.gradient(smooth)
     relief = np.clip(1.0 + 12.0 * (right + down), 0.68, 1.22)
-    colour = np.where(valid[..., None], colour * relief[..., None], NO_READING)
-    return _jpeg(colour, crop)
+    return _resized(np.where(valid[..., None], colour * relief[..., None], NO_READING), crop)
 
 
-def colour_picture(rgb: Image, crop: Crop) -> str:
-    """The window of an (h, w, 3) uint8 colour image as a JPEG data URI."""
-    part = rgb[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width].astype(np.float64)
-    return _jpeg(part, crop)
+def colour_image(rgb: Image, crop: Crop) -> Image:
+    """The window of an (h, w, 3) uint8 colour image."""
+    return _resized(rgb[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width], crop)
 
 
-def _jpeg(colour: Array, crop: Crop) -> str:
+def jpeg(image: Image, quality: int = 80) -> bytes:
+    """An (h, w, 3) image as the bytes of a file."""
+    import cv2
+
+    _, coded = cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return bytes(coded.tobytes())
+
+
+def data_uri(image: Image) -> str:
+    """An (h, w, 3) image as a page carries it."""
+    return "data:image/jpeg;base64," + base64.b64encode(jpeg(image)).decode()
+
+
+def _resized(colour: NDArray[np.generic], crop: Crop) -> Image:
     import cv2
 
     size = (round(crop.width * crop.scale), round(crop.height * crop.scale))
-    blue_first = np.ascontiguousarray(np.clip(colour, 0, 255).astype(np.uint8)[..., ::-1])
-    image = cv2.resize(blue_first, size, interpolation=cv2.INTER_CUBIC)
-    _, coded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 80])
-    return "data:image/jpeg;base64," + base64.b64encode(coded.tobytes()).decode()
+    kind = cv2.INTER_CUBIC if crop.scale > 1 else cv2.INTER_AREA
+    return np.asarray(cv2.resize(np.clip(colour, 0, 255).astype(np.uint8), size, interpolation=kind))

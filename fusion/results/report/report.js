@@ -82,6 +82,13 @@ function drawPicture(frame) {
   overlay.replaceChildren(...layers);
 }
 
+// Where there is no WebGL the words take the view's place; everything else is the same.
+function withoutScene() {
+  document.querySelector(".space .frame").replaceChildren(el("p", { class: "absent" },
+    "This browser draws no WebGL, so the 3-D view is left out. The picture, the numbers and the tables are whole; another browser, or this one with graphics acceleration switched on, shows the view."));
+  $("cloudkey").hidden = true;
+}
+
 function light(index) {
   scene.lit = index;
   scene.draw();
@@ -177,8 +184,6 @@ function doubtCards(frame) {
   const cards = [card("What cannot be known", "slim", free), card("Poses that fit", "slim", modes)];
   if (frame.notes.length) cards.push(card("Notes", "slim", el("ul", { class: "plain" }, frame.notes.map((text) => el("li", {}, text)))));
   if (data.summary.length) cards.push(card("Over all frames", "slim", table([["Measure"], ["", "n"]], data.summary.map(([name, value]) => row("td", [[name], [value, "n"]])))));
-  const spare = cards.length % 3;
-  if (spare) cards.slice(-spare).forEach((c) => { c.classList.remove("slim"); if (spare === 1) c.classList.add("wide"); });
   return cards;
 }
 
@@ -200,9 +205,27 @@ function graspCard(frame) {
   return card("How it is held", "", [el("p", {}, el("span", { class: `pill ${grasp.closure ? "ok" : "outlier"}` }, grasp.verdict), ` ${grasp.why}`), figures, el("h2", { class: "sub" }, "Where another finger would help"), places]);
 }
 
+// Rows of the grid are full: cards of a row that is not share it.
+function settle(cards) {
+  let row = [], used = 0;
+  const end = () => {
+    if (used < 12) row.forEach((c) => { c.classList.remove("slim"); c.classList.toggle("wide", row.length === 1); });
+    row = [];
+    used = 0;
+  };
+  for (const c of cards) {
+    const span = c.classList.contains("wide") ? 12 : c.classList.contains("slim") ? 4 : 6;
+    if (used + span > 12) end();
+    row.push(c);
+    used += span;
+  }
+  end();
+  return cards;
+}
+
 function drawCards() {
   const frame = data.frames[state.frame];
-  $("cards").replaceChildren(...[comparisonCard(), traceCard(frame), contactsCard(frame), contributionsCard(frame), graspCard(frame), nextCard(frame), ...doubtCards(frame)].filter(Boolean));
+  $("cards").replaceChildren(...settle([comparisonCard(), traceCard(frame), contactsCard(frame), contributionsCard(frame), graspCard(frame), nextCard(frame), ...doubtCards(frame)].filter(Boolean)));
 }
 
 // --- the page ------------------------------------------------------------------------------------------------------
@@ -233,6 +256,10 @@ function go(index) {
   $("verdict").className = `verdict ${frame.verdict}`;
   $("headline").textContent = frame.headline;
   $("sentence").textContent = frame.sentence;
+  // rows of one length, where that can be
+  const figures = frame.numbers.length;
+  $("numbers").style.setProperty("--across", figures > 7 ? Math.ceil(figures / 2) : figures);
+  $("numbers").style.setProperty("--narrow", figures % 4 ? 3 : 4);
   $("numbers").replaceChildren(...frame.numbers.map((n) => el("div", { title: n.hint }, el("dt", {}, n.label), el("dd", {}, n.value, el("small", {}, n.unit)))));
   drawKey(frame);
   drawControls();
@@ -241,7 +268,7 @@ function go(index) {
   drawCards();
 }
 
-const scene = new Scene($("scene"), new Mesh(millimetres(data.mesh.v), unpack(data.mesh.f, Uint16Array)), data.object.diameter_mm);
+const scene = new Scene($("scene"), $("labels"), new Mesh(millimetres(data.mesh.v), unpack(data.mesh.f, Uint16Array)), data.object.diameter_mm);
 scene.shown = shown;
 
 (function start() {
@@ -255,7 +282,8 @@ scene.shown = shown;
     document.querySelector("main").replaceChildren(el("p", { class: "quiet" }, "No frame was estimated."));
     return;
   }
-  $("angles").replaceChildren(...[["camera", "Camera"], ["tilted", "Tilted"], ["side", "Side"], ["top", "Top"], ["back", "Back"]].map(([key, text]) => el("button", { type: "button", onclick: () => scene.look(key) }, text)));
+  if (!scene.painter) withoutScene();
+  else $("angles").replaceChildren(...[["camera", "Camera"], ["tilted", "Tilted"], ["side", "Side"], ["top", "Top"], ["back", "Back"]].map(([key, text]) => el("button", { type: "button", onclick: () => scene.look(key) }, text)));
   if (data.frames.length > 1) {
     $("frames").hidden = false;
     $("cells").replaceChildren(...data.frames.map((f) => el("i", { class: f.verdict })));

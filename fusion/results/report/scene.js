@@ -1,73 +1,22 @@
 "use strict";
-// A small 3-D view on a 2-D canvas: shaded triangles and points, sorted back to front. No WebGL, so it works
-// everywhere. Camera axes (x right, y down, z away), millimetres, relative to the object.
-
-function unpack(text, kind) {
-  const raw = atob(text), bytes = new Uint8Array(raw.length);
-  for (let i = 0; i < raw.length; i++) bytes[i] = raw.charCodeAt(i);
-  return new kind(bytes.buffer);
-}
-
-function millimetres(text) {
-  return Float32Array.from(unpack(text, Int16Array), (tenths) => tenths / 10);
-}
-
-function placed(points, pose) {
-  const out = new Float32Array(points.length);
-  for (let i = 0; i < points.length; i += 3) {
-    const x = points[i], y = points[i + 1], z = points[i + 2];
-    out[i] = pose[0] * x + pose[1] * y + pose[2] * z + pose[3];
-    out[i + 1] = pose[4] * x + pose[5] * y + pose[6] * z + pose[7];
-    out[i + 2] = pose[8] * x + pose[9] * y + pose[10] * z + pose[11];
-  }
-  return out;
-}
-
-class Mesh {
-  constructor(points, faces) {
-    this.points = points;
-    this.faces = faces;
-  }
-
-  // Every edge with the two triangles that share it: silhouettes and creases are drawn from these.
-  edges() {
-    if (this.edgeList) return this.edgeList;
-    const open = new Map(), list = [], f = this.faces, count = this.points.length / 3;
-    for (let t = 0; t < f.length; t += 3) {
-      for (let k = 0; k < 3; k++) {
-        const a = f[t + k], b = f[t + (k + 1) % 3], key = Math.min(a, b) * count + Math.max(a, b);
-        if (open.has(key)) { list.push([a, b, open.get(key), t / 3]); open.delete(key); } else open.set(key, t / 3);
-      }
-    }
-    const n = this.normals(this.points);
-    const sharp = (s, t) => n[3 * s] * n[3 * t] + n[3 * s + 1] * n[3 * t + 1] + n[3 * s + 2] * n[3 * t + 2] < 0.72;
-    this.edgeList = list.map(([a, b, s, t]) => ({ a, b, s, t, crease: sharp(s, t) }));
-    return this.edgeList;
-  }
-
-  normals(p) {
-    const f = this.faces, out = new Float32Array(f.length);
-    for (let t = 0; t < f.length; t += 3) {
-      const a = 3 * f[t], b = 3 * f[t + 1], c = 3 * f[t + 2];
-      const ux = p[b] - p[a], uy = p[b + 1] - p[a + 1], uz = p[b + 2] - p[a + 2];
-      const vx = p[c] - p[a], vy = p[c + 1] - p[a + 1], vz = p[c + 2] - p[a + 2];
-      const x = uy * vz - uz * vy, y = uz * vx - ux * vz, z = ux * vy - uy * vx, l = Math.hypot(x, y, z) || 1;
-      out[t] = x / l; out[t + 1] = y / l; out[t + 2] = z / l;
-    }
-    return out;
-  }
-}
+// The 3-D view: what is shown, from where, and the hand on the mouse. The view looks along its own z, turned by yaw and
+// pitch from the camera's; marks and words lie on a second canvas above.
 
 class Scene {
-  constructor(canvas, mesh, diameter) {
+  constructor(canvas, labels, mesh, diameter) {
     this.canvas = canvas;
-    this.pen = canvas.getContext("2d");
-    this.layer = document.createElement("canvas");
+    this.pen = labels.getContext("2d");
     this.mesh = mesh;
     this.diameter = diameter;
     this.shown = {};
     this.lit = -1;
     this.zoom = 1;
+    try {
+      this.painter = new Painter(canvas);
+    } catch (error) {
+      this.why = error.message;
+      return;  // whoever asks `painter` says so in words
+    }
     this.look("tilted", true);
     this.listen();
   }
@@ -118,6 +67,8 @@ class Scene {
       if (e.key === "+" || e.key === "=") this.scaleBy(1.2);
       if (e.key === "-") this.scaleBy(1 / 1.2);
     });
+    c.addEventListener("webglcontextlost", (e) => e.preventDefault());
+    c.addEventListener("webglcontextrestored", () => { this.painter.start(); this.loaded = {}; this.draw(); });
     new ResizeObserver(() => this.draw()).observe(c);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
   }
@@ -133,21 +84,43 @@ class Scene {
     const faces = frame.hand && (frame.hand.f || handFaces);
     this.gains = frame.grasp && frame.grasp.map && unpack(frame.grasp.map, Uint8Array);
     this.hand = frame.hand && new Mesh(millimetres(frame.hand.v), unpack(faces, Uint16Array));
+    if (!this.painter) return;
+    for (const kept of Object.values(this.loaded || {})) this.painter.free(kept[1]);
+    this.loaded = {};
     this.draw();
   }
 
-  // Screen x, y (device pixels) and depth (mm, larger is farther) of points.
-  project(points) {
-    const out = new Float32Array(points.length);
+  // What is on the card under that name, made again when `key` is another.
+  kept(name, key, make) {
+    const old = this.loaded[name];
+    if (old && old[0] === key) return old[1];
+    if (old) this.painter.free(old[1]);
+    this.loaded[name] = [key, this.painter.load(make())];
+    return this.loaded[name][1];
+  }
+
+  get turn() {
     const cy = Math.cos(this.yaw), sy = Math.sin(this.yaw), cp = Math.cos(this.pitch), sp = Math.sin(this.pitch);
-    const far = 4 * this.diameter, w = this.canvas.width / 2, h = this.canvas.height / 2;
-    const scale = this.zoom * 1.42 * Math.min(w, h) / this.diameter;
+    return [cy, 0, -sy, -sp * sy, cp, -sp * cy, cp * sy, sp, cp * cy];
+  }
+
+  get eye() {
+    return 4 * this.diameter;
+  }
+
+  // Pixels a millimetre at the object.
+  get scale() {
+    return this.zoom * 0.71 * Math.min(this.canvas.width, this.canvas.height) / this.diameter;
+  }
+
+  // Screen x and y (device pixels) and depth (mm, larger is farther) of points.
+  project(points) {
+    const out = new Float32Array(points.length), r = this.turn, w = this.canvas.width / 2, h = this.canvas.height / 2;
     for (let i = 0; i < points.length; i += 3) {
-      const x = cy * points[i] - sy * points[i + 2], z = sy * points[i] + cy * points[i + 2];
-      const y = cp * points[i + 1] - sp * z, deep = sp * points[i + 1] + cp * z;
-      const near = far / Math.max(0.1 * far, far + deep);
-      out[i] = w + x * scale * near;
-      out[i + 1] = h + y * scale * near;
+      const x = points[i], y = points[i + 1], z = points[i + 2], deep = r[6] * x + r[7] * y + r[8] * z;
+      const near = this.scale * this.eye / Math.max(0.1 * this.eye, this.eye + deep);
+      out[i] = w + (r[0] * x + r[1] * y + r[2] * z) * near;
+      out[i + 1] = h + (r[3] * x + r[4] * y + r[5] * z) * near;
       out[i + 2] = deep;
     }
     return out;
@@ -169,197 +142,152 @@ class Scene {
     return low.map((v, i) => Math.round(v + (high[i] - v) * share));
   }
 
+  // At the next picture, however often it is asked for.
   draw() {
-    const c = this.canvas, ratio = Math.min(2, window.devicePixelRatio || 1);
+    if (this.asked) return;
+    this.asked = true;
+    requestAnimationFrame(() => { this.asked = false; this.paint(); });
+  }
+
+  paint() {
+    const c = this.canvas, labels = this.pen.canvas, ratio = Math.min(2, window.devicePixelRatio || 1);
     const width = Math.round(c.clientWidth * ratio), height = Math.round(c.clientHeight * ratio);
-    if (!this.frame || !width || !height) return;
-    if (c.width !== width || c.height !== height) { c.width = width; c.height = height; }
-    if (this.layer.width !== width || this.layer.height !== height) { this.layer.width = width; this.layer.height = height; }
-    const pen = this.pen, tint = this.colours(), poses = this.frame.poses;
-    pen.clearRect(0, 0, width, height);
-    const hand = this.shown.hand && this.hand;
-    if (hand) this.glass(hand, tint, 1, 0.6);
-    this.solids(pen, tint, ratio);
-    if (hand) this.glass(hand, tint, -1, 0.34);
+    if (!this.painter || !this.frame || !width || !height) return;
+    for (const one of [c, labels]) if (one.width !== width || one.height !== height) { one.width = width; one.height = height; }
+    const tint = this.colours(), brush = this.painter, nudge = Math.max(1.5, 0.015 * this.diameter);
+    this.pen.clearRect(0, 0, width, height);
+    brush.begin(this.turn, this.scale, this.eye);
+    const object = this.shown.after && this.frame.poses.after && this.object(tint);
+    if (object) brush.solid(object);
+    if (this.shown.cloud && this.cloud) brush.dots(this.dots(tint, ratio), { nudge });  // on the surface that they agree with
+    if (this.shown.hand && this.hand) {
+      // one layer of glass: the foremost surface, where no part of the object is before it
+      const hand = this.solid("hand", tint.dark, this.hand, tint.hand);
+      brush.depth(hand);
+      brush.solid(hand, { alpha: 0.5 });
+    }
+    // only the object hides what follows; it is seen through faintly
+    brush.forget();
+    if (object) brush.depth(object);
     for (const name of ["before", "truth"]) {
-      if (this.shown[name] && poses[name]) this.wires(pen, poses[name], tint[name], name === "before" ? [6, 5] : [1.5, 4], ratio);
+      if (this.shown[name] && this.frame.poses[name]) this.wires(name, rgb(tint[name]), name === "before" ? [6, 5] : [2, 4], ratio, nudge);
     }
-    if (this.shown.contacts) this.touches(pen, tint, ratio);
-    if (this.shown.next) this.rings(pen, this.frame.next, tint, ratio);
-    if (this.shown.grasp && this.gains) this.rings(pen, this.frame.grasp.places, { touch: tint.truth }, ratio);
-    this.ruler(pen, tint, ratio);
+    if (this.shown.contacts) this.touches(tint, ratio, nudge);
+    if (this.shown.next) this.rings(this.frame.next, tint.touch, ratio, nudge);
+    if (this.shown.grasp && this.gains) this.rings(this.frame.grasp.places, tint.truth, ratio, nudge);
+    this.ruler(tint, ratio);
   }
 
-  solids(pen, tint, ratio) {
-    const jobs = [], depths = [], poses = this.frame.poses;
-    let seen, normals, faces = [];
-    if (this.shown.after && poses.after) {
-      seen = this.project(placed(this.mesh.points, poses.after));
-      faces = this.mesh.faces;
-      normals = this.mesh.normals(this.unscaled(placed(this.mesh.points, poses.after)));
+  solid(name, key, mesh, colour) {
+    return this.kept(name, key, () => {
+      const { points, normals } = mesh.corners(), tint = new Float32Array(points.length);
+      for (let i = 0; i < tint.length; i++) tint[i] = colour[i % 3] / 255;
+      return { at: [points, 3], normal: [normals, 3], tint: [tint, 3] };
+    });
+  }
+
+  // The object at the estimate, coloured by what another finger would add when that is asked for.
+  object(tint) {
+    const map = Boolean(this.shown.grasp && this.gains);
+    return this.kept("object", `${tint.dark} ${map}`, () => {
+      const { points, normals } = this.mesh.corners(), pose = this.frame.poses.after, faces = this.mesh.faces;
+      const colours = new Float32Array(points.length);
       for (let t = 0; t < faces.length; t += 3) {
-        const a = 3 * faces[t], b = 3 * faces[t + 1], c = 3 * faces[t + 2];
-        // z points away: an outward triangle that faces the viewer has a negative turn on the screen
-        if ((seen[b] - seen[a]) * (seen[c + 1] - seen[a + 1]) - (seen[b + 1] - seen[a + 1]) * (seen[c] - seen[a]) >= 0) continue;
-        jobs.push(t);
-        depths.push((seen[a + 2] + seen[b + 2] + seen[c + 2]) / 3);
+        const colour = map ? this.shade(faces, t, tint) : tint.object;
+        for (let k = 0; k < 9; k++) colours[3 * t + k] = colour[k % 3] / 255;
       }
-    }
-    const dots = this.shown.cloud && this.cloud && this.project(this.cloud.points);
-    if (dots) for (let i = 0; i < dots.length; i += 3) {
-      jobs.push(-1 - i / 3);
-      // points sit on the surface that they agree with: nudged forward, or every other one drowns in it
-      depths.push(dots[i + 2] - Math.max(1.5, 0.015 * this.diameter));
-    }
-    const order = Uint32Array.from(jobs.keys()).sort((p, q) => depths[q] - depths[p]);
-    const size = 1.7 * ratio * Math.min(2.2, Math.sqrt(this.zoom));
-    for (const k of order) {
-      const job = jobs[k];
-      if (job >= 0) this.triangle(pen, seen, faces, job, this.shown.grasp && this.gains ? this.shade(faces, job, tint) : tint.object, normals);
-      else {
-        const away = this.cloud.away[-1 - job], i = 3 * (-1 - job);
-        pen.fillStyle = away <= 20 ? tint.near : away <= 60 ? tint.middling : tint.far;
-        pen.globalAlpha = away <= 60 ? 0.95 : 0.5;
-        pen.fillRect(dots[i] - size / 2, dots[i + 1] - size / 2, size, size);
-        pen.globalAlpha = 1;
-      }
-    }
+      return { at: [placed(points, pose), 3], normal: [placed(normals, pose, true), 3], tint: [colours, 3] };
+    });
   }
 
-  // The mean of a triangle's corners on the finger map; the object's own colour where no finger can be.
+  // The mean of a triangle's corners on the finger map; the object's own colour, darker, where no finger can be.
   shade(faces, t, tint) {
     const corners = [this.gains[faces[t]], this.gains[faces[t + 1]], this.gains[faces[t + 2]]];
-    return corners.includes(255) ? tint.object.map((v) => Math.round(0.55 * v)) : this.gain((corners[0] + corners[1] + corners[2]) / 762);
+    return corners.includes(255) ? tint.object.map((v) => 0.55 * v) : this.gain((corners[0] + corners[1] + corners[2]) / 762);
   }
 
-  // Points turned into the view, without perspective: what shading needs.
-  unscaled(points) {
-    const out = new Float32Array(points.length);
-    const cy = Math.cos(this.yaw), sy = Math.sin(this.yaw), cp = Math.cos(this.pitch), sp = Math.sin(this.pitch);
-    for (let i = 0; i < points.length; i += 3) {
-      const z = sy * points[i] + cy * points[i + 2];
-      out[i] = cy * points[i] - sy * points[i + 2];
-      out[i + 1] = cp * points[i + 1] - sp * z;
-      out[i + 2] = sp * points[i + 1] + cp * z;
-    }
-    return out;
+  dots(tint, ratio) {
+    const size = 1.9 * ratio * Math.min(2.2, Math.sqrt(this.zoom));
+    return this.kept("cloud", `${tint.dark} ${size}`, () => {
+      const near = rgb(tint.near), middling = rgb(tint.middling), far = rgb(tint.far), colours = [], count = this.cloud.away.length;
+      for (const away of this.cloud.away) colours.push(...(away <= 20 ? near : away <= 60 ? middling : far), away <= 60 ? 0.95 : 0.5);
+      return { at: [this.cloud.points, 3], tint: [colours, 4], size: [new Float32Array(count).fill(size), 1] };
+    });
   }
 
-  triangle(pen, p, faces, t, base, normals) {
-    const a = 3 * faces[t], b = 3 * faces[t + 1], c = 3 * faces[t + 2];
-    const lit = 0.52 + 0.5 * Math.max(0, -0.35 * normals[t] - 0.62 * normals[t + 1] - 0.7 * normals[t + 2]);
-    const colour = `rgb(${base.map((v) => Math.round(Math.min(255, v * lit))).join(",")})`;
-    pen.fillStyle = pen.strokeStyle = colour;
-    pen.lineWidth = 1;
-    pen.beginPath();
-    pen.moveTo(p[a], p[a + 1]);
-    pen.lineTo(p[b], p[b + 1]);
-    pen.lineTo(p[c], p[c + 1]);
-    pen.closePath();
-    pen.fill();
-    pen.stroke();  // hides the seams between neighbours
-  }
-
-  // The part of the hand behind (side 1) or before (side -1) the object's middle, as one translucent layer.
-  glass(mesh, tint, side, alpha) {
-    const pen = this.layer.getContext("2d"), p = this.project(mesh.points), normals = mesh.normals(this.unscaled(mesh.points));
-    pen.clearRect(0, 0, this.layer.width, this.layer.height);
-    const jobs = [], depths = [];
-    for (let t = 0; t < mesh.faces.length; t += 3) {
-      const deep = (p[3 * mesh.faces[t] + 2] + p[3 * mesh.faces[t + 1] + 2] + p[3 * mesh.faces[t + 2] + 2]) / 3;
-      if (deep * side < 0 || normals[t + 2] > 0.25) continue;
-      jobs.push(t);
-      depths.push(deep);
-    }
-    for (const k of Uint32Array.from(jobs.keys()).sort((i, j) => depths[j] - depths[i])) this.triangle(pen, p, mesh.faces, jobs[k], tint.hand, normals);
-    this.pen.globalAlpha = alpha;
-    this.pen.drawImage(this.layer, 0, 0);
-    this.pen.globalAlpha = 1;
-  }
-
-  wires(pen, pose, colour, dash, ratio) {
-    const points = placed(this.mesh.points, pose), p = this.project(points), f = this.mesh.faces;
+  // What a pose's object would show of its edges, dashed.
+  wires(name, colour, dash, ratio, nudge) {
+    const mesh = this.mesh, f = mesh.faces;
+    const points = this.posed && this.posed[0] === this.frame && this.posed[1][name] || placed(mesh.points, this.frame.poses[name]);
+    if (!this.posed || this.posed[0] !== this.frame) this.posed = [this.frame, {}];
+    this.posed[1][name] = points;
+    const p = this.project(points);
     const front = (t) => {
       const a = 3 * f[3 * t], b = 3 * f[3 * t + 1], c = 3 * f[3 * t + 2];
       return (p[b] - p[a]) * (p[c + 1] - p[a + 1]) - (p[b + 1] - p[a + 1]) * (p[c] - p[a]) < 0;
     };
-    pen.strokeStyle = colour;
-    pen.lineWidth = 1.5 * ratio;
-    pen.setLineDash(dash.map((x) => x * ratio));
-    pen.beginPath();
-    for (const line of this.chains(front)) {
-      pen.moveTo(p[3 * line[0]], p[3 * line[0] + 1]);
-      for (const v of line.slice(1)) pen.lineTo(p[3 * v], p[3 * v + 1]);
-    }
-    pen.stroke();
-    pen.setLineDash([]);
-  }
-
-  // Visible silhouette edges and creases, joined into long lines so that dashes stay dashes.
-  chains(front) {
-    const next = new Map();
-    const join = (a, b) => { if (!next.has(a)) next.set(a, []); next.get(a).push(b); };
-    for (const e of this.mesh.edges()) {
-      const s = front(e.s), t = front(e.t);
-      if (s !== t || (e.crease && s && t)) { join(e.a, e.b); join(e.b, e.a); }
-    }
-    const lines = [];
-    for (const start of next.keys()) {
-      while (next.get(start).length) {
-        const line = [start];
-        let here = start;
-        while (next.get(here).length) {
-          const there = next.get(here).pop(), back = next.get(there);
-          back.splice(back.indexOf(here), 1);
-          line.push(there);
-          here = there;
-        }
-        lines.push(line);
+    const list = [];
+    for (const line of mesh.chains(front)) {
+      let run = 0;
+      for (let k = 1; k < line.length; k++) {
+        const a = 3 * line[k - 1], b = 3 * line[k], long = Math.hypot(p[b] - p[a], p[b + 1] - p[a + 1]);
+        list.push([points.subarray(a, a + 3), points.subarray(b, b + 3), colour, [run, run + long]]);
+        run += long;
       }
     }
-    return lines;
+    this.strokes(list, { width: 1.6 * ratio, dash: dash.map((x) => x * ratio), nudge });
   }
 
-  touches(pen, tint, ratio) {
+  // Lines [from, to, colour, [length before, length after]].
+  strokes(list, uniforms) {
+    if (!list.length) return;
+    const part = (k) => list.flatMap((one) => [...one[k]]), brush = this.painter;
+    const kept = brush.load({ at: [part(0), 3], to: [part(1), 3], tint: [part(2), 3], run: [part(3), 2] });
+    brush.throughout((alpha) => brush.lines(kept, { ...uniforms, alpha }));
+    brush.free(kept);
+  }
+
+  // Marks [place, colour, diameter in pixels].
+  marks(list, uniforms) {
+    if (!list.length) return;
+    const brush = this.painter;
+    const kept = brush.load({ at: [list.flatMap((m) => m[0]), 3], tint: [list.flatMap((m) => [...m[1], 1]), 4], size: [list.map((m) => m[2]), 1] });
+    brush.throughout((alpha) => brush.dots(kept, { ...uniforms, alpha }));
+    brush.free(kept);
+  }
+
+  touches(tint, ratio, nudge) {
+    const reach = 0.12 * this.diameter, sticks = [], discs = [], rings = [];
     this.frame.contacts.forEach((contact, i) => {
       if (!contact.p) return;
-      const n = contact.n || [0, 0, 0], reach = 0.12 * this.diameter;
-      const p = this.project([...contact.p, contact.p[0] + reach * n[0], contact.p[1] + reach * n[1], contact.p[2] + reach * n[2]]);
-      pen.strokeStyle = pen.fillStyle = contact.outlier ? tint.bad : tint.touch;
-      pen.lineWidth = 2 * ratio;
-      if (contact.n) { pen.beginPath(); pen.moveTo(p[0], p[1]); pen.lineTo(p[3], p[4]); pen.stroke(); }
-      pen.beginPath();
-      pen.arc(p[0], p[1], (i === this.lit ? 7 : 4.6) * ratio, 0, 7);
-      if (contact.outlier) pen.stroke(); else pen.fill();
-      pen.strokeStyle = tint.card;
-      pen.lineWidth = 1.4 * ratio;
-      if (!contact.outlier) pen.stroke();
-      if (i === this.lit) {
-        pen.font = `${12 * ratio}px system-ui, sans-serif`;
-        pen.fillStyle = tint.ink;
-        pen.fillText(contact.sensor, p[0] + 11 * ratio, p[1] + 4 * ratio);
-      }
+      const colour = rgb(contact.outlier ? tint.bad : tint.touch), [x, y, z] = contact.p, n = contact.n;
+      if (n) sticks.push([contact.p, [x + reach * n[0], y + reach * n[1], z + reach * n[2]], colour, [0, 1]]);
+      (contact.outlier ? rings : discs).push([contact.p, colour, (i === this.lit ? 17 : 12) * ratio]);
+      if (i === this.lit) this.write(contact.sensor, contact.p, tint.ink, [11, 4], ratio);
     });
+    // within the fingertip's own thickness of the surface a touch counts as before it
+    this.strokes(sticks, { width: 2.2 * ratio, nudge: 2 * nudge });
+    this.marks(discs, { round: 1, rim: rgb(tint.card), nudge: 2 * nudge });
+    this.marks(rings, { round: 2, nudge: 2 * nudge });
   }
 
-  rings(pen, places, tint, ratio) {
-    pen.font = `${11 * ratio}px system-ui, sans-serif`;
-    pen.lineWidth = 2 * ratio;
-    places.forEach((touch, i) => {
-      const reach = 0.12 * this.diameter, [x, y, z] = touch.p, n = touch.n;
-      const p = this.project([x, y, z, x + reach * n[0], y + reach * n[1], z + reach * n[2]]);
-      pen.strokeStyle = pen.fillStyle = tint.touch;
-      pen.setLineDash([3 * ratio, 3 * ratio]);
-      pen.beginPath(); pen.moveTo(p[0], p[1]); pen.lineTo(p[3], p[4]); pen.stroke();
-      pen.beginPath(); pen.arc(p[0], p[1], 7 * ratio, 0, 7); pen.stroke();
-      pen.setLineDash([]);
-      pen.fillText(String(i + 1), p[0] + 10 * ratio, p[1] - 6 * ratio);
-    });
+  rings(places, colour, ratio, nudge) {
+    const reach = 0.12 * this.diameter, ink = rgb(colour);
+    this.strokes(places.map(({ p: [x, y, z], n }) => [[x, y, z], [x + reach * n[0], y + reach * n[1], z + reach * n[2]], ink, [0, 30 * ratio]]), { width: 2 * ratio, dash: [3 * ratio, 3 * ratio], nudge: 2 * nudge });
+    this.marks(places.map((place) => [place.p, ink, 16 * ratio]), { round: 2, nudge: 2 * nudge });
+    places.forEach((place, i) => this.write(String(i + 1), place.p, colour, [10, -6], ratio));
   }
 
-  ruler(pen, tint, ratio) {
-    const one = this.project([-0.5, 0, 0, 0.5, 0, 0]), face = Math.abs(Math.cos(this.yaw)) > 0.3 ? Math.abs((one[3] - one[0]) / Math.cos(this.yaw)) : 0;
-    const px = face || this.zoom * 1.42 * Math.min(this.canvas.width, this.canvas.height) / 2 / this.diameter;
+  // Words beside a place; off: pixels right and down.
+  write(text, place, colour, off, ratio) {
+    const p = this.project(place), pen = this.pen;
+    pen.font = `${12 * ratio}px system-ui, sans-serif`;
+    pen.fillStyle = colour;
+    pen.fillText(text, p[0] + off[0] * ratio, p[1] + off[1] * ratio);
+  }
+
+  ruler(tint, ratio) {
+    const pen = this.pen, px = this.scale;
     const length = [1, 2, 5, 10, 20, 50, 100, 200, 500].find((mm) => mm * px > 56 * ratio) || 500;
     const x = 16 * ratio, y = this.canvas.height - 16 * ratio;
     pen.globalAlpha = 0.6;
@@ -372,4 +300,9 @@ class Scene {
     pen.fillText(length >= 10 && length % 10 === 0 ? `${length / 10} cm` : `${length} mm`, x + 5 * ratio, y - 6 * ratio);
     pen.globalAlpha = 1;
   }
+}
+
+// "#rrggbb" as three shares.
+function rgb(text) {
+  return [1, 3, 5].map((i) => parseInt(text.slice(i, i + 2), 16) / 255);
 }

@@ -9,13 +9,15 @@ import pytest
 from fusion import estimate
 from fusion.estimation.confidence import ConfidenceSettings, confidence, spread_of, whole_covariance, within
 from fusion.estimation.pool import Pool, PoolSettings
-from fusion.estimation.proposals import search_stages
+from fusion.estimation.proposals import ProposalSettings, search_stages
 from fusion.estimation.propose import modes_near
 from fusion.estimation.ranking import guarded
 from fusion.estimation.search import Found, PlanSettings
 from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.solve.joint import JointResult
+from fusion.estimation.trace import Trace
 from fusion.truth.errors import Judge
+from scenes.evidence import table as tables
 from scenes.evidence.align import Prior
 from scenes.evidence.modes import Mode, ModeSettings
 from scenes.geometry import poses
@@ -65,18 +67,20 @@ class Rounds:
         self.model, self.ends, self.shown, self.looked_at = model, iter(ends), shown, []
         self.settings, self.modes, self.prior = PoolSettings(), ModeSettings(), SimpleNamespace(pose=np.eye(4))
         self.predictor, self.sight = SimpleNamespace(sees=True), SimpleNamespace(costs=None)
+        self.felt, self.held, self.rng, self.costs = tables.empty(), None, None, None
+        self.proposals = ProposalSettings()
 
-    apart, is_same = Pool.apart, Pool.is_same
+    apart, is_same, held_starts = Pool.apart, Pool.is_same, Pool.held_starts
 
     def proposed(self, starts, stages, seen, start, descents):
         self.looked_at.append(len(starts))
         return np.zeros((0, 4, 4))
 
-    def compete(self, candidates):
+    def compete(self, candidates, most=None):
         return tuple(Mode(pose, 1.0 / len(candidates), 0.0, np.eye(6)) for pose in candidates[:1])
 
-    def convinces(self, modes, shown=0.0):
-        return self.shown > shown
+    def convinces(self, modes, shown=None):
+        return self.shown > (0.1 if shown is None else shown)
 
     def end(self, *_):
         return Found((Mode(poses.make_pose(None, [next(self.ends), 0.0, 0.0]), 1.0, 0.0, np.eye(6)),), 0, "")
@@ -85,17 +89,18 @@ class Rounds:
 @pytest.mark.parametrize(
     ("ends", "shown", "looked_at", "why"),
     [
-        ([0.0], 0.9, [], "clearly seen"),
+        ([0.0], 0.9, [], "convince"),
         ([0.0], 0.2, [20], "convince"),
-        ([0.0, 0.0005], 0.0, [20, 76], "lead to it again"),
+        ([0.0, 0.0005], 0.0, [20, 76], "in doubt"),
         ([0.0, 0.05, 0.1], 0.0, [20, 76, 224], "in doubt"),
     ],
 )
 def test_rounds_of_fresh_starts_end_where_nothing_new_comes(drill, monkeypatch, ends, shown, looked_at, why):
     pool = Rounds(drill, ends, shown)
     monkeypatch.setattr("fusion.estimation.propose.find_modes", pool.end)
+    monkeypatch.setattr("fusion.estimation.propose.walk", lambda *_: np.zeros((0, 4, 4)))
     starts = np.tile(np.eye(4), (320, 1, 1))
-    found = modes_near(pool, None, None, starts, search_stages(0.01, ()), PlanSettings())
+    found = modes_near(pool, None, None, starts, search_stages(0.01, ()), PlanSettings(), Trace())
     assert pool.looked_at == looked_at
     assert found.looked_at == (sum(looked_at) or 20)
     assert why in found.why

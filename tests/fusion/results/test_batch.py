@@ -11,13 +11,17 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
+from browser import in_browser
 from made_frames import plain_view
 
 from fusion.cli.main import main
 from fusion.results.batch import (
     COLUMNS,
     MARKER,
+    THUMBNAIL,
     Cluster,
     Job,
     Outcome,
@@ -169,6 +173,53 @@ def test_tables_and_page(tmp_path):
     assert "&lt;script&gt; no" in page
     assert "{{" not in page
     assert 'name="viewport"' in page
+    assert ">ok 1<" in page
+    assert ">failed 1<" in page
+
+
+INDEX_PROBE = """
+<script>
+window.failures = [];
+addEventListener("error", (e) => failures.push(e.message));
+addEventListener("load", () => {
+  const cells = () => [...document.querySelectorAll("tbody tr:not([hidden]) .name")];
+  const names = () => cells().map((cell) => cell.textContent).join(" ");
+  const seen = [names()], press = (selector) => { document.querySelector(selector).click(); seen.push(names()); };
+  const head = (name) => [...document.querySelectorAll("th button")].find((b) => b.textContent === name);
+  head("ADD-S mm").click(); seen.push(names());
+  head("ADD-S mm").click(); seen.push(names());
+  press("[data-verdict=lost]");
+  press("[data-verdict='']");
+  const words = document.getElementById("words");
+  words.value = "why"; words.dispatchEvent(new Event("input")); seen.push(names());
+  const sorted = document.querySelector("[aria-sort]").textContent, order = document.getElementById("order").value;
+  const shown = document.querySelector("td.look img").naturalWidth;
+  const overflow = document.documentElement.scrollWidth - innerWidth;
+  const answer = JSON.stringify({ failures, seen, sorted, order, shown, overflow });
+  document.body.replaceChildren(document.createTextNode(`PROBE${answer}PROBE`));
+});
+</script>
+"""
+
+
+@pytest.mark.parametrize("width", [1400, 500])
+def test_the_page_sorts_and_filters_in_a_browser(tmp_path, width):
+    outcomes = []
+    for name, verdict, error in (("a", "ok", 2.0), ("b", "lost", 30.0), ("c", "ok", 1.0)):
+        one = job(tmp_path, name)
+        Path(one.out).mkdir(parents=True)
+        cv2.imwrite(str(Path(one.out) / THUMBNAIL), np.zeros((144, 192, 3), np.uint8))
+        row = dict.fromkeys(COLUMNS) | {"capture": name, "frame": 0, "status": "done", "verdict": verdict}
+        outcomes.append(Outcome(one, "done", [row | {"add_s_mm": error}]))
+    bad = job(tmp_path, "d")
+    outcomes.append(Outcome(bad, "error", [error_row(bad, "why not")]))
+    write_all(tmp_path / "out", "title", outcomes)
+    page = (tmp_path / "out" / "index.html").read_text().replace('loading="lazy"', "")
+    result = in_browser(page, INDEX_PROBE, tmp_path / "out", width)
+    assert result["failures"] == []
+    assert result["seen"] == ["a b c d", "c a b d", "b a c d", "b", "b a c d", "d"]
+    assert (result["sorted"], result["order"], result["shown"]) == ("ADD-S mm", "4 1", 192)
+    assert result["overflow"] <= 0
 
 
 def test_parquet_holds_the_same_rows(tmp_path):

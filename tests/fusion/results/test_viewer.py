@@ -33,7 +33,7 @@ def free_port() -> int:
 
 def test_it_serves_what_there_is_and_stops(capture):
     pytest.importorskip("viser")
-    from fusion.results.viewer import Viewer
+    from fusion.results.viewer import FIELD, Viewer
 
     recorded = read_capture(capture)
     truth = recorded[0].camera_from_object_truth
@@ -46,6 +46,19 @@ def test_it_serves_what_there_is_and_stops(capture):
         assert viewer.shown["object"].visible
         assert not viewer.shown["truth"].visible
         np.testing.assert_allclose(viewer.shown["object"].position, truth[:3, 3], atol=1e-6)
+        middle, radius = viewer._framed
+        corners = poses.apply(truth, recorded.model.vertices) - middle
+        assert np.linalg.norm(corners, axis=1).max() <= radius * (1 + 1e-9)
+        for aspect in (0.46, 1.55):  # a phone upright, a desktop: the object fills the window, and is inside
+            eye = viewer._eye(FIELD, aspect)
+            forward = (middle - eye) / np.linalg.norm(middle - eye)
+            right = np.cross(forward, [0.0, -1.0, 0.0])
+            right /= np.linalg.norm(right)
+            up = np.cross(right, forward)
+            seen = corners + middle - eye
+            high = np.abs(seen @ up / (seen @ forward)) / np.tan(FIELD / 2)
+            wide = np.abs(seen @ right / (seen @ forward)) / np.tan(FIELD / 2) / aspect
+            assert 0.3 < max(high.max(), wide.max()) < 1.0
         viewer.toggles["object"].value = False
         viewer._apply_toggles()
         assert not viewer.shown["object"].visible
