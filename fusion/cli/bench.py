@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--family",
         metavar="NAME",
         help="frames of one family, or all, tuning or report (docs/evaluation.md), where accuracy is measured:"
-        " occlusion, calibration, vision, faults, tracking, peers",
+        " search, occlusion, calibration, vision, faults, tracking, peers",
     )
     parser.add_argument(
         "--data",

@@ -37,6 +37,14 @@ def test_fused_is_as_good_as_touch_where_unknown_fingers_hide_the_object(hidden)
         assert add_s(model, both, frame) < max(0.005, 1.2 * add_s(model, touch, frame))
 
 
+@pytest.mark.parametrize(("name", "seed"), [("mug", 3), ("drill", 4), ("box", 5)])
+def test_fused_is_right_where_vision_or_touch_alone_is(name, seed):
+    model = library.make(name)
+    frame = synthesize_frames(model, None, 1, 0.8, noise="lab", seed=seed, settings=SETTINGS)[0]
+    alone = [add_s(model, estimate(frame, model, use=(sense,)), frame) for sense in ("vision", "touch")]
+    assert add_s(model, estimate(frame, model), frame) < max(0.005, min(alone))
+
+
 def test_an_object_on_a_table_is_found_without_a_mask_and_without_a_start():
     model = library.make("mug")
     frame = synthesize_frames(
