@@ -27,7 +27,8 @@ BENCHMARKS = {
     "faults": "fusion.benchmarks.frames.faults",
     "scenes": "fusion.benchmarks.camera.scenes",
     "segmentation": "fusion.benchmarks.camera.segmentation",
-    "tracking": "fusion.benchmarks.frames.tracking",
+    "colour": "fusion.benchmarks.camera.colour",
+    "tracking": "fusion.benchmarks.tracking.bench",
 }
 
 

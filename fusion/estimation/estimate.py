@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import Asked, check_limits, sure_to_be_within
-from fusion.estimation.confidence import chances, whole_covariance, within
+from fusion.estimation.confidence import whole_covariance, within
 from fusion.estimation.moments import moments
 from fusion.estimation.proposals import search_stages, starts_of
 from fusion.estimation.propose import modes_anywhere, modes_near
 from fusion.estimation.ranking import rejudged
 from fusion.estimation.search import find_modes, worth_solving
 from fusion.estimation.settings import EstimateSettings
+from fusion.estimation.solve.outlined import outlined
 from fusion.estimation.steps.sense import look_once, sense, solve_together
 from fusion.estimation.tolerance import good_enough, is_within, with_shared_errors
 from fusion.estimation.trace import Trace
@@ -33,6 +34,7 @@ from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
 from scenes.recordings.validation import check_scale
 from scenes.threads import one_blas_thread
+from touch.gels.localize import build_tables
 from vision.look.look import look_closer
 from vision.look.looked import Looked
 from vision.plausibility import doubts
@@ -73,6 +75,8 @@ def estimate(
     near_symmetries(model)
     if asked.prior is None:
         pair_table(model)
+    if asked.prior is None and frame.gels:
+        build_tables(model)
     trace = Trace(budget_ms)
     with one_blas_thread():
         looked = look_once(frame, model, asked, trace)
@@ -100,13 +104,17 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
 
     how, blur = settings.proposals, settings.proposals.blur(model)
     with trace.stage("search", True, "") as stage:
-        starts = starts_of(model, believed, looked.pixels.points, felt.contacts, rows, sight.costs, how, pool.rng)
+        starts = starts_of(
+            model, believed, looked.pixels.points, felt.contacts, rows, sight.costs, how, pool.rng, felt.patches
+        )
         if believed is not None:
             found = modes_near(pool, rows, seen, starts, search_stages(blur, how.near), settings.plan, trace)
         else:
             stages = search_stages(blur, how.wide if contacts else how.sifted)
             found = find_modes(model, rows, starts, stages, None, sight.costs, settings.plan, settings.modes)
-        stage.note(len(rows), f"{found.looked_at} of {len(starts)} starts, blur {1e3 * blur:.1f} mm; {found.why}")
+        gels = f", by {len(felt.patches)} gels too" if felt.patches and believed is None else ""
+        said = f"{found.looked_at} of {len(starts)} starts{gels}, blur {1e3 * blur:.1f} mm; {found.why}"
+        stage.note(len(rows), said)
     wide = believed is None and predictor.sees
     with trace.stage("look again", wide, "the region was narrow") as stage:
         if wide:
@@ -145,6 +153,14 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
             spread = moments(model, rows, first.pose, first.covariance, asked.seed, believed, settings=how_wide)
             modes = (replace(first, pose=spread.pose, covariance=spread.covariance), *modes[1:])
             stage.note(len(rows), f"{spread.effective:.0f} effective samples, directions widened: {spread.widened}")
+    coloured = settings.contour.used and viewed.rgb is not None and predictor.sees
+    useless: tuple[str, ...] = ()
+    with trace.stage("outline", finish and coloured, why_not if coloured else "no colours beside depth") as stage:
+        if finish and coloured:
+            told = outlined(viewed, pool, best, modes[0], beliefs.mesh_sigma, settings)
+            modes, felt = (told.mode, *modes[1:]), felt.corrected(told.solved.correct())
+            useless = () if told.lines else (f"colours are not used: {told.why}",)
+            stage.note(told.lines, told.why)
     with trace.stage("judge", True, "") as stage:
         pose = modes[0].pose
         residuals = posterior.contact_residuals(model, felt.contacts, pose, settings.verdict)
@@ -152,13 +168,8 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         seeing = visibility(viewed, model, pose, beliefs.depth)
         picture = predictor.predict(pose[None]) if predictor.sees else None
         nats = float(costs(model, felt.rows, pose[None])[0]) if contacts else 0.0
-        right, near = chances(model, modes, picture, residuals, nats, settings=settings.confidence)
-        sure = right * near
-        word, why = posterior.verdict(model, modes, residuals, share, seeing, settings.verdict)
-        if word == "ok" and nats > settings.verdict.most_contradicted * max(contacts, 1):
-            word, why = "lost", "the contacts, or their normals, contradict every pose"
-        if word == "ok" and sure < settings.confidence.sure:
-            word, why = "ambiguous", f"only {sure:.0%} sure to be within {1e3 * settings.confidence.tolerance:.3g} mm"
+        agreed = residuals, nats, share, seeing, picture
+        right, sure, word, why = posterior.judged(model, modes, *agreed, settings.verdict, settings.confidence)
         covariance = modes[0].covariance
         if word != "ok":
             covariance = whole_covariance(model, modes, right, believed, settings.confidence)
@@ -176,7 +187,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         trace=trace.stages,
         contacts=residuals,
         pixel_rms_mm=1e3 * rms,
-        notes=(why, *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility)),
+        notes=(why, *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility), *useless),
         dropped=looked.dropped,
         start=believed.pose if believed is not None else None,
         contributions=posterior.contributions(model, rows, pose, covariance, believed),
