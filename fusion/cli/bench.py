@@ -27,7 +27,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--family",
         metavar="NAME",
         help="frames of one family, or all, tuning or report (docs/evaluation.md), where accuracy is measured:"
-        " occlusion, calibration, vision, faults, tracking, peers",
+        " occlusion, calibration, vision, faults, tracking, colour, peers",
+    )
+    parser.add_argument(
+        "--motions", metavar="A,B", type=names_list, help="motions of the sequences of `tracking` (default: all nine)"
     )
     parser.add_argument(
         "--data",
@@ -71,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
         shown.append(table)
 
     settings = BenchSettings(args.trials, args.seed, args.quick, progress, args.objects, args.out, show, args.family)
-    settings = replace(settings, data=args.data, bop=args.bop)
+    settings = replace(settings, motions=args.motions, data=args.data, bop=args.bop)
     if args.family is not None:
         from fusion.benchmarks.families.table import chosen
 

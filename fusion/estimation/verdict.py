@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import ContactResidual, Contribution, Estimate, Mode, Stage
+from fusion.estimation.confidence import ConfidenceSettings, chances
 from scenes.evidence import align as alignment
 from scenes.evidence.align import Prior
 from scenes.evidence.modes import ModeSettings, covariance_of, distinct_modes
@@ -15,6 +16,7 @@ from scenes.evidence.table import GATE_ABOVE, POINT, SIGMA, TOUCH, VISION, Evide
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts, Frame
+from vision.predicted import Prediction
 from vision.visibility import Visibility
 
 Array = NDArray[np.float64]
@@ -176,6 +178,34 @@ def verdict(
     if hidden:
         return "ambiguous", f"{', '.join(hidden)} unknown"
     return "ok", f"first mode holds {modes[0].weight:.0%}"
+
+
+def judged(
+    model: ObjectModel,
+    modes: tuple[Mode, ...],
+    residuals: tuple[ContactResidual, ...],
+    contact_nats: float,
+    pixel_share: float,
+    seeing: Visibility,
+    picture: Prediction | None,
+    settings: VerdictSettings,
+    confident: ConfidenceSettings,
+) -> tuple[float, float, str, str]:
+    """Of the first of the modes, found in one frame or followed through many: the chance that it is the right one, and
+    that it is near enough, too (the confidence); verdict and its reason.
+
+    residuals and contact_nats: how each contact agrees there, and what all cost; pixel_share: of the object's pixels
+    that it explains; picture: the predicted one, None without a depth image. What contradicts the pose, and a picture
+    that does not show it, speak against it however narrow its covariance is.
+    """
+    right, near = chances(model, modes, picture, residuals, contact_nats, settings=confident)
+    sure = right * near
+    word, why = verdict(model, modes, residuals, pixel_share, seeing, settings)
+    if word == "ok" and contact_nats > settings.most_contradicted * max(len(residuals), 1):
+        word, why = "lost", "the contacts, or their normals, contradict every pose"
+    if word == "ok" and sure < confident.sure:
+        word, why = "ambiguous", f"only {sure:.0%} sure to be within {1e3 * confident.tolerance:.3g} mm"
+    return right, sure, word, why
 
 
 def no_answer(

@@ -13,7 +13,10 @@ from fusion.estimation.answer import Estimate, Mode, Stage
 from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.solve.settings import JointSettings
 from fusion.tracking.filter import Belief
+from fusion.tracking.hypotheses import HypothesisSettings
 from fusion.tracking.motion import HandMotionSettings
+from fusion.tracking.occluders import OccluderSettings
+from fusion.tracking.renewal import RenewalSettings
 from fusion.tracking.slip import WatchSettings
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
@@ -58,10 +61,18 @@ class TrackSettings:
     lasting: float = 0.8
     # Share of the first estimate's variance that later frames do not average out.
     first_lasting: float = 0.6
-    # Modes carried from frame to frame, and the share of its log odds that the next frame inherits: frames repeat
-    # one another's errors, so odds are not multiplied.
-    modes: int = 3
-    inherited: float = 0.6
+    # Poses carried from frame to frame until the data decide, and how often frames are searched without a memory.
+    hypotheses: HypothesisSettings = field(default_factory=HypothesisSettings)
+    renewal: RenewalSettings = field(default_factory=RenewalSettings)
+    # Things that go with the object without being it.
+    occluders: OccluderSettings = field(default_factory=OccluderSettings)
+    # Rays along each side of an outline inside which pixels are the object's, and room (m) around predicted poses
+    # that their picture needs.
+    side: int = 28
+    room: float = 0.03
+    # Nats by which the picture of a frame searched by itself must be better than the track's for the track to begin
+    # anew from there, although the two are one hypothesis: so drift has a bound.
+    anchor: float = 3.0
     # Lost: the share of explained pixels falls below this part of the usual one.
     least_of_usual: float = 0.6
     fewest_pixels: int = 40

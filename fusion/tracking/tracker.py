@@ -5,8 +5,10 @@
 
 The first frame is `fusion.estimation.estimate.estimate`. Later ones skip the search: the object moves with the palm
 and the fingertips, so a few steps from the predicted pose find it, and one joint solution with the depth camera's and
-the robot's errors follows. A frame may lack either sense, come late, or hold nothing. When an answer explains too
-little, the object is looked for with `estimate` again. Camera frame, metres, radians.
+the robot's errors follows. Where a frame leaves several poses open they are all followed until frames decide
+(fusion.tracking.hypotheses), and now and then a frame is searched as if nothing were known, so that a track that began
+wrong finds out (fusion.tracking.renewal). A frame may lack either sense, come late, or hold nothing. When an answer
+explains too little, the object is looked for with `estimate` again. Camera frame, metres, radians.
 """
 
 from __future__ import annotations
@@ -17,25 +19,27 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation import verdict as posterior
-from fusion.estimation.answer import Estimate
+from fusion.estimation.answer import Estimate, Mode
 from fusion.estimation.asked import as_prior, check_senses, sure_to_be_within
-from fusion.estimation.confidence import within
+from fusion.estimation.confidence import whole_covariance, within
 from fusion.estimation.estimate import estimate
 from fusion.estimation.solve.joint import JointResult
-from fusion.estimation.solve.problem import JointProblem
-from fusion.estimation.solve.rigs import solve_modes
 from fusion.estimation.solve.settings import Rig
 from fusion.estimation.trace import Trace
+from fusion.tracking import hypotheses as several
 from fusion.tracking.answer import TrackedEstimate, TrackSettings, as_carried, as_tracked
-from fusion.tracking.filter import Belief, Measurement, moved_modes, update
-from fusion.tracking.motion import HandMotion, HandState, calibration_drift
+from fusion.tracking.filter import Belief, Measurement, update
+from fusion.tracking.hypotheses import Hypotheses
+from fusion.tracking.judging import as_followed, judge
+from fusion.tracking.motion import HandMotion, HandState
+from fusion.tracking.occluders import Occluders
+from fusion.tracking.predicting import predict
+from fusion.tracking.refining import Refined, frame_nats, loose, refine, solve_leader
+from fusion.tracking.sensing import Sensed, pool_near
 from fusion.tracking.slip import SlipWatch, Watched
+from fusion.tracking.state import TrackState
 from scenes.errors import CaptureError
-from scenes.evidence import table as tables
-from scenes.evidence.align import Alignment, AlignSettings, Prior, align
-from scenes.evidence.modes import Mode, distinct_modes
-from scenes.evidence.table import Evidence
+from scenes.evidence.align import Prior
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
@@ -45,11 +49,11 @@ from touch.arrays.readings import readings_of
 from touch.contacts import Felt, feel
 from vision.look.looked import Looked
 from vision.look.warm import Looker
-from vision.sight import Sight
 from vision.tracking.by_vision import ConstantVelocity
-from vision.visibility import visibility
 
 Array = NDArray[np.float64]
+
+_DOUBTED = "no frame searched by itself has found the object there"
 
 
 def track(
@@ -99,91 +103,133 @@ class Tracker:
         self._believe(beliefs or Beliefs())
         self._hand_motion = HandMotion(model, self.settings.hand)
         self._velocity = ConstantVelocity(model.centroid, self.settings.velocity)
-        self._forget()
+        self._state = TrackState()
+        self._sensed: Sensed | None = None
 
     def _believe(self, beliefs: Beliefs) -> None:
         self._beliefs = beliefs
         self._looker = Looker(self.model, self.settings.look, self.settings.first.look, beliefs)
         self._watch = SlipWatch(self.model, beliefs.depth.bias_length, self.settings.slip)
 
-    def _forget(self) -> None:
-        self._belief: Belief | None = None
-        self._modes: tuple[Mode, ...] = ()
-        self._hand: HandState | None = None
-        self._index = 0
-        self._unseen = 0
-        self._lost_for = 0
-        self._usual: float | None = None
-        self._found = 0.0
-        self._rigs: list[float] = []
-
     def step(self, frame: Frame) -> TrackedEstimate:
         """The object in this frame."""
-        if self._belief is None:
+        state = self._state
+        if state.belief is None:
             if self._asked is None and frame.beliefs is not None:
                 self._believe(frame.beliefs)
             return self._begin(frame)
         with one_blas_thread():
-            answer = self._sure(self._follow(frame, self._belief))
+            answer = self._follow(frame, state.belief)
         if answer.how == "lost":
-            self._lost_for += 1
-            return self._recover(frame, answer)
+            state.lost_for += 1
+            answer = self._recover(frame, answer)
+        elif answer.how == "tracked" and frame.index >= state.renewal.due:
+            answer = self._renew(frame, answer)
+        if state.sure and answer.verdict != "ok":
+            state.renewal.hurry(frame.index, self.settings.renewal)
+        state.sure = answer.verdict == "ok"
         return answer
 
-    def _sure(self, answer: TrackedEstimate) -> TrackedEstimate:
-        """With its confidence: that the object was found at all, which the picture told then, times what the posterior
-        says now of its mode and of being within the tolerance. What is lost is not to be trusted at all.
-        """
-        how, first = self.settings.first.confidence, answer.modes[0]
-        near = 0.0 if answer.how == "lost" else self._near(first)
-        return replace(answer, confidence=self._found * first.weight * near, sure_within=how.tolerance)
+    # --- beginning, beginning again, and asking whether the beginning was right
+
+    def _begin(self, frame: Frame) -> TrackedEstimate:
+        answer = self._estimated(frame, self._prior)
+        self._prior = None  # it was the first frame's
+        if answer.verdict == "lost":
+            return as_tracked(answer, "lost")
+        self.believe(frame, answer)
+        return as_tracked(answer, "started")
+
+    def believe(self, frame: Frame, answer: Estimate) -> None:
+        """Begin (again) from an estimate of this frame, wherever it comes from."""
+        state, s = self._state, self.settings
+        self._anchor(answer)
+        state.hypotheses = several.of_modes(answer.modes, self._vote(answer), s.hypotheses)
+        state.index, state.unseen, state.lost_for, state.usual = frame.index, 0, 0, None
+        state.things = Occluders()
+        state.renewal.restart(frame.index, s.renewal)
+        near = self._near(answer.modes[0])
+        state.right = min(1.0, _sure(answer) / near) if near > 1e-9 else 0.0
+        state.sure = answer.verdict == "ok"
+        state.hand = HandState.of(frame, self._feel(frame).reported_contacts)
+        self._velocity.restart(frame.index, answer.pose)
+        self._watch.let_go()
+        self._watch.feel(readings_of(self._felt_frame(frame)))
 
     def _near(self, mode: Mode) -> float:
         """Probability that the object is within the tolerance of a mode, if that is the right one."""
         how = self.settings.first.confidence
         return within(self.model, mode.pose, mode.covariance, how.tolerance, how.seen.nearest)
 
-    # --- beginning, and beginning again
-
-    def _begin(self, frame: Frame) -> TrackedEstimate:
-        answer = self._estimated(frame, self._prior)
-        if answer.verdict == "lost":
-            return as_tracked(answer, "lost")
-        self._restart(frame, answer)
-        return as_tracked(answer, "started")
-
-    def _restart(self, frame: Frame, answer: Estimate) -> None:
-        """Believe an estimate."""
-        share = self.settings.first_lasting
-        self._belief = Belief(answer.pose, (1 - share) * answer.covariance, share * answer.covariance)
-        self._modes = answer.modes[: self.settings.modes]
-        explained = answer.modes[0].weight * self._near(answer.modes[0])
-        self._found = min(1.0, answer.confidence / explained) if explained > 1e-9 else 0.0
-        self._index, self._unseen, self._lost_for, self._usual = frame.index, 0, 0, None
-        contacts = self._feel(frame).reported_contacts
-        self._hand = HandState.of(frame, contacts)
-        self._velocity.restart(frame.index, answer.pose)
-        self._watch.let_go()
-        self._watch.feel(readings_of(self._felt_frame(frame)))
+    def _anchor(self, answer: Estimate) -> None:
+        share, own = self.settings.first_lasting, answer.modes[0].covariance
+        self._state.belief = Belief(answer.pose, (1 - share) * own, share * own)
 
     def _recover(self, frame: Frame, lost: TrackedEstimate) -> TrackedEstimate:
         """Look for the object around the prediction, now and then everywhere."""
-        s = self.settings
+        s, lost_for = self.settings, self._state.lost_for
         tries: list[Prior | None] = [Prior.isotropic(lost.pose, s.near_angle, s.near_distance)]
-        if self._lost_for == 2 or self._lost_for % s.global_every == 0:
+        if lost_for == 2 or lost_for % s.global_every == 0:
             tries.append(None)
         for prior in tries:
-            bare = replace(frame, prior=None)
             try:
-                found = self._estimated(bare, prior)
+                found = self._estimated(replace(frame, prior=None), prior)
             except CaptureError as error:  # a frame amid a track whose sizes make no sense is a frame without evidence
                 return replace(lost, notes=(*lost.notes, str(error)))
             if found.verdict == "ok" or (prior is not None and found.verdict == "ambiguous"):
                 pose = self.model.symmetries.nearest(found.pose, lost.pose)
                 found = replace(found, pose=pose, trace=(*lost.trace, *found.trace))
-                self._restart(frame, found)
+                self.believe(frame, found)
                 return as_tracked(found, "re-initialised")
         return lost
+
+    def _renew(self, frame: Frame, answer: TrackedEstimate) -> TrackedEstimate:
+        """Search the frame as if nothing were known; what it finds votes for a hypothesis, or is a new one."""
+        state, s = self._state, self.settings
+        try:
+            alone = self._estimated(replace(frame, prior=None), None)
+        except CaptureError:
+            state.renewal.found(frame.index, None, s.renewal)
+            return answer
+        vote, against = self._vote(alone), alone.verdict == "ok"
+        modes = tuple(replace(m, pose=self.model.symmetries.nearest(m.pose, answer.pose)) for m in alone.modes)
+        leader = replace(state.hypotheses[0], pose=answer.pose, covariance=answer.modes[0].covariance)
+        same, better = several.alike(self.model, leader, modes[0], s.hypotheses), self._prefers(answer, modes[0].pose)
+        if not same and better > s.hypotheses.missed:
+            vote = 0.0
+        carried = (leader, *state.hypotheses[1:])
+        state.hypotheses, agrees = several.voted(self.model, carried, modes, vote, against, s.hypotheses)
+        state.renewal.found(frame.index, agrees if vote and against else None, s.renewal)
+        where = "agrees" if agrees else "finds it elsewhere"
+        why = f"{where}, {_sure(alone):.0%} sure; {better:+.0f} nats for the track; {vote:.1f} votes"
+        if same and vote and better < -s.anchor:
+            self._anchor(replace(alone, pose=modes[0].pose))
+            why += "; it goes on from there"
+        stage = replace(alone.trace[-1], name="search anew", ms=alone.time_ms, why=why)
+        answer = replace(answer, trace=(*answer.trace, stage))
+        return self._believed(answer)
+
+    def _vote(self, alone: Estimate) -> float:
+        """What a frame searched by itself is worth to what it has found."""
+        s, sure = self.settings.hypotheses, _sure(alone)
+        if alone.verdict == "ok":
+            return max(0.0, 2.0 * sure - 1.0)
+        return s.part if alone.verdict == "ambiguous" and sure >= s.likely else 0.0
+
+    def _prefers(self, answer: TrackedEstimate, other: Array) -> float:
+        """Nats by which the frame prefers the track's pose to another (4, 4)."""
+        if self._sensed is None or self._sensed.pool is None:
+            return 0.0
+        prior = Prior(answer.pose, np.asarray(np.linalg.inv(answer.modes[0].covariance), dtype=np.float64))
+        mine, its = frame_nats(np.array([answer.pose, other]), prior, self._sensed, self.settings)
+        return float(its - mine)
+
+    def _believed(self, answer: TrackedEstimate) -> TrackedEstimate:
+        """The answer, which is not ok while no frame searched by itself speaks for it."""
+        if answer.verdict != "ok" or self._state.hypotheses[0].votes >= self.settings.hypotheses.believed:
+            return answer
+        wide = whole_covariance(self.model, answer.modes, answer.confidence, None, self.settings.first.confidence)
+        return replace(answer, verdict="ambiguous", covariance=wide, notes=(_DOUBTED, *answer.notes))
 
     def _estimated(self, frame: Frame, prior: Prior | None) -> Estimate:
         """The frame by itself."""
@@ -193,10 +239,14 @@ class Tracker:
     # --- one frame
 
     def _follow(self, frame: Frame, belief: Belief) -> TrackedEstimate:
-        trace = Trace()
+        trace, s = Trace(), self.settings
         with trace.stage("predict", True, "") as stage:
-            predicted, modes, why = self._predict(frame, belief)
-            stage.note(0, why)
+            ahead = predict(
+                self.model, frame, belief, self._state, self._velocity, self._hand_motion, self._watch,
+                self._beliefs.calibration,
+            )  # fmt: skip
+            predicted, carried = ahead.belief, ahead.hypotheses
+            stage.note(0, ahead.why)
         viewed = frame if "vision" in self._senses else frame.without_vision()
         with trace.stage("look", "vision" in self._senses, "vision not asked for") as stage:
             looked = self._looker.look(viewed, predicted.pose)
@@ -207,54 +257,43 @@ class Tracker:
             contacts, felt_rows = len(felt.reported_contacts), len(felt.reported_rows)
             stage.note(felt_rows, f"{contacts} contacts, {felt_rows - contacts} empty points")
         if not len(seen) and not contacts:
-            return self._carry(frame, predicted, trace, felt)
+            return self._carry(frame, predicted, carried, trace, felt)
+        with trace.stage("picture", viewed.depth is not None, "no depth image") as stage:
+            asked = np.array([h.pose for h in carried])
+            first, beliefs = s.first, self._beliefs
+            pool = pool_near(viewed, self.model, asked, looked, felt, beliefs, first, s.room)
+            sensed = self._sensed = Sensed(viewed, looked, seen, felt, pool, self._state.things, s.occluders)
         with trace.stage("align", True, "") as stage:
-            prior = self._loose(predicted)
-            rows = tables.stack(seen, felt.rows)
-            found, switched = self._align(viewed, rows, modes, prior)
-            stage.note(len(rows), "another mode explains more" if switched else "a few steps from the prediction")
+            prior = loose(predicted.pose, predicted.covariance, s)
+            found = refine(self.model, carried, prior, sensed, s)
+            of = f"{len(carried)} hypotheses" if len(carried) > 1 else "a few steps from the prediction"
+            stage.note(len(found.seen) + felt_rows, "another hypothesis leads" if found.switched else of)
         with trace.stage("solve together", True, "") as stage:
-            if switched:
-                prior = replace(prior, pose=found[0].pose)
-            solved = self._solve(frame, looked, seen, felt, prior, found[0].pose)
+            leader = found.hypotheses[0].pose
+            if found.switched:
+                prior = replace(prior, pose=leader)
+            solved = self._solve(frame, leader, prior, found, sensed)
             measured = self._measurement(solved, predicted, looked)
             if looked.hand is not None and felt_rows:
                 felt = felt.corrected(solved.correct())
-            stage.note(
-                len(rows), f"calibration off by {1e3 * _shift(felt.correction, self._middle(solved.pose)):.1f} mm"
-            )
-        return self._judged(frame, viewed, trace, predicted, measured, found, switched, (looked, seen, felt))
-
-    def _predict(self, frame: Frame, belief: Belief) -> tuple[Belief, tuple[Mode, ...], str]:
-        """The belief and the modes in this frame, before anything is sensed in it."""
-        steps = frame.index - self._index
-        now = HandState.of(frame, feel(frame.without_touch(), np.eye(4), self._beliefs).reported_contacts)
-        if self._hand is None or now is None:
-            pose, noise = self._velocity.predict(frame.index)
-            motion = pose @ se3.inverse(belief.pose)
-            self._watch.restart()  # nothing holds it that could lose it
-            moved = replace(belief.moved(motion), pose=pose)
-            return (
-                Belief(pose, moved.own + noise, moved.shared),
-                moved_modes(self._modes, motion),
-                "at its last velocity",
-            )
-        motion = now.camera_from_hand @ se3.inverse(self._hand.camera_from_hand)
-        hold = se3.inverse(self._hand.camera_from_hand) @ belief.pose
-        expected = self._hand_motion.in_hand(self._hand, frame, hold, max(1, abs(steps)))
-        expected = expected.turned(now.camera_from_hand[:3, :3])
-        moved = belief.moved(motion)
-        centre = self._middle(moved.pose)
-        drift = calibration_drift(self._hand.camera_from_hand, now.camera_from_hand, centre, self._beliefs.calibration)
-        delta, noise = expected.motion, expected.noise + drift
-        self._watch.predict(motion, expected, drift)
-        whole = se3.perturb(motion @ belief.pose, delta, self.model.centroid) @ se3.inverse(belief.pose)
-        why = (
-            "with the palm"
-            if not delta.any()
-            else f"with palm and fingertips, {1e3 * np.linalg.norm(delta[3:]):.2f} mm"
-        )
-        return moved.shifted(delta, noise, self.model.centroid), moved_modes(self._modes, whole), why
+            off = 1e3 * _shift(felt.correction, self._middle(solved.pose))
+            stage.note(len(found.seen) + felt_rows, f"calibration off by {off:.1f} mm")
+        with trace.stage("judge", True, "") as stage:
+            belief, watched = self._updated(frame, predicted, measured, found.switched)
+            leap = se3.difference(measured.pose, predicted.pose, self.model.centroid)
+            said = judge(
+                self.model, found.hypotheses, belief, replace(sensed, felt=felt, seen=found.seen), self._state.usual,
+                np.zeros(6) if found.switched else leap, self._beliefs, s,
+            )  # fmt: skip
+            if watched.slip:
+                said = replace(said, why=f"slips in the hand ({watched.by}); {said.why}")
+            stage.note(len(found.seen) + felt_rows, said.why)
+        if said.verdict != "lost":
+            self._accept(frame, felt, belief, found.hypotheses, said.share)
+            self._state.right = said.right
+            self._learn(sensed, belief.pose, found.switched)
+        answer = as_followed(frame, belief, predicted, said, watched, replace(sensed, felt=felt), trace.stages, s)
+        return self._believed(answer) if answer.how == "tracked" else answer
 
     def _felt_frame(self, frame: Frame) -> Frame:
         return frame if "touch" in self._senses else frame.without_touch()
@@ -269,40 +308,14 @@ class Tracker:
             return felt.corrected(looked.hand.correct())
         return felt if self._looker.correction is None else felt.corrected(self._looker.correction)
 
-    def _loose(self, predicted: Belief) -> Prior:
-        s = self.settings
-        wide = predicted.covariance + np.diag(np.repeat([s.loose_angle, s.loose_distance], 3) ** 2)
-        return Prior(predicted.pose, np.asarray(np.linalg.inv(wide), dtype=np.float64))
-
-    def _align(
-        self, viewed: Frame, rows: Evidence, modes: tuple[Mode, ...], prior: Prior
-    ) -> tuple[tuple[Mode, ...], bool]:
-        """The carried modes (the prediction first) after a few steps; and whether another now leads."""
-        s, model = self.settings, self.model
-        starts = np.array([prior.pose, *(m.pose for m in modes[1:])])
-        odds = np.array([m.weight for m in modes[: len(starts)]] or [1.0])
-        coarse = align(
-            model, rows, starts, prior if len(starts) == 1 else None, AlignSettings(blur=s.blur, iterations=6)
-        )
-        fine = align(model, rows, coarse.poses, prior if len(starts) == 1 else None, AlignSettings(iterations=12))
-        past = Sight(viewed, model, self._beliefs.depth, s.first.sight).costs(fine.poses)
-        costs = fine.costs + past - s.inherited * np.log(np.maximum(odds, 1e-6))
-        hessians = fine.hessians if len(starts) == 1 else fine.hessians + prior.information
-        found = distinct_modes(model, Alignment(fine.poses, costs, hessians, fine.iterations), s.first.modes)
-        return found, bool(np.argmin(costs) != 0)
-
-    def _solve(
-        self, frame: Frame, looked: Looked, seen: Evidence, felt: Felt, prior: Prior, start: Array
-    ) -> JointResult:
-        s = self.settings
-        known = len(self._rigs) >= s.level_frames
+    def _solve(self, frame: Frame, leader: Array, prior: Prior, found: Refined, sensed: Sensed) -> JointResult:
+        s, rigs = self.settings, self._state.rigs
+        known = len(rigs) >= s.level_frames
         how = replace(s.joint, rigs=(self._usual_rig(),)) if known else s.joint
-        hand = looked.hand
-        rows = felt.reported_rows if hand is not None else felt.rows
-        problem = JointProblem.of(self.model, frame, seen, rows, prior, hand, self._beliefs, how)
-        solved = solve_modes([problem], [start])[0]
-        if not known and len(seen) and hand is not None:
-            self._rigs.append(solved.level)
+        seen, most_worse = found.seen, s.first.most_worse
+        solved = solve_leader(self.model, frame, leader, prior, seen, sensed, self._beliefs, how, most_worse)
+        if not known and len(seen) and sensed.looked.hand is not None:
+            rigs.append(solved.level)
         return solved
 
     def _middle(self, pose: Array) -> Array:
@@ -311,7 +324,7 @@ class Tracker:
 
     def _usual_rig(self) -> Rig:
         """The rig that most of the first frames were taken for, the lesser of two."""
-        usual = sorted(self._rigs)[(len(self._rigs) - 1) // 2]
+        usual = sorted(self._state.rigs)[(len(self._state.rigs) - 1) // 2]
         return next(rig for rig in self.settings.joint.rigs if rig.level == usual)
 
     def _measurement(self, solved: JointResult, predicted: Belief, looked: Looked) -> Measurement:
@@ -319,7 +332,7 @@ class Tracker:
         s = self.settings
         pose = self.model.symmetries.nearest(solved.pose, predicted.pose)
         shared = solved.shared
-        if self._hand is not None and not len(looked.pixels):
+        if self._state.hand is not None and not len(looked.pixels):
             left = self._looker.correction is not None
             calibration = self._beliefs.calibration
             angle = s.left_angle if left else calibration.rotation_sigma
@@ -329,109 +342,74 @@ class Tracker:
             shared = shared + np.diag(np.repeat([angle, distance], 3) ** 2)
         return Measurement.of(pose, solved.independent, shared, s.noise, s.lasting)
 
-    def _judged(
-        self,
-        frame: Frame,
-        viewed: Frame,
-        trace: Trace,
-        predicted: Belief,
-        measured: Measurement,
-        found: tuple[Mode, ...],
-        switched: bool,
-        sensed: tuple[Looked, Evidence, Felt],
-    ) -> TrackedEstimate:
-        """Update the belief, test for slip, say what may be said."""
-        s, model = self.settings, self.model
-        looked, seen, felt = sensed
-        with trace.stage("judge", True, "") as stage:
-            pixel = None if frame.camera is None else frame.camera.project(self._middle(measured.pose)[None])[0][0]
-            pixel = pixel if pixel is not None and np.isfinite(pixel).all() else None  # behind the camera
-            alone = Belief(measured.pose, measured.own, measured.shared)
-            belief = alone if switched else update(model, predicted, measured)
-            late = frame.index < self._index
-            watched = Watched() if late else self._watch.feel(readings_of(self._felt_frame(frame)))
-            if switched:
-                self._watch.restart()
-            elif self._hand is not None:
-                watched = self._watch.step(measured, belief, pixel, watched)
-            if watched.slip and not switched:  # what was believed of the hold is worth no more than how far it was off
-                step = se3.difference(measured.pose, predicted.pose, model.centroid)
-                wide = replace(predicted, own=predicted.own + np.outer(step, step))
-                belief = update(model, wide, measured)
-                self._watch.follow(belief, pixel)
-            pose = model.symmetries.nearest(belief.pose, predicted.pose)
-            belief = replace(belief, pose=pose)
-            modes = (Mode(pose, found[0].weight, found[0].cost, belief.covariance), *found[1:])
-            residuals = posterior.contact_residuals(model, felt.contacts, pose, s.first.verdict)
-            share, rms = posterior.pixel_agreement(model, seen, pose)
-            seeing = visibility(viewed, model, pose, self._beliefs.depth)
-            word, why = posterior.verdict(model, modes, residuals, share, seeing, s.first.verdict)
-            leap = se3.difference(measured.pose, predicted.pose, model.centroid)
-            if word != "lost" and self._strays(share, len(looked.pixels)):
-                word, why = "lost", f"{share:.0%} of the pixels explained, {self._usual:.0%} before"
-            if word != "lost" and not switched and s.leaps(leap):
-                word, why = "lost", f"{1e3 * np.linalg.norm(leap[3:]):.0f} mm from the prediction"
-            if watched.slip:
-                why = f"slips in the hand ({watched.by}); {why}"
-            stage.note(len(seen) + len(felt.rows), why)
-        how = "lost" if word == "lost" else "tracked"
-        if how == "tracked":
-            self._accept(frame, felt, belief, modes, share)
-        return TrackedEstimate(
-            frame=frame.index,
-            pose=pose,
-            covariance=belief.covariance,
-            modes=modes,
-            verdict=word,
-            unobservable=posterior.unobservable(model, pose, belief.covariance, s.first.verdict),
-            hand_from_object=frame.hand_from_object(pose, felt.correction),
-            visible_fraction=seeing.visible,
-            trace=trace.stages,
-            contacts=residuals,
-            pixel_rms_mm=1e3 * rms,
-            notes=(why,),
-            dropped=looked.dropped,
-            start=predicted.pose,
-            how=how,
-            slip=watched.slip,
-            slip_statistic=watched.statistic,
-            moved_in_hand=watched.moved,
-        )
+    def _updated(
+        self, frame: Frame, predicted: Belief, measured: Measurement, switched: bool
+    ) -> tuple[Belief, Watched]:
+        """The belief after the frame, and whether the object slips."""
+        model, state = self.model, self._state
+        pixel = None if frame.camera is None else frame.camera.project(self._middle(measured.pose)[None])[0][0]
+        pixel = pixel if pixel is not None and np.isfinite(pixel).all() else None  # behind the camera
+        alone = Belief(measured.pose, measured.own, measured.shared)
+        belief = alone if switched else update(model, predicted, measured)
+        late = frame.index < state.index
+        watched = Watched() if late else self._watch.feel(readings_of(self._felt_frame(frame)))
+        if switched:
+            self._watch.restart()
+        elif state.hand is not None:
+            watched = self._watch.step(measured, belief, pixel, watched)
+        if watched.slip and not switched:  # what was believed of the hold is worth no more than how far it was off
+            step = se3.difference(measured.pose, predicted.pose, model.centroid)
+            wide = replace(predicted, own=predicted.own + np.outer(step, step))
+            belief = update(model, wide, measured)
+            self._watch.follow(belief, pixel)
+        return replace(belief, pose=model.symmetries.nearest(belief.pose, predicted.pose)), watched
 
-    def _strays(self, share: float, pixels: int) -> bool:
-        if self._usual is None or pixels < self.settings.fewest_pixels or not np.isfinite(share):
-            return False
-        return bool(share < self.settings.least_of_usual * self._usual)
-
-    def _accept(self, frame: Frame, felt: Felt, belief: Belief, modes: tuple[Mode, ...], share: float) -> None:
+    def _accept(self, frame: Frame, felt: Felt, belief: Belief, found: Hypotheses, share: float) -> None:
         """Keep what this frame taught; a late frame's lesson is moved on to the present."""
-        self._lost_for = self._unseen = 0
+        state = self._state
+        state.lost_for = state.unseen = 0
         if np.isfinite(share):
-            self._usual = share if self._usual is None else 0.9 * self._usual + 0.1 * share
+            state.usual = share if state.usual is None else 0.9 * state.usual + 0.1 * share
+        leader = replace(found[0], pose=belief.pose, covariance=belief.covariance)
+        kept = several.sifted(self.model, (leader, *found[1:]), self.settings.hypotheses)
         hand = HandState.of(frame, felt.reported_contacts)
-        if frame.index < self._index:
-            if self._hand is None or hand is None:
+        if frame.index < state.index:
+            if state.hand is None or hand is None:
                 return
-            motion = self._hand.camera_from_hand @ se3.inverse(hand.camera_from_hand)
-            self._belief, self._modes = belief.moved(motion), moved_modes(modes, motion)
+            motion = state.hand.camera_from_hand @ se3.inverse(hand.camera_from_hand)
+            state.belief, state.hypotheses = belief.moved(motion), several.moved(kept, motion)
             self._watch.carry(motion)
             return
-        self._belief, self._modes, self._index, self._hand = belief, modes[: self.settings.modes], frame.index, hand
+        state.belief, state.hypotheses, state.index, state.hand = belief, kept, frame.index, hand
         self._velocity.update(frame.index, belief.pose)
 
-    def _carry(self, frame: Frame, predicted: Belief, trace: Trace, felt: Felt) -> TrackedEstimate:
+    def _learn(self, sensed: Sensed, pose: Array, switched: bool) -> None:
+        """What goes with the object, where nothing tells it apart; of another pose all is learned anew."""
+        if switched:
+            self._state.things = Occluders()
+        if not sensed.told_apart:
+            things, how = self._state.things, self.settings.occluders
+            self._state.things = things.learned(self.model, pose, sensed.around(), how)
+
+    def _carry(self, frame: Frame, predicted: Belief, carried: Hypotheses, trace: Trace, felt: Felt) -> TrackedEstimate:
         """Nothing was sensed: the object is where the hand has carried it, for a while."""
-        s = self.settings
-        if frame.index > self._index:
-            self._unseen += frame.index - self._index
-            modes = moved_modes(self._modes, predicted.pose @ se3.inverse(self._modes[0].pose)) if self._modes else ()
-            self._belief, self._modes, self._index = predicted, modes, frame.index
-            self._hand = HandState.of(frame, felt.reported_contacts)
+        s, state = self.settings, self._state
+        if frame.index > state.index:
+            state.unseen += frame.index - state.index
+            state.belief, state.hypotheses, state.index = predicted, carried, frame.index
+            state.hand = HandState.of(frame, felt.reported_contacts)
             self._velocity.coast(frame.index)
-        held = self._hand is not None and self._unseen <= s.coast
-        return as_carried(self.model, frame, predicted, trace.stages, held, self._hand is not None, s)
+        held = state.hand is not None and state.unseen <= s.coast
+        answer = as_carried(self.model, frame, predicted, trace.stages, held, state.hand is not None, s)
+        sure = state.right * self._near(answer.modes[0]) if held else 0.0
+        return replace(answer, confidence=sure, sure_within=s.first.confidence.tolerance)
 
 
 def _shift(correction: Array, point: Array) -> float:
     """How far a correction (4, 4) moves a point (3,), metres."""
     return float(np.linalg.norm(se3.apply(correction, point[None])[0] - point))
+
+
+def _sure(answer: Estimate) -> float:
+    """Confidence of an answer; of one that does not say, its first mode's weight."""
+    return answer.confidence if np.isfinite(answer.confidence) else answer.modes[0].weight

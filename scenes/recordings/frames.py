@@ -154,6 +154,9 @@ class Contacts:
         """All rows of all parts, in order."""
         if not parts:
             return Contacts(np.zeros((0, 3)))
+        filled = [p for p in parts if len(p)]
+        if len(filled) == 1:
+            return filled[0]
         return Contacts(
             np.concatenate([p.points for p in parts]),
             np.concatenate([p.normals for p in parts]),

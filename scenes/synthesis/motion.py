@@ -1,29 +1,30 @@
-"""A hand that carries, turns and loses its hold of an object: smooth paths, with slips inside the hand.
+"""A hand that carries, turns and loses its hold of an object, shakes it, takes it anew; a camera that moves.
 
 Poses are camera_from_hand and hand_from_object (4, 4); metres, radians, seconds.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.errors import unknown
+from scenes.errors import InputError, unknown
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
-from scenes.recordings.frames import Contacts
 from scenes.robot.fingers import closing_hand
 from scenes.robot.hands import Hand
 from scenes.synthesis.grasping.closing import ExactClosing
-from scenes.synthesis.grasping.grasps import Grasp, GraspSearchSettings, has_force_closure
+from scenes.synthesis.grasping.grasps import Grasp, GraspSearchSettings
+from scenes.synthesis.grasping.rehold import ReholdSettings, hold_anew, let_go, regrasp, slid, slide
 
 Array = NDArray[np.float64]
 
-KINDS = ("carry", "turn", "slip", "leave")
+KINDS = ("carry", "turn", "slip", "slide", "regrasp", "leave", "close", "shake", "camera")
 
 
 @dataclass(frozen=True)
@@ -49,19 +50,30 @@ class MotionSettings:
     slip_every: int = 25
     # Slips drawn before giving up, most fingers block most of them.
     slip_draws: int = 12
-    # Fingers are opened by this much (rad) before they close anew on a slipped object.
-    reopen: float = 0.15
+    # How the hold changes: fingers that close anew, stand still or let go.
+    rehold: ReholdSettings = field(default_factory=ReholdSettings)
+    # Frames in which fingers open, or close; a new grasp takes three times as many.
+    fingers: int = 6
+    # A shake: its frequency (Hz), amplitude (m), swing (rad), and the camera's exposure (s), while which things smear.
+    shake_rate: float = 4.0
+    shake: float = 0.025
+    shake_swing: float = float(np.deg2rad(6.0))
+    exposure: float = 0.010
     # The object's centre stays this share of the image's half size inside the border, but for "leave".
     margin: float = 0.6
 
 
 @dataclass(frozen=True)
 class MotionStep:
-    """One instant: where the hand is, how it holds the object, whether the object is slipping."""
+    """One instant: where the hand is, how it holds the object, whether the object is slipping; camera_from_world
+    (4, 4); smear (4, 4): motion of hand and object, camera frame, while the camera exposes; None without.
+    """
 
     camera_from_hand: Array
     grasp: Grasp
     slipping: bool
+    camera_from_world: Array = field(default_factory=lambda: np.eye(4))
+    smear: Array | None = None
 
 
 def plan_motion(
@@ -75,10 +87,14 @@ def plan_motion(
     rng: np.random.Generator,
     settings: MotionSettings | None = None,
 ) -> tuple[list[MotionStep], dict[str, Any]]:
-    """Steps from a grasp seen at a pose, and notes: kind, rate and slips (first and last frame, degrees, millimetres).
+    """Steps from a grasp seen at a pose, and notes: kind, rate, slips (first and last frame, degrees, millimetres), and
+    loose, the frames (first, last) in which the fingers do not hold the object.
 
-    kind: "carry" (to and fro), "turn" (about an axis through the object), "slip" (carried, and slipping in the hand) or
-    "leave" (out of the image and back). Raises InputError for another kind.
+    kind: "carry" (to and fro), "turn" (about an axis through the object), "slip" (carried, and slipping in the hand,
+    whose fingers close anew), "slide" (the same under fingers that stand still), "regrasp" (let go while something
+    else holds it, and taken otherwise), "leave" (out of the image and back), "close" (the hand closes around an object
+    at rest, then carries it), "shake" (fast, so that the image smears) or "camera" (the camera moves, hand and object
+    rest). Raises InputError for another kind, and where no other grasp is found.
     """
     settings = settings or MotionSettings()
     if kind not in KINDS:
@@ -87,16 +103,36 @@ def plan_motion(
     path = _path(kind, frames, centre, model.radius, camera, rng, settings)
     grasps: list[Grasp] = [grasp] * frames
     slips: list[dict[str, float]] = []
-    if kind == "slip":
-        grasps, slips = _slips(frames, grasp, hand, model, rng, settings)
+    loose: list[int] = []
+    if kind in ("slip", "slide"):
+        grasps, slips = _slips(kind, frames, grasp, hand, model, rng, settings)
+    elif kind == "regrasp":
+        grasps, loose = _regrasped(frames, grasp, hand, model, rng, settings)
+    elif kind == "close":
+        grasps, loose = _closing(frames, grasp, hand, model, settings)
     sliding = {i for slip in slips for i in range(int(slip["first"]), int(slip["last"]) + 1)}
-    steps = []
-    for i, delta in enumerate(path):
+    motions = []
+    for delta in path:
         # about the object's centre at the start, which is where the hand holds
         turn = poses.exp_rotation(delta[:3])
-        motion = poses.make_pose(turn, centre + delta[3:] - turn @ centre)
-        steps.append(MotionStep(motion @ camera_from_hand, grasps[i], i in sliding))
-    return steps, {"kind": kind, "rate_hz": settings.rate, "slips": slips}
+        motions.append(poses.make_pose(turn, centre + delta[3:] - turn @ centre))
+    steps = []
+    for i, (motion, held) in enumerate(zip(motions, grasps)):
+        hand_pose = motion @ camera_from_hand
+        if kind == "regrasp":  # the object goes on as it went, and the hand goes about it
+            hand_pose = hand_pose @ grasp.hand_from_object @ poses.inverse(held.hand_from_object)
+        world = motion if kind == "camera" else np.eye(4)
+        smear = None
+        if kind == "shake":
+            step = motions[min(i + 1, frames - 1)] @ poses.inverse(motions[min(i, frames - 2)])
+            smear = _share(step, settings.exposure * settings.rate, centre)
+        steps.append(MotionStep(hand_pose, held, i in sliding, world, smear))
+    return steps, {"kind": kind, "rate_hz": settings.rate, "slips": slips, "loose": loose}
+
+
+def _share(motion: Array, share: float, centre: Array) -> Array:
+    """A share of a small rigid motion (4, 4) about a point (3,)."""
+    return poses.perturb(np.eye(4), share * poses.difference(motion, np.eye(4), centre), centre)
 
 
 def _path(
@@ -125,6 +161,14 @@ def _path(
     across = np.sin(phase)[:, None] * aside + 0.5 * (1 - np.cos(phase))[:, None] * other
     out[:, 3:] = carry * (settings.across * across)
     out[:, 5] += carry * settings.along * 0.5 * (1 - np.cos(1.3 * phase))
+    if kind == "close":
+        wait = 2 * settings.fingers
+        out = np.concatenate([np.zeros((min(wait, frames), 6)), out])[:frames]
+    if kind == "shake":
+        beat = np.sin(2 * np.pi * settings.shake_rate * eased / settings.rate)
+        out *= 0.3
+        out[:, 3:] += settings.shake * beat[:, None] * aside
+        out[:, :3] += settings.shake_swing * beat[:, None] * directions[1]
     if kind != "leave":
         out[:, 3:5] *= _inside(centre, out[:, 3:], camera, settings.margin)
         return out
@@ -148,26 +192,39 @@ def _inside(centre: Array, displacement: Array, camera: Camera, margin: float) -
 
 
 def _slips(
-    frames: int, grasp: Grasp, hand: Hand, model: ObjectModel, rng: np.random.Generator, settings: MotionSettings
+    kind: str,
+    frames: int,
+    grasp: Grasp,
+    hand: Hand,
+    model: ObjectModel,
+    rng: np.random.Generator,
+    settings: MotionSettings,
 ) -> tuple[list[Grasp], list[dict[str, float]]]:
-    """The grasp of every frame, fingers closed anew around an object that moves inside them, and the slips."""
-    closing = GraspSearchSettings()
-    hand, signs = closing_hand(hand)
+    """The grasp of every frame and the slips: fingers close anew around an object that moves inside them, or, of a
+    "slide", stand still.
+    """
+    hand, signs, exact = _exact(hand, model)
     grasp = _measured(grasp, signs, hand)
-    exact = ExactClosing(hand, model, closing.fine_spacing, closing.self_overlap)
+    held_anew = settings.rehold
     grasps, slips = [grasp] * frames, []
     first = int(rng.integers(5, 5 + settings.slip_every))
     while first + settings.slip_frames < frames:
         held = grasps[first]
-        for _ in range(settings.slip_draws):
-            axis, way = poses.random_unit_vectors(2, rng)
-            angle, distance = rng.uniform(*settings.slip_angle), rng.uniform(*settings.slip_distance)
-            delta = np.concatenate([angle * axis, distance * way])
-            share = np.linspace(0, 1, settings.slip_frames + 1)[1:]
-            eased = share**2 * (3 - 2 * share)
-            moved = [hold_anew(exact, held, delta * e, settings.reopen) for e in eased[::-1]]
-            if moved[0] is None:
-                continue
+        share = np.linspace(0, 1, settings.slip_frames + 1)[1:]
+        eased = share**2 * (3 - 2 * share)
+        delta, moved = None, []
+        if kind == "slide":
+            delta = slide(held, model, rng, held_anew)
+            moved = [] if delta is None else [slid(held, model, delta * e, 2 * held_anew.soft) for e in eased[::-1]]
+        else:
+            for _ in range(settings.slip_draws):
+                axis, way = poses.random_unit_vectors(2, rng)
+                angle, distance = rng.uniform(*settings.slip_angle), rng.uniform(*settings.slip_distance)
+                delta = np.concatenate([angle * axis, distance * way])
+                moved = [hold_anew(exact, held, delta * e, held_anew.reopen) for e in eased[::-1]]
+                if moved[0] is not None:
+                    break
+        if delta is not None and moved[0] is not None:
             seen: list[Grasp] = []
             for new in moved[::-1]:  # a blocked instant: the object sticks, then jumps
                 seen.append(new or (seen[-1] if seen else held))
@@ -178,13 +235,63 @@ def _slips(
                 {
                     "first": first + 1,
                     "last": last,
-                    "rotation_deg": float(np.rad2deg(angle)),
-                    "translation_mm": 1e3 * float(distance),
+                    "rotation_deg": float(np.rad2deg(np.linalg.norm(delta[:3]))),
+                    "translation_mm": 1e3 * float(np.linalg.norm(delta[3:])),
                 }
             )
-            break
         first += settings.slip_frames + settings.slip_every
     return [_measured(held, signs, hand) for held in grasps], slips
+
+
+def _exact(hand: Hand, model: ObjectModel) -> tuple[Hand, Array, ExactClosing]:
+    """The hand whose joints rise as they close, the signs of its joints, and what closes it."""
+    closing = GraspSearchSettings()
+    hand, signs = closing_hand(hand)
+    return hand, signs, ExactClosing(hand, model, closing.fine_spacing, closing.self_overlap)
+
+
+def _opening(grasp: Grasp, hand: Hand, exact: ExactClosing, settings: MotionSettings) -> Callable[[float], Grasp]:
+    return lambda share: let_go(grasp, hand, exact, share, settings.rehold.opened)
+
+
+def _regrasped(
+    frames: int, grasp: Grasp, hand: Hand, model: ObjectModel, rng: np.random.Generator, settings: MotionSettings
+) -> tuple[list[Grasp], list[int]]:
+    """The grasp of every frame, opened in the middle, moved and closed again; and the frames of it."""
+    hand, signs, exact = _exact(hand, model)
+    grasp = _measured(grasp, signs, hand)
+    other = regrasp(exact, grasp, rng, settings.rehold)
+    if other is None:
+        raise InputError("motion: expected another grasp of the object nearby for 'regrasp', got none")
+    each = max(1, min(settings.fingers, frames // 6))
+    first = max(1, frames // 2 - each)
+    before, after = _opening(grasp, hand, exact, settings), _opening(other, hand, exact, settings)
+    shift = poses.difference(other.hand_from_object, grasp.hand_from_object, model.centroid)
+    held = [grasp] * first + [before((i + 1) / each) for i in range(each)]
+    for i in range(each):
+        share = (i + 1) / (each + 1)
+        moved = poses.perturb(grasp.hand_from_object, share * shift, model.centroid)
+        q0, q1 = hand.configuration(before(1.0).joints), hand.configuration(after(1.0).joints)
+        joints = dict(zip(hand.joint_names, (float(x) for x in (1 - share) * q0 + share * q1)))
+        held.append(replace(before(1.0), joints=joints, hand_from_object=moved))
+    held += [after(1.0 - (i + 1) / each) for i in range(each - 1)]
+    loose = [first, len(held) - 1]
+    held += [other] * max(0, frames - len(held))
+    return [_measured(one, signs, hand) for one in held[:frames]], loose
+
+
+def _closing(
+    frames: int, grasp: Grasp, hand: Hand, model: ObjectModel, settings: MotionSettings
+) -> tuple[list[Grasp], list[int]]:
+    """The grasp of every frame, open at first, then closing; and the frames of it."""
+    hand, signs, exact = _exact(hand, model)
+    grasp = _measured(grasp, signs, hand)
+    opening = _opening(grasp, hand, exact, settings)
+    each = max(1, min(settings.fingers, frames // 4))
+    held = [opening(1.0)] * each + [opening(1.0 - (i + 1) / (each + 1)) for i in range(each)]
+    loose = [0, len(held) - 1]
+    held += [grasp] * max(0, frames - len(held))
+    return [_measured(one, signs, hand) for one in held[:frames]], loose
 
 
 def _measured(grasp: Grasp, signs: Array, hand: Hand) -> Grasp:
@@ -193,30 +300,3 @@ def _measured(grasp: Grasp, signs: Array, hand: Hand) -> Grasp:
         return grasp
     values = {name: float(sign * grasp.joints[name]) for name, sign in zip(hand.joint_names, signs)}
     return replace(grasp, joints=values)
-
-
-def hold_anew(exact: ExactClosing, grasp: Grasp, delta: Array, reopen: float) -> Grasp | None:
-    """The same fingers closed on the object moved by delta (6,) in the hand (see poses.perturb); None when blocked.
-
-    At least two of the fingertips that touched must touch again.
-    """
-    hand, model = exact.hand, exact.model
-    moved = poses.perturb(grasp.hand_from_object, delta, model.centroid)
-    q = hand.configuration(grasp.joints)
-    speed, start = np.zeros(len(q)), q.copy()
-    for finger in exact.fingers:
-        if finger.sensor in grasp.contacts.sensors:
-            own = list(finger.closing)
-            speed[own] = 1.0
-            start[own] = np.maximum(q[own] - 4 * reopen, hand.limits[own, 0])
-    near = np.maximum(q - reopen * speed, start)
-    closed = exact.close(moved, start, speed, near, tuple(grasp.contacts.sensors), least=2)
-    if closed is None or len(closed[1]) < 2:
-        return None
-    values, touching = closed
-    points = np.array([point for point, _ in touching.values()])
-    normals = np.array([normal for _, normal in touching.values()])
-    contacts = Contacts(points, normals, sensors=list(touching)).moved(moved)
-    closure = has_force_closure(points, normals, model, GraspSearchSettings().friction)
-    joints = dict(zip(hand.joint_names, (float(x) for x in values)))
-    return Grasp(joints, moved, contacts, grasp.kind, closure)

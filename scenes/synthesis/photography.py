@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 COLOURS = {"object": (206, 116, 58), "hand": (222, 186, 164), "background": (138, 142, 146)}
 FINGER_COLOUR = (196, 160, 140)
+# Depths that differ by more (m) are of two things; share of the pixels between them that give no reading. By judgement.
+SMEAR_STEP, SMEAR_LOST = 0.015, 0.4
 CLUTTER_COLOURS = ((96, 132, 168), (150, 120, 168), (104, 150, 110), (190, 170, 96), (168, 104, 110), (120, 120, 120))
 
 
@@ -54,6 +56,27 @@ def photograph(
     elif settings.rgb:
         image["rgb"] = shade(rendering, {name: _colour(name) for name in scene})
     return image
+
+
+def smeared(first: dict[str, Any], last: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
+    """One exposure from images (see `photograph`) at its beginning and its end.
+
+    Colours average. Where depth changes by less than a step between things, it averages, too; across an edge that has
+    moved, a camera reads one of the two, or nothing. The mask is that of the beginning and the end.
+    """
+    a, b = first["depth"].astype(np.float64), last["depth"].astype(np.float64)
+    both = (a > 0) & (b > 0)
+    edge = both & (np.abs(a - b) > SMEAR_STEP)
+    draw = rng.uniform(size=a.shape)
+    depth = np.where(both, 0.5 * (a + b), 0.0)
+    depth = np.where(edge, np.where(draw < SMEAR_LOST, 0.0, np.where(draw < 0.5 + 0.5 * SMEAR_LOST, a, b)), depth)
+    out: dict[str, Any] = {"depth": depth.astype(np.float32)}
+    if "mask" in first:
+        out["mask"] = first["mask"] & last["mask"]
+    if "rgb" in first:
+        mean = 0.5 * (first["rgb"].astype(np.float64) + last["rgb"].astype(np.float64))
+        out["rgb"] = np.rint(mean).astype(np.uint8)
+    return out
 
 
 def _colour(name: str) -> tuple[int, int, int]:

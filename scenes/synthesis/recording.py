@@ -27,7 +27,7 @@ from scenes.synthesis.grasping.hiding import place
 from scenes.synthesis.loose_fingers import random_contacts
 from scenes.synthesis.noise import presets as noise_models
 from scenes.synthesis.noise.presets import LastingErrors, NoisePreset
-from scenes.synthesis.photography import photograph
+from scenes.synthesis.photography import photograph, smeared
 from scenes.synthesis.settings import SynthesisSettings
 from scenes.synthesis.staging.mesh_errors import believed
 from scenes.synthesis.staging.mounts import hand_mesh
@@ -112,9 +112,9 @@ def synthesize_frames(
     """Frames of one object; nothing touches the disk.
 
     Without a `motion` they are independent: another grasp, view and draw of the noise each, and frame i depends on seed
-    and i only. With one ("carry", "turn", "slip", "leave"; see scenes.synthesis.motion) one grasp is recorded at 30
-    frames a second by one camera and robot with their lasting errors; the asked occlusion is that of the first frame,
-    which alone has a prior.
+    and i only. With one ("carry", "turn", "slip", "slide", "regrasp", "leave", "close", "shake", "camera"; see
+    scenes.synthesis.motion) one grasp is recorded at 30 frames a second by one camera and robot with their lasting
+    errors; the asked occlusion is that of the closed hand in the first frame, which alone has a prior.
 
     occlusion: share (0 to 1) of the object's own in-image pixels that something hides, held within 0.03.
     occluders: "hand" (grasping, forearm included), "fingers" (loose ones that no frame tells of), "object" (a second
@@ -232,7 +232,11 @@ class _Recording:
 
         def make(index: int) -> Frame:
             rng, step = np.random.default_rng(children[index]), steps[index]
-            frame = self._held(index, step.grasp, step.camera_from_hand, rng, errors[index], around, forces_seed)
+            seen = {name: step.camera_from_world @ pose for name, pose in around.items()}
+            frame = self._held(
+                index, step.grasp, step.camera_from_hand, rng, errors[index], seen, forces_seed, step.smear
+            )
+            frame = in_world(frame, step.camera_from_world)
             return frame if index == 0 else replace(frame, prior=None)
 
         threads = thread_count()
@@ -292,6 +296,7 @@ class _Recording:
         errors: LastingErrors | None = None,
         around: dict[str, Array] | None = None,
         forces_seed: int | None = None,
+        smear: Array | None = None,
     ) -> Frame:
         from scenes.synthesis import touch as feel
 
@@ -300,6 +305,9 @@ class _Recording:
         camera_from_object = camera_from_hand @ grasp.hand_from_object
         scene = {"object": camera_from_object, "hand": camera_from_hand}
         image = self._image(scene, rng, errors, around)
+        if smear is not None:
+            after = {name: smear @ pose for name, pose in scene.items()}
+            image = smeared(image, self._image(after, rng, errors, around), rng)
         turning = feel.turning(hand, grasp.joints)
         if errors is None:
             joints = {**grasp.joints, **noise_models.observe_joints(turning, preset.robot, rng)}
@@ -372,6 +380,20 @@ class _Recording:
     def _prior(self, truth: Array, rng: np.random.Generator) -> Array:
         settings = self.settings
         return poses.displaced(truth, settings.prior_angle, settings.prior_distance, self.model.centroid, rng)
+
+
+def in_world(frame: Frame, camera_from_world: Array) -> Frame:
+    """A frame whose world was its camera, told in a world from which the camera has moved (4, 4)."""
+    if np.array_equal(camera_from_world, np.eye(4)):
+        return frame
+    world = poses.inverse(camera_from_world)
+    return replace(
+        frame,
+        camera_from_world=camera_from_world,
+        world_from_hand=None if frame.world_from_hand is None else world @ frame.world_from_hand,
+        contacts=frame.contacts.moved(world),
+        no_contact=_moved(frame.no_contact, world),
+    )
 
 
 def _moved(regions: EmptyRegions | None, world_from_hand: Array) -> EmptyRegions | None:

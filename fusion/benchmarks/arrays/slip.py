@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.benchmarks.frames.tracking import SLIP_DELAY, Said, Tally, count_slips, recorded
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Rate, Report, Table, own_seed
+from fusion.benchmarks.tracking.methods import Said
+from fusion.benchmarks.tracking.sequences import recorded
+from fusion.benchmarks.tracking.tally import SLIP_DELAY, Tally, count_slips
 
 if TYPE_CHECKING:
     from scenes.geometry.objects import ObjectModel

@@ -8,9 +8,10 @@ import pytest
 from fusion.benchmarks import strata
 from fusion.benchmarks.families import making
 from fusion.benchmarks.families.table import FAMILIES, RECORDED, REPORT, TUNED_OBJECTS, TUNING, chosen
-from fusion.benchmarks.frames import faults, tracking
+from fusion.benchmarks.frames import faults
 from fusion.benchmarks.peers.occlusion import hidden
 from fusion.benchmarks.printing.tables import BenchSettings
+from fusion.benchmarks.tracking.sequences import recorded
 from fusion.cli.main import main
 from scenes.errors import InputError
 from scenes.geometry.cameras import Camera
@@ -155,7 +156,7 @@ def test_a_cell_is_answered_by_every_method_with_a_start_and_without(monkeypatch
 
 def test_sequences_faults_and_fronts_know_families():
     unknown, small = FAMILIES["human-hand"], SynthesisSettings(rgb=False, camera=SMALL)
-    model, frames, notes = tracking.recorded("kettle", "carry", 2, 0, None, 0.3, small, unknown)
+    model, frames, notes = recorded("kettle", "carry", 2, 0, None, 0.3, small, unknown)
     assert (model.name, len(frames), notes["kind"]) == ("kettle", 2, "carry")
     assert frames[0].hand is None
     assert frames[0].prior is not None

@@ -137,7 +137,7 @@ def test_senses_that_take_turns_and_a_late_frame(mug, carried):
         assert answer.frame == index
         assert turn < 3.0
         assert move < 2.5
-    assert tracker._index == 9  # a late frame does not turn time back
+    assert tracker._state.index == 9  # a late frame does not turn time back
 
 
 def test_a_slip_is_said_and_followed(mug):

@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fusion.benchmarks.frames.tracking import Said, Tally, count_slips
+from fusion.benchmarks.tracking.methods import Said
+from fusion.benchmarks.tracking.tally import Tally, count_slips, losses
 from fusion.cli.main import main
 from scenes.geometry import poses
 from scenes.synthesis import library
@@ -58,3 +59,8 @@ def test_slips_are_counted_once_and_alarms_by_their_beginning():
     count_slips(tally, model, frames, said, {"slips": [{"first": 11, "last": 13}]})
     assert (tally.slips, tally.hits, tally.alarms, tally.steady) == (1, 1, 2, 40 - 6)
     assert (tally.moved_hits, tally.moved_alarms) == (1, 0)
+
+
+def test_losses_are_counted_when_they_end():
+    assert losses([0.001, 0.02, 0.03, 0.002, 0.02]) == [2]
+    assert losses([0.001]) == []

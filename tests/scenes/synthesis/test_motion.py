@@ -14,6 +14,7 @@ from scenes.synthesis.noise.presets import PRESETS
 from scenes.synthesis.recording import SynthesisSettings, synthesize, synthesize_frames
 
 SMALL = SynthesisSettings(mask=True, rgb=False)
+TINY = SynthesisSettings(camera=SynthesisSettings().camera.scaled(0.25), mask=True, rgb=False)
 MODEL = library.make("cylinder")
 
 
@@ -98,5 +99,63 @@ def test_a_sequence_is_the_same_again_and_bad_kinds_are_refused():
     a, b = make("turn", 2, noise="lab"), make("turn", 2, noise="lab")
     np.testing.assert_array_equal(a[1].depth, b[1].depth)
     np.testing.assert_array_equal(a[1].contacts.points, b[1].contacts.points)
-    with pytest.raises(InputError, match="carry, turn, slip, leave"):
+    with pytest.raises(InputError, match="carry, turn, slip, slide"):
         make("fly", 2)
+
+
+def test_an_object_slides_under_fingers_that_stand_still(tmp_path):
+    capture = synthesize(
+        tmp_path / "slide", MODEL, five_finger_hand(), 24, 0.4, ("point",), PRESETS["none"], 7, settings=TINY,
+        motion="slide",
+    )  # fmt: skip
+    notes = capture.manifest.notes["motion"]
+    frames = list(capture)
+    slip = notes["slips"][0]
+    before, after = frames[slip["first"] - 1], frames[slip["last"]]
+    assert before.joints == after.joints
+    delta = poses.difference(hold(after), hold(before), MODEL.centroid)
+    assert np.rad2deg(np.linalg.norm(delta[:3])) == pytest.approx(slip["rotation_deg"], abs=0.01)
+    points = poses.apply(poses.inverse(after.camera_from_object_truth), after.contacts.points)
+    assert np.abs(MODEL.field.distance(points)).max() < 0.0005
+    tips = poses.apply(poses.inverse(hold(after)), before.contacts.moved(poses.inverse(before.world_from_hand)).points)
+    assert np.abs(MODEL.field.distance(tips)).max() < 0.003  # the fingertips have only given way
+
+
+def test_a_hand_lets_go_and_takes_the_object_otherwise():
+    frames = make("regrasp", 18, settings=TINY)
+    touching = [len(f.contacts) for f in frames]
+    assert touching[0] >= 2
+    assert touching[-1] >= 2
+    assert 0 in touching
+    delta = poses.difference(hold(frames[-1]), hold(frames[0]), MODEL.centroid)
+    assert np.linalg.norm(delta[:3]) * MODEL.radius + np.linalg.norm(delta[3:]) > 0.003
+    moved = [
+        np.linalg.norm(poses.difference(b.camera_from_object_truth, a.camera_from_object_truth, MODEL.centroid)[3:])
+        for a, b in pairwise(frames)
+    ]
+    assert max(moved) < 0.01  # something else holds the object while it is let go
+
+
+def test_a_hand_closes_around_an_object_at_rest():
+    frames = make("close", 14, settings=TINY)
+    assert len(frames[0].contacts) == 0
+    assert len(frames[-1].contacts) >= 2
+    np.testing.assert_allclose(frames[2].camera_from_object_truth, frames[0].camera_from_object_truth, atol=1e-9)
+    assert frames[0].joints != frames[5].joints
+
+
+def test_a_camera_moves_while_hand_and_object_rest():
+    frames = make("camera", 8, settings=TINY)
+    world = [poses.inverse(f.camera_from_world) @ f.camera_from_object_truth for f in frames]
+    np.testing.assert_allclose(world[-1], world[0], atol=1e-9)
+    np.testing.assert_allclose(frames[-1].world_from_hand, frames[0].world_from_hand, atol=1e-9)
+    assert not np.allclose(frames[-1].camera_from_world, np.eye(4), atol=1e-3)
+    local = poses.apply(poses.inverse(world[-1]), frames[-1].contacts.points)
+    assert np.abs(MODEL.field.distance(local)).max() < 2e-4  # contacts are told in the world
+
+
+def test_a_fast_shake_smears_the_image():
+    frames = make("shake", 8, settings=TINY)
+    still = make("carry", 2, settings=TINY)
+    # where the hand sweeps along nothing is read
+    assert min((f.depth == 0).sum() for f in frames[3:]) > (still[0].depth == 0).sum()

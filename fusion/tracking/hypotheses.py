@@ -1,0 +1,197 @@
+"""Several poses carried through time until the data decide: delayed decision, as in multiple-hypothesis tracking.
+
+Each hypothesis is refined in every frame and pays what the whole frame says of it (Reid, IEEE TAC 24(6), 1979: the
+score of a track is its log likelihood). Frames share most of their errors, so their costs are not simply added: a score
+forgets, and a frame counts by a part. New ones come from single frames (fusion.tracking.renewal); each time that a
+frame, searched by itself, surely finds a hypothesis, that is a vote for it, which is not forgotten. Camera frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation.answer import Mode
+from fusion.tracking.filter import block
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+
+Array = NDArray[np.float64]
+
+# Points that stand for the surface when two poses of it are compared.
+SURFACE_POINTS = 200
+
+
+@dataclass(frozen=True)
+class HypothesisSettings:
+    """How long hypotheses live and what a frame is worth to them. Tuned on sequences of the tuning families (`lab` and
+    the same without a hand's model; docs/evaluation.md).
+    """
+
+    # Hypotheses carried at most (no unit): each costs about a millisecond a frame.
+    most: int = 5
+    # Share of a score that the next frame inherits, and the share of a frame's nats that it adds: neighbours in time
+    # repeat one another, in the end all frames amount to worth / (1 - memory) = 2.7 independent ones.
+    memory: float = 0.85
+    worth: float = 0.4
+    # Nats of a vote, the most votes that one hypothesis keeps, and the nats that a newcomer begins below the leader.
+    vote: float = 3.0
+    most_votes: float = 2.0
+    birth: float = 1.0
+    # Votes (no unit) without which a leader is not believed, however well it explains every frame: a track that has
+    # begun wrong explains itself, and a search that is just sure enough gives 0.6.
+    believed: float = 0.5
+    # A search that is not sure, but this likely (a probability, no unit), gives this part of a vote to what it finds,
+    # and takes none from the others: where each frame leaves several poses open, the same one again is worth something.
+    likely: float = 0.75
+    part: float = 0.3
+    # A search speaks for every hypothesis that puts the surface where it does, within this (m, on average: half of what
+    # an answer may be off), whichever way a handle out of sight points.
+    surface: float = 0.0025
+    # Nats of a frame in which something may hide the object that neither a mask nor a hand's model tells of: this share
+    # of what its predicted picture and its contacts cost, and this many for a unit of log odds that the pose is right
+    # (fusion.estimation.confidence). Unknown fingers are covered gladly by a wrong pose, and tell on it by running on
+    # beyond its outline: of six pairs of the right pose and the search's wrong one the former cost less in three and
+    # had better odds in all.
+    of_cost: float = 0.25
+    of_odds: float = 3.0
+    # Nats by which a frame must prefer what the track has to what it itself has found when searched, so that its search
+    # has only missed it, and does not speak against it.
+    missed: float = 6.0
+    # A hypothesis of less than this share of the weight is dropped once it is so many frames old.
+    least: float = 0.002
+    trial: int = 4
+    # Nats by which another must be ahead before it leads: noise alone does not turn the answer to and fro.
+    ahead: float = 1.0
+    # Two poses nearer to each other than this share of the object's radius (largest displacement of its surface), or
+    # than so many standard deviations of theirs, are one.
+    together: float = 0.12
+    sigmas: float = 3.0
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """pose (4, 4) camera_from_object; covariance (6, 6) about the centroid; score: accumulated nats, higher is
+    likelier, up to a constant that all share; votes: frames that surely found it by themselves; age: frames.
+    """
+
+    pose: Array
+    covariance: Array
+    score: float
+    votes: float = 0.0
+    age: int = 0
+
+
+Hypotheses = tuple[Hypothesis, ...]
+
+
+def of_modes(modes: Sequence[Mode], votes: float, settings: HypothesisSettings) -> Hypotheses:
+    """Hypotheses of an estimate's modes, first one first; it has the votes."""
+    return tuple(
+        Hypothesis(m.pose, m.covariance, float(np.log(max(m.weight, 1e-9))), votes if i == 0 else 0.0)
+        for i, m in enumerate(modes[: settings.most])
+    )
+
+
+def moved(hypotheses: Hypotheses, motion: Array) -> Hypotheses:
+    """The same after a rigid motion (4, 4) of the object, whichever of them it is."""
+    turn = block(motion[:3, :3])
+    return tuple(replace(h, pose=motion @ h.pose, covariance=turn @ h.covariance @ turn.T) for h in hypotheses)
+
+
+def strengths(hypotheses: Hypotheses, settings: HypothesisSettings) -> Array:
+    """(n,) nats of score and votes, the greatest 0."""
+    nats = np.array([h.score + settings.vote * h.votes for h in hypotheses])
+    return np.asarray(nats - nats.max(initial=-np.inf))
+
+
+def weights(hypotheses: Hypotheses, settings: HypothesisSettings) -> Array:
+    """(n,) shares of the posterior."""
+    share = np.exp(strengths(hypotheses, settings))
+    return np.asarray(share / share.sum())
+
+
+def weighed(hypotheses: Hypotheses, found: Sequence[Array], costs: Array, settings: HypothesisSettings) -> Hypotheses:
+    """After a frame: refined poses found, n of (4, 4), and their costs (n,) in nats of the whole frame. The leader is
+    first; it stays the leader until another is clearly ahead.
+    """
+    scores = np.array([settings.memory * h.score for h in hypotheses]) - settings.worth * costs
+    scores -= scores.max()
+    after = tuple(
+        replace(h, pose=pose, score=float(score), age=h.age + 1) for h, pose, score in zip(hypotheses, found, scores)
+    )
+    ahead = strengths(after, settings)
+    best = int(np.argmax(ahead))
+    if best == 0 or ahead[best] - ahead[0] < settings.ahead:
+        best = 0
+    order = [best, *(int(i) for i in np.argsort(-ahead, kind="stable") if i != best)]
+    return tuple(after[i] for i in order)
+
+
+def sifted(model: ObjectModel, hypotheses: Hypotheses, settings: HypothesisSettings) -> Hypotheses:
+    """Without those that have become one with a better one, and those that the data have refused."""
+    share = weights(hypotheses, settings)
+    kept: list[Hypothesis] = []
+    for h, part in zip(hypotheses, share):
+        twin = next((k for k, other in enumerate(kept) if alike(model, h, other, settings)), None)
+        if twin is not None:
+            kept[twin] = replace(kept[twin], votes=max(kept[twin].votes, h.votes))
+        elif not kept or part >= settings.least or h.age < settings.trial:
+            kept.append(h)
+    return tuple(kept[: settings.most])
+
+
+def alike(model: ObjectModel, one: Hypothesis | Mode, other: Hypothesis | Mode, settings: HypothesisSettings) -> bool:
+    """Whether two poses are one, modulo the object's symmetries."""
+    delta = se3.difference(model.symmetries.nearest(one.pose, other.pose), other.pose, model.centroid)
+    apart = float(np.linalg.norm(delta[:3]) * model.radius + np.linalg.norm(delta[3:]))
+    if apart < settings.together * model.radius:
+        return True
+    square = float(delta @ np.linalg.solve(one.covariance + other.covariance, delta))
+    return square < settings.sigmas**2
+
+
+def surface_apart(model: ObjectModel, one: Array, other: Array) -> float:
+    """Mean distance (m) of the surface at pose `one` (4, 4) from the surface at `other`: ADD-S, by the lattice."""
+    points = se3.apply(se3.inverse(other) @ one, model.sample_surface(SURFACE_POINTS)[0])
+    return float(np.abs(model.field.distance(points)).mean())
+
+
+def voted(
+    model: ObjectModel,
+    hypotheses: Hypotheses,
+    modes: Sequence[Mode],
+    vote: float,
+    against: bool,
+    settings: HypothesisSettings,
+) -> tuple[Hypotheses, bool]:
+    """Hypotheses, at least one, after a frame searched by itself has found modes; whether it agrees with the leader.
+
+    vote: of this search, 0 when it tells nothing; against: whether it also speaks against the others. Modes that nobody
+    had thought of begin a little below the leader: from there what is sensed decides.
+    """
+    out = list(hypotheses)
+    base, first = out[0].score, 0
+    for rank, mode in enumerate(modes):
+        at = next((k for k, h in enumerate(out) if alike(model, mode, h, settings)), None)
+        if at is None:
+            below = settings.birth - float(np.log(max(mode.weight, 1e-9)))
+            out.append(Hypothesis(mode.pose, mode.covariance, base - below))
+            at = len(out) - 1
+        if rank == 0:
+            first = at
+    near = [k == first or surface_apart(model, h.pose, modes[0].pose) < settings.surface for k, h in enumerate(out)]
+    if vote > 0.0:
+        for k, h in enumerate(out):
+            change = vote if near[k] else -vote * against
+            out[k] = replace(h, votes=float(np.clip(h.votes + change, 0.0, settings.most_votes)))
+    # the newest is not dropped for want of room: the weakest of the older ones is
+    while len(out) > settings.most:
+        nats = strengths(tuple(out), settings)
+        weakest = min((k for k in range(1, len(out)) if k != first), key=lambda k: float(nats[k]))
+        out.pop(weakest)
+        first -= int(weakest < first)
+    return tuple(out), near[0]

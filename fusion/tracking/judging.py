@@ -1,0 +1,137 @@
+"""What may be said of a tracked frame, by the rules of an estimate: the picture of the pose must be seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation import verdict as posterior
+from fusion.estimation.answer import ContactResidual, Mode, Stage
+from fusion.estimation.confidence import whole_covariance
+from fusion.tracking.answer import TrackedEstimate, TrackSettings
+from fusion.tracking.filter import Belief
+from fusion.tracking.hypotheses import Hypotheses, weights
+from fusion.tracking.sensing import Sensed
+from fusion.tracking.slip import Watched
+from scenes.evidence.align import costs
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.beliefs import Beliefs
+from scenes.recordings.frames import Frame
+from vision.predicted import Prediction
+from vision.visibility import Visibility, visibility
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Judged:
+    """verdict, its reason; covariance (6, 6) of all that may be the case; right: chance that the first mode is right;
+    confidence; modes: the hypotheses with their weights; how contacts (residuals) and pixels (share explained, rms m)
+    agree; visible: share of the object that is seen; unobservable: directions, in words.
+    """
+
+    verdict: str
+    why: str
+    covariance: Array
+    right: float
+    confidence: float
+    modes: tuple[Mode, ...]
+    residuals: tuple[ContactResidual, ...]
+    share: float
+    rms: float
+    visible: float
+    unobservable: tuple[str, ...]
+
+
+def judge(
+    model: ObjectModel,
+    hypotheses: Hypotheses,
+    belief: Belief,
+    sensed: Sensed,
+    usual: float | None,
+    leap: Array,
+    beliefs: Beliefs,
+    settings: TrackSettings,
+) -> Judged:
+    """Judge the belief of the leading hypothesis. usual: share of pixels explained in earlier frames; leap (6,): of the
+    frame's own answer from the prediction.
+    """
+    first, pose = settings.first, belief.pose
+    part = weights(hypotheses, settings.hypotheses)
+    best = hypotheses[0].score
+    modes = (
+        Mode(pose, float(part[0]), 0.0, belief.covariance),
+        *(Mode(h.pose, float(w), best - h.score, h.covariance) for h, w in zip(hypotheses[1:], part[1:])),
+    )
+    contacts = sensed.felt.contacts
+    residuals = posterior.contact_residuals(model, contacts, pose, first.verdict)
+    share, rms = posterior.pixel_agreement(model, sensed.seen, pose)
+    picture = None if sensed.pool is None else sensed.pool.predictor.predict(pose[None], settings.side)
+    seeing = visibility(sensed.viewed, model, pose, beliefs.depth) if picture is None else as_seen(picture)
+    nats = float(costs(model, sensed.felt.rows, pose[None])[0]) if len(contacts) else 0.0
+    agreed = residuals, nats, share, seeing, picture
+    right, sure, word, why = posterior.judged(model, modes, *agreed, first.verdict, first.confidence)
+    if word != "lost" and strays(share, usual, len(sensed.looked.pixels), settings):
+        word, why = "lost", f"{share:.0%} of the pixels explained, {usual:.0%} before"
+    if word != "lost" and settings.leaps(leap):
+        word, why = "lost", f"{1e3 * np.linalg.norm(leap[3:]):.0f} mm from the prediction"
+    covariance = belief.covariance
+    if word != "ok":
+        covariance = whole_covariance(model, modes, right, None, first.confidence)
+    unknown = posterior.unobservable(model, pose, belief.covariance, first.verdict)
+    # what is lost is not to be trusted at all
+    sure = 0.0 if word == "lost" else sure
+    return Judged(word, why, covariance, right, sure, modes, residuals, share, rms, seeing.visible, unknown)
+
+
+def as_seen(picture: Prediction) -> Visibility:
+    """The shares of one predicted picture in the words of `vision.visibility`."""
+    if not picture.count[0]:
+        return Visibility(np.nan, np.nan, np.nan, np.nan)
+    hidden = float(picture.hidden[0] + picture.behind_hand[0])
+    agree, past = float(picture.agree[0]), float(picture.past[0])
+    return Visibility(agree, hidden, past, max(0.0, 1.0 - agree - past - hidden))
+
+
+def strays(share: float, usual: float | None, pixels: int, settings: TrackSettings) -> bool:
+    """Whether far fewer of the pixels are explained than before."""
+    if usual is None or pixels < settings.fewest_pixels or not np.isfinite(share):
+        return False
+    return bool(share < settings.least_of_usual * usual)
+
+
+def as_followed(
+    frame: Frame,
+    belief: Belief,
+    predicted: Belief,
+    said: Judged,
+    watched: Watched,
+    sensed: Sensed,
+    trace: tuple[Stage, ...],
+    settings: TrackSettings,
+) -> TrackedEstimate:
+    """The answer of a frame that was followed; predicted: the belief before it."""
+    return TrackedEstimate(
+        frame=frame.index,
+        pose=belief.pose,
+        covariance=said.covariance,
+        modes=said.modes,
+        verdict=said.verdict,
+        unobservable=said.unobservable,
+        hand_from_object=frame.hand_from_object(belief.pose, sensed.felt.correction),
+        visible_fraction=said.visible,
+        trace=trace,
+        contacts=said.residuals,
+        pixel_rms_mm=1e3 * said.rms,
+        notes=(said.why,),
+        dropped=sensed.looked.dropped,
+        start=predicted.pose,
+        confidence=said.confidence,
+        sure_within=settings.first.confidence.tolerance,
+        how="lost" if said.verdict == "lost" else "tracked",
+        slip=watched.slip,
+        slip_statistic=watched.statistic,
+        moved_in_hand=watched.moved,
+    )

@@ -1,0 +1,67 @@
+"""Where the object and its hypotheses are in the next frame, before anything is sensed in it. Camera frame, metres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.tracking import hypotheses as several
+from fusion.tracking.filter import Belief
+from fusion.tracking.hypotheses import Hypotheses
+from fusion.tracking.motion import HandMotion, calibration_drift
+from fusion.tracking.slip import SlipWatch
+from fusion.tracking.state import TrackState
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.beliefs import CalibrationModel
+from scenes.recordings.frames import Frame
+from vision.look.hand import camera_from_hand
+from vision.tracking.by_vision import ConstantVelocity
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """The leader's belief, all hypotheses, and what they went with, in words."""
+
+    belief: Belief
+    hypotheses: Hypotheses
+    why: str
+
+
+def predict(
+    model: ObjectModel,
+    frame: Frame,
+    belief: Belief,
+    state: TrackState,
+    velocity: ConstantVelocity,
+    hand_motion: HandMotion,
+    watch: SlipWatch,
+    calibration: CalibrationModel,
+) -> Predicted:
+    """With the palm and the fingertips where the robot tells of them, else at the last velocity; `watch` is told."""
+    now = camera_from_hand(frame)
+    if state.hand is None or now is None:
+        pose, noise = velocity.predict(frame.index)
+        motion = pose @ se3.inverse(belief.pose)
+        watch.restart()  # nothing holds it that could lose it
+        moved = replace(belief.moved(motion), pose=pose)
+        carried = several.moved(state.hypotheses, motion)
+        return Predicted(Belief(pose, moved.own + noise, moved.shared), carried, "at its last velocity")
+    before = state.hand.camera_from_hand
+    motion = now @ se3.inverse(before)
+    hold = se3.inverse(before) @ belief.pose
+    expected = hand_motion.in_hand(state.hand, frame, hold, max(1, abs(frame.index - state.index)))
+    expected = expected.turned(now[:3, :3])
+    moved = belief.moved(motion)
+    centre = se3.apply(moved.pose, model.centroid[None])[0]
+    drift = calibration_drift(before, now, centre, calibration)
+    delta, noise = expected.motion, expected.noise + drift
+    watch.predict(motion, expected, drift)
+    whole = se3.perturb(motion @ belief.pose, delta, model.centroid) @ se3.inverse(belief.pose)
+    fingers = f"with palm and fingertips, {1e3 * np.linalg.norm(delta[3:]):.2f} mm"
+    why = fingers if delta.any() else "with the palm"
+    return Predicted(moved.shifted(delta, noise, model.centroid), several.moved(state.hypotheses, whole), why)

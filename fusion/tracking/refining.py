@@ -1,0 +1,137 @@
+"""One frame's own answer: every hypothesis a few steps from its prediction, the leader solved with all shared errors.
+
+Camera frame, metres, radians.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation.answer import Mode
+from fusion.estimation.confidence import chances
+from fusion.estimation.solve.joint import JointResult
+from fusion.estimation.solve.problem import JointProblem
+from fusion.estimation.solve.rigs import solve_modes
+from fusion.estimation.solve.settings import JointSettings
+from fusion.estimation.verdict import contact_residuals
+from fusion.tracking.answer import TrackSettings
+from fusion.tracking.hypotheses import Hypotheses, weighed
+from fusion.tracking.sensing import Sensed
+from scenes.evidence import table as tables
+from scenes.evidence.align import AlignSettings, Prior, align, costs
+from scenes.evidence.modes import covariance_of
+from scenes.evidence.table import Evidence
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.beliefs import Beliefs
+from scenes.recordings.frames import Frame
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Refined:
+    """Hypotheses after a frame, the leader first; seen: vision's rows at it; switched: another leads than before."""
+
+    hypotheses: Hypotheses
+    seen: Evidence
+    switched: bool
+
+
+def loose(pose: Array, covariance: Array, settings: TrackSettings) -> Prior:
+    """A prior of a frame's own answer: the prediction, so wide that a slip is not held back."""
+    wide = covariance + np.diag(np.repeat([settings.loose_angle, settings.loose_distance], 3) ** 2)
+    return Prior(pose, np.asarray(np.linalg.inv(wide), dtype=np.float64))
+
+
+def refine(
+    model: ObjectModel, hypotheses: Hypotheses, leading: Prior, sensed: Sensed, settings: TrackSettings
+) -> Refined:
+    """The hypotheses, the leader first and with its own prior, fitted to the frame and weighed by it."""
+    priors = [leading, *(loose(h.pose, h.covariance, settings) for h in hypotheses[1:])]
+    found, shown, hessians, by_rows = [], [], [], []
+    for k, prior in enumerate(priors):
+        pose, rows, hessian, cost = _fitted(model, prior, sensed, k == 0, settings)
+        found.append(pose)
+        shown.append(rows)
+        hessians.append(hessian)
+        by_rows.append(cost)
+    poses = np.array(found)
+    nats = np.zeros(len(poses))
+    if len(poses) > 1:
+        nats = np.array(by_rows) if sensed.pool is None else frame_nats(poses, leading, sensed, settings)
+    # what refined poses are worth beside one another is told by the frame alone, their widths by frame and past
+    wide = tuple(
+        h if k == 0 else replace(h, covariance=covariance_of(model, hessians[k])) for k, h in enumerate(hypotheses)
+    )
+    after = weighed(wide, found, nats, settings.hypotheses)
+    first = next(k for k, pose in enumerate(found) if pose is after[0].pose)
+    return Refined(after, shown[first], first != 0)
+
+
+def frame_nats(poses: Array, leading: Prior, sensed: Sensed, settings: TrackSettings) -> Array:
+    """(n,) nats of poses (n, 4, 4), up to a constant, by what must be seen and is felt; all as sure as `leading`."""
+    pool, first, s = sensed.pool, settings.first, settings.hypotheses
+    assert pool is not None
+    if sensed.told_apart:
+        return pool.costs(poses)
+    covariance = np.asarray(np.linalg.inv(leading.information), dtype=np.float64)
+    out = s.of_cost * pool.costs(poses)
+    contacts = sensed.felt.contacts
+    for k, pose in enumerate(poses):
+        picture = pool.predictor.predict(pose[None], settings.side)
+        residuals = contact_residuals(pool.model, contacts, pose, first.verdict)
+        nats = float(costs(pool.model, sensed.felt.rows, pose[None])[0]) if len(contacts) else 0.0
+        mode = (Mode(pose, 1.0, 0.0, covariance),)
+        right, _ = chances(pool.model, mode, picture, residuals, nats, settings=first.confidence)
+        out[k] -= s.of_odds * float(np.log(max(right, 1e-9) / max(1.0 - right, 1e-9)))
+    return out
+
+
+def _fitted(
+    model: ObjectModel, prior: Prior, sensed: Sensed, leads: bool, settings: TrackSettings
+) -> tuple[Array, Evidence, Array, float]:
+    """Pose, vision's rows there, Hessian and cost of the rows after a coarse and a fine pass from the prior's pose."""
+    near = sensed.seen if leads and sensed.told_apart else sensed.rows_at(prior.pose, settings.side)
+    rows = tables.stack(near, sensed.felt.rows)
+    coarse = align(model, rows, prior.pose[None], prior, AlignSettings(blur=settings.blur, iterations=6))
+    if leads and not sensed.told_apart:
+        near = sensed.rows_at(coarse.poses[0], settings.side)
+        rows = tables.stack(near, sensed.felt.rows)
+    fine = align(model, rows, coarse.poses, prior, AlignSettings(iterations=12))
+    return fine.poses[0], near, fine.hessians[0], float(fine.costs[0])
+
+
+def solve_leader(
+    model: ObjectModel,
+    frame: Frame,
+    start: Array,
+    prior: Prior,
+    seen: Evidence,
+    sensed: Sensed,
+    beliefs: Beliefs,
+    how: JointSettings,
+    most_worse: float,
+) -> JointResult:
+    """The leader's joint solution from `start` (4, 4); where the picture speaks against it by more than `most_worse`
+    nats, the start, as wide as the two are apart.
+    """
+    hand = sensed.looked.hand
+    felt = sensed.felt.reported_rows if hand is not None else sensed.felt.rows
+    problem = JointProblem.of(model, frame, seen, felt, prior, hand, beliefs, how)
+    solved = solve_modes([problem], [start])[0]
+    if sensed.pool is None:
+        return solved
+    after, before = sensed.pool.predictor.costs(np.array([solved.as_seen, start]))
+    if after - before <= most_worse:
+        return solved
+    apart = se3.difference(solved.pose, start, model.centroid)
+    scatter = np.outer(apart, apart)
+    xi = np.zeros(6) if hand is None else hand.xi
+    return replace(
+        solved, pose=start, as_seen=start, xi=xi, scale=0.0,
+        covariance=solved.covariance + scatter, independent=solved.independent + scatter,
+    )  # fmt: skip
