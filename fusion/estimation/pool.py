@@ -39,7 +39,7 @@ class PoolSettings:
     by_touch: int = 8
     # Starts near a prior from which pixels alone are descended to, the prior's own pose first, in one round after the
     # other; blurs (m) of the passes, as ICP's shrinking gates; steps of each, and rows.
-    descents: tuple[int, ...] = (12, 24, 32)
+    descents: tuple[int, ...] = (8, 24, 32)
     descent: tuple[float, ...] = (0.02, 0.01, 0.005, 0.002)
     descent_steps: int = 6
     descent_rows: int = 160

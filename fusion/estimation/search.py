@@ -51,7 +51,7 @@ class PlanSettings:
     # Starts looked at first. A minimum as wide as a tenth of the prior is missed by all of them with 3 %.
     first_starts: int = 32
     # Where each round of starts ends when the one before leaves a doubt; after the last, all that there are.
-    rounds: tuple[int, ...] = (32, 128)
+    rounds: tuple[int, ...] = (20, 96)
     # Share of these that must end in the best minimum: a search from a prior usually finds two or three others.
     agreeing: float = 0.3
     # Least share of the object's pixels, and of the contacts, within three sigmas of the surface.

@@ -20,7 +20,7 @@ from scenes.synthesis import library
 from scenes.synthesis.gels import ball_presses, bridged, lit, lit_digit, photograph_gel, pressed_by, with_gels
 from touch.contacts import feel
 from touch.gels.calibration import Photometry, calibrate
-from touch.gels.heights import indentation_of, integrate, membrane, slopes
+from touch.gels.heights import harmonic, indentation_of, integrate, membrane, slopes
 from touch.gels.localize import localize_gels, off_middle
 from touch.gels.patches import Patch, patch_of, patches_of
 from touch.gels.proposals import bend_of, propose
@@ -347,3 +347,14 @@ def test_of_poses_that_explain_alike_the_fingers_are_nearest_to_the_middle():
     nats = off_middle(model, np.array([[0.03, 0.0, 0.0], [-0.03, 0.0, 0.0]]) + model.centroid, poses, 0.5)
     assert nats[0] == pytest.approx(0.0, abs=1e-9)
     assert nats[2] == pytest.approx(4.0 * nats[1]) == pytest.approx(0.5 * (0.04 / (0.5 * model.radius)) ** 2)
+
+
+def test_what_is_smooth_between_held_values_is_found():
+    y, x = np.mgrid[0:120, 0:160] / 100.0
+    plane = 0.3 + 0.2 * x - 0.1 * y  # its own harmonic continuation
+    inside = (x - 0.8) ** 2 + (y - 0.6) ** 2 < 0.1
+    found = harmonic(np.where(inside, 7.0, plane), inside)
+    assert np.abs(found - plane)[inside].max() < 0.004
+    nothing, everything = np.zeros_like(inside), np.ones_like(inside)
+    assert (harmonic(plane, nothing) == 0.0).all()
+    assert (harmonic(plane, everything) == 0.0).all()

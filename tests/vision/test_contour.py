@@ -232,3 +232,20 @@ def test_settings_have_room_for_what_they_read():
     s = LineSettings()
     assert s.near[1] <= s.reach
     assert s.gap < s.reach + s.beyond
+
+
+def test_lines_that_scatter_by_whole_blocks_count_less():
+    frame, model = coloured("box")
+    evidence = evidence_at(frame, model, frame.camera_from_object_truth)
+    before = evidence.share.copy()
+    evidence.terms(np.zeros(6))
+    evidence.temper(np.zeros(6))
+    # noise of single lines is what they expect
+    np.testing.assert_allclose(evidence.share, before)
+    # whole pieces of the outline, each seen elsewhere
+    pieces = np.random.default_rng(1).integers(-2, 3, int(evidence._block.max()) + 1)[evidence._block]
+    evidence.lines = replace(
+        evidence.lines, log_p=np.array([np.roll(row, step) for row, step in zip(evidence.lines.log_p, pieces)])
+    )
+    evidence.temper(np.zeros(6))
+    assert evidence.share.max() < 0.7 * before.max()

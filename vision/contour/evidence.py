@@ -43,6 +43,10 @@ class ContourSettings:
     floor: float = 0.25
     # Lines within this distance (px) of each other say the same: measured, neighbours 4 px apart correlate by a half.
     apart: float = 8.0
+    # Side (px) of the blocks of the image within which lines may share more than that, and the fewest blocks beyond
+    # what is fitted to them that tell how much they scatter.
+    block: float = 24.0
+    least_blocks: int = 3
     # Share of lines that are wrong, and the standard deviation (px) of the Gaussian within which a line is read.
     outliers: float = 0.2
     window: float = 2.5
@@ -108,6 +112,8 @@ class ContourEvidence:
         self.common_information = np.diag(np.array([self.shift, self.shift, fatter]) ** -2.0)
         near = np.square(outline.places[:, None] - outline.places[None]).sum(axis=-1) < (0.5 * s.apart) ** 2
         self.share = 1.0 / near.sum(axis=1)
+        blocks = np.floor(outline.places / s.block).astype(np.int64)
+        self._block = np.unique(blocks, axis=0, return_inverse=True)[1].ravel()
         self._common = np.zeros(3)
 
     @property
@@ -115,11 +121,40 @@ class ContourEvidence:
         """Lines that are open."""
         return 0 if self.lines is None else len(self.lines)
 
+    def temper(self, delta: Array) -> None:
+        """Make all lines less sure by as much as their pulls scatter more, from block to block of the image, than they
+        should at the pose moved by delta (6,): patterns and shades along an outline are shared beyond neighbours.
+        """
+        left, weight = self._weighted(delta)
+        off = left + self.common @ self._common
+        count = int(self._block.max()) + 1
+        information = np.bincount(self._block, weight, minlength=count)
+        pulls = np.bincount(self._block, weight * off, minlength=count)
+        told = information > 0.0
+        spare = int(told.sum()) - 5  # what a pose and the lines' common errors fit of an outline, about
+        if spare < self.settings.least_blocks:
+            return
+        misfit = float(np.sum(np.square(pulls[told]) / information[told])) / spare
+        self.share = self.share / max(misfit, 1.0)
+
     def terms(self, delta: Array) -> tuple[Array, Array]:
         """Gradient (6,) and Gauss-Newton matrix (6, 6) of the lines' cost (nats) at the pose moved by delta (6,).
 
         What the lines share is marginalised. Each line is the Gaussian that stands for it where it is expected, with
         the probability that it is none of the wrong ones as its weight.
+        """
+        left, weight = self._weighted(delta)
+        shared = (self.common * weight[:, None]).T @ self.common + self.common_information
+        cross = (self.jacobian * weight[:, None]).T @ self.common
+        pull = self.common.T @ (weight * left)
+        self._common = -np.linalg.solve(shared, pull)
+        gradient = self.jacobian.T @ (weight * left) + cross @ self._common
+        hessian = (self.jacobian * weight[:, None]).T @ self.jacobian - cross @ np.linalg.solve(shared, cross.T)
+        return gradient, 0.5 * (hessian + hessian.T)
+
+    def _weighted(self, delta: Array) -> tuple[Array, Array]:
+        """How far (n,) px each predicted place, moved by delta (6,), is from what its line says, what all share left
+        in; and the line's weight (n,).
         """
         assert self.lines is not None
         s = self.settings
@@ -133,14 +168,7 @@ class ContourEvidence:
         wrong = s.outliers / (1.0 - s.outliers) * np.sqrt(2.0 * np.pi * variance) / self.lines.log_p.shape[1]
         weight = self.share / variance / (1.0 + wrong * np.exp(np.minimum(0.5 * off**2 / variance, 50.0)))
         weight = np.where(precision > 0.0, weight, 0.0)
-        left = moved - mean
-        shared = (self.common * weight[:, None]).T @ self.common + self.common_information
-        cross = (self.jacobian * weight[:, None]).T @ self.common
-        pull = self.common.T @ (weight * left)
-        self._common = -np.linalg.solve(shared, pull)
-        gradient = self.jacobian.T @ (weight * left) + cross @ self._common
-        hessian = (self.jacobian * weight[:, None]).T @ self.jacobian - cross @ np.linalg.solve(shared, cross.T)
-        return gradient, 0.5 * (hessian + hessian.T)
+        return moved - mean, weight
 
     def shift_of(self, delta: Array) -> float:
         """How far (px, root mean square) a move by delta (6,) shifts the outline across itself."""

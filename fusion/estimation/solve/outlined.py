@@ -58,7 +58,9 @@ def outlined(
         lines = evidence.count
         before = se3.difference(at, mode.pose, model.centroid)
         delta = np.zeros(6)
-        for _ in range(how.steps):
+        for step in range(how.steps):
+            if step == how.steps - 1:
+                evidence.temper(delta)
             gradient, hessian = evidence.terms(delta)
             delta = delta - np.linalg.solve(information + hessian, gradient + information @ (before + delta))
         at = se3.perturb(at, delta, model.centroid)
