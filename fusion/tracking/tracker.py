@@ -120,7 +120,7 @@ class Tracker:
             return self._begin(frame)
         with one_blas_thread():
             answer = self._follow(frame, state.belief)
-        if answer.how == "lost":
+        if answer.verdict == "lost":
             state.lost_for += 1
             answer = self._recover(frame, answer)
         elif answer.how == "tracked" and frame.index >= state.renewal.due:
@@ -166,9 +166,10 @@ class Tracker:
         self._state.belief = Belief(answer.pose, (1 - share) * own, share * own)
 
     def _recover(self, frame: Frame, lost: TrackedEstimate) -> TrackedEstimate:
-        """Look for the object around the prediction, now and then everywhere."""
+        """Look for the object around the prediction, if anything is seen there, and now and then everywhere."""
         s, lost_for = self.settings, self._state.lost_for
-        tries: list[Prior | None] = [Prior.isotropic(lost.pose, s.near_angle, s.near_distance)]
+        near = Prior.isotropic(lost.pose, s.near_angle, s.near_distance)
+        tries: list[Prior | None] = [near] if lost.how == "lost" else []
         if lost_for == 2 or lost_for % s.global_every == 0:
             tries.append(None)
         for prior in tries:
@@ -401,8 +402,10 @@ class Tracker:
             self._velocity.coast(frame.index)
         held = state.hand is not None and state.unseen <= s.coast
         answer = as_carried(self.model, frame, predicted, trace.stages, held, state.hand is not None, s)
+        how = s.first.confidence
         sure = state.right * self._near(answer.modes[0]) if held else 0.0
-        return replace(answer, confidence=sure, sure_within=s.first.confidence.tolerance)
+        wide = whole_covariance(self.model, answer.modes, state.right if held else 0.0, None, how)
+        return replace(answer, covariance=wide, confidence=sure, sure_within=how.tolerance)
 
 
 def _shift(correction: Array, point: Array) -> float:
