@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -14,7 +14,7 @@ from scenes.recordings.beliefs import Beliefs, CalibrationModel
 from scenes.recordings.frames import Contacts, Frame
 from touch.arrays.readings import Reading, readings_of
 from touch.arrays.rows import ArrayRowSettings, array_contacts, taxel_rows
-from touch.gels.patches import PatchSettings, patches_of
+from touch.gels.patches import Patch, PatchSettings, patches_of
 from touch.gels.rows import GelRowSettings, gel_contacts, patch_rows, unspoken
 from touch.wrenches.intrinsic import wrench_contacts
 
@@ -54,14 +54,20 @@ class Felt:
     """All that a frame's fingers say, camera frame.
 
     reported_contacts and reported_rows: as the robot reports them. correction (4, 4) camera_from_camera: moves that to
-    where it is, as far as known by now; `contacts` and `rows` are moved. slack (m): what nothing has corrected yet, in
-    the sigmas of `rows`.
+    where it is, as far as known by now; `contacts`, `rows` and `patches` are moved. slack (m): what nothing has
+    corrected yet, in the sigmas of `rows`. reported_patches: of gels, those that touch something.
     """
 
     reported_contacts: Contacts
     reported_rows: Evidence
     correction: Array
     slack: float = 0.0
+    reported_patches: tuple[Patch, ...] = ()
+
+    @property
+    def patches(self) -> tuple[Patch, ...]:
+        """What gels felt, corrected."""
+        return tuple(patch.moved(self.correction) for patch in self.reported_patches)
 
     @property
     def contacts(self) -> Contacts:
@@ -78,7 +84,7 @@ class Felt:
 
     def corrected(self, correction: Array) -> Felt:
         """The same with another correction, as sure as its own sigmas say."""
-        return Felt(self.reported_contacts, self.reported_rows, correction)
+        return replace(self, correction=correction, slack=0.0)
 
 
 def feel(
@@ -117,9 +123,10 @@ def feel(
     if with_hand and len(reported):
         parts.append(_hand_rows(frame, region, settings))
     table = tables.stack(*parts)
+    pressed = tuple(patch for patch in patches if len(patch))
     if correction is not None or frame.camera is None:
-        return Felt(reported, table, np.eye(4) if correction is None else correction)
-    return Felt(reported, table, np.eye(4), _calibration_slack(table, beliefs.calibration))
+        return Felt(reported, table, np.eye(4) if correction is None else correction, 0.0, pressed)
+    return Felt(reported, table, np.eye(4), _calibration_slack(table, beliefs.calibration), pressed)
 
 
 def _calibration_slack(rows: Evidence, calibration: CalibrationModel) -> float:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scenes.evidence import table as tables
 from scenes.evidence.table import VISION, Evidence
 from scenes.geometry import poses as se3
-from scenes.geometry.cameras import Camera
+from scenes.geometry.cameras import Camera, is_reading
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import DepthModel
 from scenes.recordings.frames import Frame
@@ -39,8 +39,9 @@ class PredictionSettings:
 
     # Rays along each side of the box around the outline: some six in ten of their square meet the object.
     side: int = 16
-    # The same where pixels are wanted as rows of evidence.
-    side_rows: int = 64
+    # The same where pixels are wanted as rows of evidence: first, and where that shows fewer than so many pixels.
+    sides_rows: tuple[int, int] = (40, 64)
+    enough_rows: int = 450
     # Things of which less than this share of what is seen is off the edge are thin: then edges count, too.
     thin_share: float = 0.4
     # Depths (m) beyond where a ray that is seen past meets the object, at which it must be empty; the distance kept
@@ -259,7 +260,9 @@ class Predictor:
         """
         assert self.camera is not None
         s, camera = self.settings, self.camera
-        side = s.side_rows if side is None else side
+        if side is None:
+            few = self.seen_pixels(pose, s.sides_rows[0], inner)
+            return few if len(few) >= s.enough_rows else self.seen_pixels(pose, s.sides_rows[1], inner)
         view = self._view(pose[None], side)
         core, near = view.has(kernels.HIT).reshape(side, side), view.has(kernels.NEAR)[0]
         for _ in range(inner):
@@ -290,6 +293,26 @@ class Predictor:
         rows = tables.outside(points, s.empty_sigma, VISION, gate=s.empty_gate)
         hits = float(view.has(kernels.HIT).sum())
         return rows.reweighted(s.cells / max(hits, 1.0) / len(s.empty_depths))
+
+    def hides(self, places: Array, beyond: Array) -> NDArray[np.bool_]:
+        """(n,) whether something is in front of depths `beyond` (n,) m at places (n, 2) of the image (px): a reading
+        nearer than any error of it explains, or the robot's hand. Places outside the image are hidden.
+        """
+        assert self.camera is not None
+        assert self._depth is not None
+        s, c = self.settings, self.camera
+        u, v = np.round(places[:, 0]).astype(np.int64), np.round(places[:, 1]).astype(np.int64)
+        inside = (u >= 0) & (v >= 0) & (u < c.width) & (v < c.height)
+        u, v = np.where(inside, u, 0), np.where(inside, v, 0)
+        seen = self._depth[v, u].astype(np.float64)
+        read = is_reading(seen)
+        seen = np.where(read, seen, np.inf)
+        smooth = np.hypot(self._belief.independent_sigma(beyond), self._belief.bias_sigma)
+        tolerance = s.tolerance * np.hypot(smooth, self._belief.scale_sigma * beyond)
+        hidden = read & (seen < beyond - tolerance)
+        if self._hand[0].size:
+            hidden |= self._hand[0][v // s.hand_step, u // s.hand_step] < beyond + s.hand_margin
+        return np.asarray(hidden | ~inside)
 
 
 def _widened(mask: NDArray[np.bool_], margin: int) -> NDArray[np.bool_]:

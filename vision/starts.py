@@ -43,7 +43,7 @@ class StartSettings:
     # Starts of even rotations.
     even: int = 600
     # Rows of evidence that the starts are ranked on, and the blur of pairs and of even ones, in radii and metres.
-    rows: int = 64
+    rows: int = 40
     blur_pairs: tuple[float, float, float] = (0.10, 0.004, 0.010)
     blur_even: tuple[float, float, float] = (0.35, 0.010, 0.040)
     # Starts kept of each kind.

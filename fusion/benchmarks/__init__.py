@@ -17,6 +17,7 @@ BENCHMARKS = {
     "filters": "fusion.benchmarks.contacts.filters",
     "recognition": "fusion.benchmarks.contacts.recognition",
     "vision": "fusion.benchmarks.camera.vision",
+    "search": "fusion.benchmarks.frames.search",
     "occlusion": "fusion.benchmarks.frames.occlusion",
     "calibration": "fusion.benchmarks.frames.calibration",
     "skipping": "fusion.benchmarks.frames.skipping",
@@ -26,6 +27,7 @@ BENCHMARKS = {
     "faults": "fusion.benchmarks.frames.faults",
     "scenes": "fusion.benchmarks.camera.scenes",
     "segmentation": "fusion.benchmarks.camera.segmentation",
+    "colour": "fusion.benchmarks.camera.colour",
     "tracking": "fusion.benchmarks.tracking.bench",
 }
 

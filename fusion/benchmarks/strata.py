@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 import multiprocessing
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from fusion.truth.compare import Row
     from scenes.geometry.symmetries import Symmetries
 
+C = TypeVar("C")
+T = TypeVar("T")
 # ADD-S (m) from which on an answer is wrong, as everywhere.
 WRONG = 0.005
 # Region whose coverage is told.
@@ -40,7 +42,7 @@ WITH_START, WITHOUT_START = ("icp", "vision", "touch", "fused"), ("icp", "fused"
 class Answer:
     """One method on one frame. level: hidden share, NaN where a recording does not say; add_s (m); per_dof: NEES per
     degree of freedom and share: its chi-square probability, NaN without a covariance; verdict "" of ICP; confidence
-    that it is right, NaN where none is told.
+    that it is right, NaN where none is told; frame: which of the cell's, the same for every method.
     """
 
     family: str
@@ -53,6 +55,7 @@ class Answer:
     verdict: str
     ms: float = math.nan
     confidence: float = math.nan
+    frame: str = ""
 
     @property
     def right(self) -> bool:
@@ -78,7 +81,7 @@ def freedom(symmetries: Symmetries) -> int:
     return 3 if symmetries.is_spherical else 6 - min(1, len(symmetries.axes))
 
 
-def answered(row: Row, family: str, level: float, start: bool, symmetries: Symmetries) -> Answer:
+def answered(row: Row, family: str, level: float, start: bool, symmetries: Symmetries, frame: str = "") -> Answer:
     """One row of `fusion.truth.compare` with the truth."""
     from scipy.stats import chi2
 
@@ -86,7 +89,7 @@ def answered(row: Row, family: str, level: float, start: bool, symmetries: Symme
     count, nees = freedom(symmetries), row.errors.nees
     share = math.nan if row.estimate is None else float(chi2.cdf(nees, count)) if np.isfinite(nees) else 1.0
     sure = math.nan if row.estimate is None else row.estimate.confidence
-    told = nees / count, share, row.verdict, row.time_ms, sure
+    told = nees / count, share, row.verdict, row.time_ms, sure, frame
     return Answer(family, level, row.method, start, row.errors.add_s, *told)
 
 
@@ -101,7 +104,8 @@ def answer_cell(cell: Cell) -> list[Answer]:
             usable = [one for one in methods if one != "touch" or len(made.frame.contacts)]
             frame = made.frame if start else replace(made.frame, prior=None)
             rows = compare_frame(frame, judge, usable, cell.seed) if usable else []
-            out += [answered(row, cell.family.name, cell.level, start, judge.model.symmetries) for row in rows]
+            known = cell.family.name, cell.level, start, judge.model.symmetries, made.key
+            out += [answered(row, *known) for row in rows]
     return out
 
 
@@ -127,22 +131,23 @@ def quick_levels(family: Family) -> tuple[float, ...]:
 def collect(cells: Sequence[Cell], settings: BenchSettings) -> list[Answer]:
     """The answers of all cells, in an order that does not depend on who was done first; one thread a process."""
     found: list[Answer] = []
-    for answers in settings.progress(_parallel(cells), len(cells), "cells"):
+    for answers in settings.progress(parallel(answer_cell, cells), len(cells), "cells"):
         found += answers
     order = {name: i for i, name in enumerate(FAMILIES)}
     return sorted(found, key=lambda a: (order[a.family], a.level, a.start, a.method, a.add_s, a.share))
 
 
-def _parallel(cells: Sequence[Cell]) -> Iterator[list[Answer]]:
+def parallel(work: Callable[[C], list[T]], cells: Sequence[C]) -> Iterator[list[T]]:
+    """What `work`, a function of a module, makes of each cell, as they are done; one thread a process."""
     workers = thread_count()
     if workers == 1 or len(cells) == 1:
-        yield from map(answer_cell, cells)
+        yield from map(work, cells)
         return
     before = os.environ.get(VARIABLE)
     os.environ[VARIABLE] = "1"
     try:
         with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-            for done in as_completed([pool.submit(answer_cell, cell) for cell in cells]):
+            for done in as_completed([pool.submit(work, cell) for cell in cells]):
                 yield done.result()
     finally:
         if before is None:
@@ -193,6 +198,61 @@ def strata_table(
     return table
 
 
+SENSES_COLUMNS = (
+    Column("family"),
+    Column("role"),
+    Column("start"),
+    Column("frames", 0),
+    Column("fused < 5 mm"),
+    Column("vision < 5 mm"),
+    Column("touch < 5 mm"),
+    Column("fused wrong, a sense right"),
+    Column("of these ok", 0),
+    Column("fused right, both wrong"),
+)
+
+
+def senses_table(answers: Sequence[Answer]) -> Table:
+    """Whether both senses together are ever below the better of them: one row a family and start, one of each role."""
+    note = (
+        "The same frames for all three; a sense that a family lacks has no share. Fused wrong, a sense right: frames in"
+        " which fused is 5 mm off or more and vision or touch alone is not; of these ok: fused did not say that it is"
+        " unsure."
+    )
+    table = Table("Is fused ever below the better sense?", list(SENSES_COLUMNS), note=note)
+    groups: list[tuple[str, str, tuple[str, ...]]] = [(f.name, f.role, (f.name,)) for f in FAMILIES.values()]
+    groups += [("all", role, tuple(n for n, f in FAMILIES.items() if f.role == role)) for role in (TUNING, REPORT)]
+    for start in (True, False):
+        for label, role, names in groups:
+            _senses_row(table, label, role, start, [a for a in answers if a.start == start and a.family in names])
+    return table
+
+
+def _senses_row(table: Table, label: str, role: str, start: bool, answers: Sequence[Answer]) -> None:
+    found: dict[tuple[str, float, str], dict[str, Answer]] = {}
+    for a in answers:
+        level = -1.0 if math.isnan(a.level) else a.level
+        found.setdefault((a.family, level, a.frame), {})[a.method] = a
+    both = [one for one in found.values() if "fused" in one and ("vision" in one or "touch" in one)]
+    if not both:
+        return
+
+    def others(one: dict[str, Answer]) -> list[bool]:
+        return [one[sense].right for sense in ("vision", "touch") if sense in one]
+
+    below = [one["fused"] for one in both if not one["fused"].right and any(others(one))]
+    table.add(
+        label,
+        role,
+        "yes" if start else "no",
+        len(both),
+        *(Rate.of([one[m].right for one in both if m in one]) for m in ("fused", "vision", "touch")),
+        Rate(len(below), len(both)),
+        sum(a.verdict == "ok" for a in below),
+        Rate.of([one["fused"].right and not any(others(one)) for one in both]),
+    )
+
+
 def _percent(level: float) -> str:
     return "as recorded" if math.isnan(level) else f"{100 * level:.0f} %"
 
@@ -230,6 +290,10 @@ def add_strata(report: Report, answers: Sequence[Answer], missing: Sequence[str]
             if any(a.start == start and a.method == method for a in answers):
                 report.tables.append(strata_table(answers, method, start, missing))
                 settings.show(report.tables[-1])
+    senses = senses_table(answers)
+    if senses.rows:
+        report.tables.append(senses)
+        settings.show(senses)
     for role in (TUNING, REPORT):
         fused = [a for a in answers if a.method == "fused" and a.start and FAMILIES[a.family].role == role]
         if not fused:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,40 @@ from fusion.estimation.settings import EstimateSettings
 from scenes.errors import InputError
 from scenes.evidence.align import Prior
 from scenes.geometry import poses as se3
+from scenes.recordings.beliefs import Beliefs
+from scenes.recordings.frames import Frame
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """One question: senses allowed, prior, tolerance (m, rad), seed; and how it is answered. or_none: only when the
+    rows alone are within the tolerance.
+    """
+
+    senses: frozenset[str]
+    prior: Prior | None
+    tolerance: tuple[float, float] | None
+    seed: int
+    beliefs: Beliefs
+    settings: EstimateSettings
+    or_none: bool = False
+
+    @staticmethod
+    def of(
+        frame: Frame,
+        prior: Array | Prior | None = None,
+        use: Iterable[str] = ("vision", "touch"),
+        tolerance: tuple[float, float] | None = None,
+        seed: int = 0,
+        settings: EstimateSettings | None = None,
+        beliefs: Beliefs | None = None,
+    ) -> Asked:
+        """As `estimate` takes it, checked; what is not said is the frame's own."""
+        settings, senses = settings or EstimateSettings(), check_senses(use)
+        believed = as_prior(prior if prior is not None else frame.prior, settings)
+        return Asked(senses, believed, tolerance, seed, beliefs or frame.beliefs or Beliefs(), settings)
 
 
 def check_senses(use: Iterable[str]) -> frozenset[str]:

@@ -6,24 +6,23 @@ Readable as the method: each step is one named stage of the trace, run or skippe
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
-from fusion.estimation.asked import as_prior, check_limits, check_senses, sure_to_be_within
+from fusion.estimation.asked import Asked, check_limits, sure_to_be_within
 from fusion.estimation.confidence import whole_covariance, within
 from fusion.estimation.moments import moments
-from fusion.estimation.pool import Pool
 from fusion.estimation.proposals import search_stages, starts_of
 from fusion.estimation.propose import modes_anywhere, modes_near
-from fusion.estimation.ranking import guarded, ranked
+from fusion.estimation.ranking import rejudged
 from fusion.estimation.search import find_modes, worth_solving
 from fusion.estimation.settings import EstimateSettings
-from fusion.estimation.solve.problem import JointProblem
-from fusion.estimation.solve.rigs import solve_modes
+from fusion.estimation.solve.outlined import outlined
+from fusion.estimation.steps.sense import look_once, sense, solve_together
 from fusion.estimation.tolerance import good_enough, is_within, with_shared_errors
 from fusion.estimation.trace import Trace
 from scenes.evidence import table as tables
@@ -35,30 +34,13 @@ from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
 from scenes.recordings.validation import check_scale
 from scenes.threads import one_blas_thread
-from touch.contacts import feel
-from vision.look.look import look, look_closer, surfaces
+from touch.gels.localize import build_tables
+from vision.look.look import look_closer
 from vision.look.looked import Looked
 from vision.plausibility import doubts
-from vision.predicted import Predictor
-from vision.sight import Sight
 from vision.visibility import visibility
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class _Asked:
-    """One question: senses allowed, prior, tolerance (m, rad), seed; and how it is answered. or_none: only when the
-    rows alone are within the tolerance.
-    """
-
-    senses: frozenset[str]
-    prior: Prior | None
-    tolerance: tuple[float, float] | None
-    seed: int
-    beliefs: Beliefs
-    settings: EstimateSettings
-    or_none: bool = False
 
 
 def estimate(
@@ -84,20 +66,21 @@ def estimate(
     Returns an Estimate; data that tell nothing give the verdict "lost" and a covariance that says so, not an error.
     Raises CaptureError when the sizes in the frame and the model's tell of a wrong unit.
     """
-    settings, senses = sure_to_be_within(settings or EstimateSettings(), sure_within), check_senses(use)
+    settings = sure_to_be_within(settings or EstimateSettings(), sure_within)
     check_limits(tolerance, budget_ms)
     check_scale(frame, model)
-    believed = as_prior(prior if prior is not None else frame.prior, settings)
-    asked = _Asked(senses, believed, tolerance, seed, beliefs or frame.beliefs or Beliefs(), settings)
+    asked = Asked.of(frame, prior, use, tolerance, seed, settings, beliefs)
     # built or read once per object, not part of a frame's time
     model.field  # noqa: B018
     near_symmetries(model)
-    if believed is None:
+    if asked.prior is None:
         pair_table(model)
+    if asked.prior is None and frame.gels:
+        build_tables(model)
     trace = Trace(budget_ms)
     with one_blas_thread():
-        looked = _look(frame, model, asked, trace)
-        if tolerance is not None and senses == {"vision", "touch"} and frame.depth is not None:
+        looked = look_once(frame, model, asked, trace)
+        if tolerance is not None and asked.senses == {"vision", "touch"} and frame.depth is not None:
             light = replace(settings, plan=replace(settings.plan, refined=settings.plan.tolerant))
             by_vision = replace(asked, senses=frozenset({"vision"}), settings=light, or_none=True)
             alone = _estimate(frame, model, by_vision, trace, looked)
@@ -108,54 +91,30 @@ def estimate(
     return answer
 
 
-def _look(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace) -> Looked:
-    """What the camera saw, once for all that is asked about it."""
-    settings, start = asked.settings.look, asked.prior.pose if asked.prior is not None else None
-    viewed = frame if "vision" in asked.senses else frame.without_vision()
-    with trace.stage("look", "vision" in asked.senses, "vision not asked for") as stage:
-        looked = look(viewed, model, asked.beliefs, start, settings)
-        count = len(looked.rows(asked.beliefs.depth, settings.rows))
-        stage.note(count, f"{len(looked.pixels)} object pixels, {len(looked.of_hand)} of the hand{looked.how}")
-    return looked
-
-
-def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace, looked: Looked) -> Estimate | None:
+def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: Looked) -> Estimate | None:
     settings, beliefs, believed = asked.settings, asked.beliefs, asked.prior
-    viewed = frame if "vision" in asked.senses else frame.without_vision()
-    touched = frame if "touch" in asked.senses else frame.without_touch()
-    start = believed.pose if believed is not None else None
-
-    seen = looked.rows(beliefs.depth, settings.look.rows)
-    with trace.stage("feel", "touch" in asked.senses, "touch not asked for") as stage:
-        hand = looked.seen_hand
-        felt = feel(touched, hand.correct() if hand is not None else None, beliefs, looked.region, settings.touch)
-        contacts = len(felt.reported_contacts)
-        stage.note(len(felt.reported_rows), f"{contacts} contacts, {len(felt.reported_rows) - contacts} empty points")
-    rows = tables.stack(seen, felt.rows)
-    # emptiness alone tells where the object is not
-    if len(rows) == 0 or (believed is None and not len(looked.pixels) and not contacts):
+    sensed = sense(frame, model, asked, trace, looked)
+    viewed, felt, seen, rows = sensed.viewed, sensed.felt, sensed.seen, sensed.rows
+    pool, sight, predictor, contacts = sensed.pool, sensed.sight, sensed.pool.predictor, sensed.contacts
+    if sensed.nothing:
         nothing = posterior.no_answer(frame, model, believed, trace.stages, settings.modes, settings.verdict)
         first, how_sure = nothing.modes[0], settings.confidence
         near = within(model, first.pose, first.covariance, how_sure.tolerance, how_sure.felt.nearest)
         return replace(nothing, confidence=first.weight * near, sure_within=how_sure.tolerance)
 
-    sight = Sight(viewed, model, beliefs.depth, settings.sight)
-    # something that nobody has a model of touches the object, and may be what is seen
-    unknown = contacts > 0 and not looked.told_apart and viewed.depth is not None
-    pieces = surfaces(viewed, looked.plane, beliefs, settings.look)[1] if unknown else None
-    predictor = Predictor(viewed, model, beliefs.depth, hand, settings.prediction, looked.plane, pieces)
-    asks = settings.look.rows, settings.proposals, settings.modes, settings.pool
-    rng = np.random.default_rng(asked.seed)
-    pool = Pool(model, felt.rows, believed, predictor, sight, looked, beliefs.depth, rng, *asks)
     how, blur = settings.proposals, settings.proposals.blur(model)
     with trace.stage("search", True, "") as stage:
-        starts = starts_of(model, believed, looked.pixels.points, felt.contacts, rows, sight.costs, how, rng)
+        starts = starts_of(
+            model, believed, looked.pixels.points, felt.contacts, rows, sight.costs, how, pool.rng, felt.patches
+        )
         if believed is not None:
-            found = modes_near(pool, rows, seen, starts, search_stages(blur, how.near), settings.plan)
+            found = modes_near(pool, rows, seen, starts, search_stages(blur, how.near), settings.plan, trace)
         else:
             stages = search_stages(blur, how.wide if contacts else how.sifted)
             found = find_modes(model, rows, starts, stages, None, sight.costs, settings.plan, settings.modes)
-        stage.note(len(rows), f"{found.looked_at} of {len(starts)} starts, blur {1e3 * blur:.1f} mm; {found.why}")
+        gels = f", by {len(felt.patches)} gels too" if felt.patches and believed is None else ""
+        said = f"{found.looked_at} of {len(starts)} starts{gels}, blur {1e3 * blur:.1f} mm; {found.why}"
+        stage.note(len(rows), said)
     wide = believed is None and predictor.sees
     with trace.stage("look again", wide, "the region was narrow") as stage:
         if wide:
@@ -167,7 +126,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace, loo
                 last = search_stages(blur, how.near)[-1:]
                 again = find_modes(model, rows, likely, last, None, sight.costs, settings.plan, settings.modes)
                 likely = np.array([m.pose for m in again.modes])
-            found = modes_anywhere(replace(pool, looked=looked), likely, seen, starts, stages)
+            found = modes_anywhere(replace(pool, looked=looked), likely, seen, starts, stages, trace)
             stage.note(len(rows), f"{len(looked.pixels)} object pixels around {len(likely)} poses; {found.why}")
     modes = found.modes
     rough = with_shared_errors(model, modes, viewed, beliefs.depth)
@@ -179,13 +138,11 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace, loo
     modes = modes if finish else rough
     with trace.stage("solve together", finish, why_not) as stage:
         if finish:
-            worth = worth_solving(modes, settings.plan)[: settings.joint.modes]
-            shown = [pool.evidence(pose) if predictor.sees else seen for pose in worth]
-            known_of = felt.reported_rows, believed, hand, beliefs, settings.joint
-            solved = solve_modes([JointProblem.of(model, frame, rows, *known_of) for rows in shown], worth)
-            solved = guarded(pool, solved, worth, hand, settings)
-            first_of, modes = ranked(touched, pool, solved, sight, settings)
-            best, seen = solved[first_of], shown[first_of]
+            worth = worth_solving(found, settings.plan, settings.joint.modes)
+            solved = solve_together(sensed, worth, asked)
+            modes = rejudged(model, solved.results, solved.costs, settings)
+            first_of = int(np.argmin(solved.costs))
+            best, seen = solved.results[first_of], solved.shown[first_of]
             rows = tables.stack(seen, felt.rows)
             felt = felt.corrected(best.correct())
             off = f"calibration off by {best.millimetres:.1f} mm, depth scale by {100 * best.scale:+.2f} %"
@@ -196,6 +153,14 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace, loo
             spread = moments(model, rows, first.pose, first.covariance, asked.seed, believed, settings=how_wide)
             modes = (replace(first, pose=spread.pose, covariance=spread.covariance), *modes[1:])
             stage.note(len(rows), f"{spread.effective:.0f} effective samples, directions widened: {spread.widened}")
+    coloured = settings.contour.used and viewed.rgb is not None and predictor.sees
+    useless: tuple[str, ...] = ()
+    with trace.stage("outline", finish and coloured, why_not if coloured else "no colours beside depth") as stage:
+        if finish and coloured:
+            told = outlined(viewed, pool, best, modes[0], beliefs.mesh_sigma, settings)
+            modes, felt = (told.mode, *modes[1:]), felt.corrected(told.solved.correct())
+            useless = () if told.lines else (f"colours are not used: {told.why}",)
+            stage.note(told.lines, told.why)
     with trace.stage("judge", True, "") as stage:
         pose = modes[0].pose
         residuals = posterior.contact_residuals(model, felt.contacts, pose, settings.verdict)
@@ -222,9 +187,9 @@ def _estimate(frame: Frame, model: ObjectModel, asked: _Asked, trace: Trace, loo
         trace=trace.stages,
         contacts=residuals,
         pixel_rms_mm=1e3 * rms,
-        notes=(why, *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility)),
+        notes=(why, *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility), *useless),
         dropped=looked.dropped,
-        start=start,
+        start=believed.pose if believed is not None else None,
         contributions=posterior.contributions(model, rows, pose, covariance, believed),
         confidence=sure,
         sure_within=settings.confidence.tolerance,

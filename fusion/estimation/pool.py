@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.proposals import ProposalSettings, search_stages
+from fusion.estimation.proposals import ProposalSettings
 from scenes.evidence import table as tables
 from scenes.evidence.align import Alignment, AlignSettings, Prior, align, costs
 from scenes.evidence.modes import Mode, ModeSettings, distinct_modes
@@ -22,6 +22,7 @@ from scenes.evidence.search import SearchStage, leaders, search, thin
 from scenes.evidence.table import GATE_ABOVE, Evidence
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import DepthModel
+from touch.held import Held
 from vision.look.looked import Looked, RowSettings, free_space_rows, surface_rows
 from vision.predicted import Predictor
 from vision.sight import Sight
@@ -38,13 +39,14 @@ class PoolSettings:
     by_touch: int = 8
     # Starts near a prior from which pixels alone are descended to, the prior's own pose first, in one round after the
     # other; blurs (m) of the passes, as ICP's shrinking gates; steps of each, and rows.
-    descents: tuple[int, ...] = (12, 24, 32)
+    descents: tuple[int, ...] = (8, 24, 32)
     descent: tuple[float, ...] = (0.02, 0.01, 0.005, 0.002)
     descent_steps: int = 6
     descent_rows: int = 160
-    # Poses, the best first, that are fitted to the pixels inside their own outlines; by how many rays along each side
-    # in each round; the fewest such pixels.
+    # Poses, the best first, that are fitted to the pixels inside their own outlines, at first and when what competed
+    # does not convince; by how many rays along each side in each round; the fewest such pixels.
     fitted: int = 6
+    fitted_in_doubt: int = 12
     sides: tuple[int, ...] = (40, 40)
     least_pixels: int = 25
     # A pose that costs so many nats more than the best after a fit is not fitted again.
@@ -66,6 +68,8 @@ class PoolSettings:
     # What agrees with at least this share of the whole is clearly seen: then nothing more is proposed.
     clearly_shown: float = 0.35
     contact_nats: float = 3.5
+    # Contacts that hold an object in place: three points. A picture that so many agree with is no other thing's.
+    tying_contacts: int = 3
     # Poses nearer to each other than this share of the distance at which modes are one go on as one.
     together: float = 0.5
 
@@ -73,7 +77,8 @@ class PoolSettings:
 @dataclass(frozen=True)
 class Pool:
     """What is known of the frame beyond poses: rows of touch as they are believed now, and a prior; `predictor` says
-    what must be seen, `sight` quickly what is seen past. looked and depth: what pixels are worth as rows.
+    what must be seen, `sight` quickly what is seen past. looked and depth: what pixels are worth as rows. held: the
+    robot's own hand, where it is known.
     """
 
     model: ObjectModel
@@ -88,6 +93,7 @@ class Pool:
     proposals: ProposalSettings
     modes: ModeSettings
     settings: PoolSettings
+    held: Held | None = None
 
     @property
     def apart(self) -> float:
@@ -123,22 +129,19 @@ class Pool:
             parts.append(poses)
         return np.concatenate(parts) if parts else np.zeros((0, 4, 4))
 
-    def of_pieces(self) -> Array:
-        """(n, 4, 4) poses that each connected piece of the image proposes by itself: for every piece a search in which
-        the whole predicted image ranks.
-        """
+    def piece_starts(self) -> Array:
+        """(n, 4, 4) starts that each connected piece of the image proposes by itself, those that differ."""
         found = [np.zeros((0, 4, 4))]
-        passes = search_stages(self.proposals.blur(self.model), self.proposals.sifted)
-
-        def rank(poses: Array, blur: float) -> Array:
-            return self.sight.costs(poses, blur)
-
         for piece in self.looked.pieces:
             rows = surface_rows(replace(self.looked, pixels=piece, told_apart=True), self.depth, self.rows)
-            starts = seen_starts(self.model, piece.points, rows, rank, self.rng, self.proposals.of_piece)
-            if len(starts):
-                found.append(search(self.model, rows, starts, passes, self.prior, rank=rank).poses)
+            found.append(
+                seen_starts(self.model, piece.points, rows, self.sight.costs, self.rng, self.proposals.of_piece)
+            )
         return np.concatenate(found)
+
+    def held_starts(self) -> Array:
+        """(n, 4, 4) starts between the fingers; none without a hand whose place and joints are known."""
+        return np.zeros((0, 4, 4)) if self.held is None else self.held.starts(self.model, self.rng, self.proposals.held)
 
     def evidence(self, pose: Array, side: int | None = None) -> Evidence:
         """Vision's rows if the object is at pose (4, 4): pixels inside its outline, and what was seen to be free.
@@ -152,12 +155,15 @@ class Pool:
         mine = replace(self.looked, pixels=pixels, told_apart=True)
         return tables.stack(surface_rows(mine, self.depth, self.rows), free)
 
-    def compete(self, candidates: Array) -> tuple[Mode, ...]:
-        """The best of poses (n, 4, 4), n at least 1, each fitted to what is seen inside its own outline, as modes."""
+    def compete(self, candidates: Array, most: int | None = None) -> tuple[Mode, ...]:
+        """The best of poses (n, 4, 4), n at least 1, each fitted to what is seen inside its own outline, as modes.
+
+        most: so many are fitted; default settings.fitted.
+        """
         s = self.settings
         order = np.argsort(self.costs(candidates), kind="stable")
         best, _ = leaders(self.model, candidates[order], self.apart)
-        poses = candidates[order[best[: s.fitted]]]
+        poses = candidates[order[best[: most or s.fitted]]]
         tried = Alignment(poses, np.full(len(poses), np.inf), np.zeros((len(poses), 6, 6)), np.zeros(len(poses), int))
         for side in s.sides:
             tried = self._fitted(tried, side)

@@ -5,17 +5,21 @@ Camera frame, metres, radians.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation.steps.walk import WalkSettings
 from scenes.evidence.align import Prior
 from scenes.evidence.search import SearchStage, starts_of_prior
 from scenes.evidence.table import Evidence
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
+from touch.gels.localize import sifted_starts
+from touch.gels.patches import Patch
+from touch.held import HeldSettings
 from touch.multistart import contact_starts
 from vision.starts import StartSettings, seen_starts
 
@@ -41,11 +45,18 @@ class ProposalSettings:
     # which were sifted (a few hundred that differ).
     near: Passes = ((1.0, 0.5, 80, 4, 120), (1.0, 0.5, 80, 5, 40), (1 / 3, 0.25, 160, 10, 20))
     sifted: Passes = ((1.2, 0.5, 60, 5, 100), (0.7, 0.4, 80, 8, 40), (1 / 3, 0.2, 160, 10, 16))
-    wide: Passes = ((3.0, 0.8, 40, 0, 500), (2.0, 0.6, 40, 4, 160), (1.0, 0.4, 60, 8, 60), (1 / 3, 0.2, 160, 10, 20))
+    wide: Passes = ((3.0, 0.8, 24, 0, 300), (2.0, 0.6, 40, 4, 120), (1.0, 0.4, 60, 7, 50), (1 / 3, 0.2, 160, 9, 16))
     # Starts behind pixels: of all that is seen, and of one piece of the image.
     seen: StartSettings = field(default_factory=StartSettings)
     of_piece: StartSettings = field(
         default_factory=lambda: StartSettings(pairs=50, even=200, keep_pairs=60, keep_even=30, oriented=80)
+    )
+
+    # Starts between the fingers, and walks by the whole objective: near a prior, and where nothing is known.
+    held: HeldSettings = field(default_factory=HeldSettings)
+    walk: WalkSettings = field(default_factory=WalkSettings)
+    walk_far: WalkSettings = field(
+        default_factory=lambda: WalkSettings(((24, 8, 0.6), (16, 8, 0.3), (10, 8, 0.15), (8, 8, 0.08)), angle=0.35)
     )
 
     def blur(self, model: ObjectModel) -> float:
@@ -67,9 +78,10 @@ def starts_of(
     rank: Callable[[Array, float], Array],
     settings: ProposalSettings,
     rng: np.random.Generator,
+    patches: Sequence[Patch] = (),
 ) -> Array:
-    """Starts (n, 4, 4): draws from the prior, or from contacts and pixels when there is none. rows, with what
-    rank(poses, blur) adds, tell which of the pixels' are promising.
+    """Starts (n, 4, 4): draws from the prior, or from contacts, pixels and gels' patches when there is none. rows, with
+    what rank(poses, blur) adds, tell which of the pixels' are promising.
     """
     if prior is not None:
         return starts_of_prior(model, prior, settings.starts_near, settings.widest_angle, model.diameter, rng)
@@ -78,4 +90,6 @@ def starts_of(
         parts.append(contact_starts(model, contacts, settings.starts_global // (2 if len(pixels) else 1), rng))
     if len(pixels):
         parts.append(seen_starts(model, pixels, rows, rank, rng, settings.seen))
+    if patches:
+        parts.append(sifted_starts(model, patches, rng))
     return np.concatenate(parts)

@@ -1,4 +1,4 @@
-"""Which of several joint solutions is the likeliest, by all that was sensed."""
+"""How likely each of several joint solutions is, by all that was sensed, and the modes that they make."""
 
 from __future__ import annotations
 
@@ -25,11 +25,9 @@ from vision.sight import Sight
 Array = NDArray[np.float64]
 
 
-def ranked(
-    frame: Frame, pool: Pool, solved: list[JointResult], sight: Sight, settings: EstimateSettings
-) -> tuple[int, tuple[Mode, ...]]:
-    """Index of the best of the solutions, and the modes they make: poses and covariances of the joint solution,
-    weights by Laplace's method. frame: with the touch that may be used.
+def joint_costs(frame: Frame, pool: Pool, solved: list[JointResult], sight: Sight, settings: EstimateSettings) -> Array:
+    """Costs (k,) in nats of joint solutions by all that was sensed: the estimate's whole objective. frame: with the
+    touch that may be used.
     """
     poses = np.array([s.pose for s in solved])
     if pool.predictor.sees:
@@ -39,8 +37,7 @@ def ranked(
         )
     else:
         costs = comparable(solved, settings) + sight.costs(poses)
-    costs = costs + beyond_rows(frame, pool.model, solved, settings)
-    return int(np.argmin(costs)), rejudged(pool.model, solved, costs, settings)
+    return np.asarray(costs + beyond_rows(frame, pool.model, solved, settings))
 
 
 def guarded(

@@ -26,6 +26,9 @@ from scenes.geometry.objects import ObjectModel
 
 Array = NDArray[np.float64]
 
+# Refinement with all rows: a step of 0.1 mrad and 10 micrometres is a hundredth of what a frame tells.
+REFINED = AlignSettings(iterations=30, tolerance_angle=1e-4, tolerance_distance=1e-5)
+
 
 @dataclass(frozen=True)
 class Care:
@@ -48,7 +51,7 @@ class PlanSettings:
     # Starts looked at first. A minimum as wide as a tenth of the prior is missed by all of them with 3 %.
     first_starts: int = 32
     # Where each round of starts ends when the one before leaves a doubt; after the last, all that there are.
-    rounds: tuple[int, ...] = (32, 128)
+    rounds: tuple[int, ...] = (20, 96)
     # Share of these that must end in the best minimum: a search from a prior usually finds two or three others.
     agreeing: float = 0.3
     # Least share of the object's pixels, and of the contacts, within three sigmas of the surface.
@@ -81,11 +84,14 @@ class PlanSettings:
 
 @dataclass(frozen=True)
 class Found:
-    """Modes of a search after refinement with all rows; starts looked at; why no more were, or what was doubted."""
+    """Modes of a search after refinement with all rows; starts looked at; why no more were, or what was doubted. also:
+    poses (4, 4) that are solved with them, however unlikely they seem before calibration is solved for.
+    """
 
     modes: tuple[Mode, ...]
     looked_at: int
     why: str
+    also: tuple[Array, ...] = ()
 
 
 def find_modes(
@@ -187,11 +193,11 @@ def valley_steps(
     return np.concatenate([se3.perturb(pose, np.concatenate(delta), model.centroid), alike]) if delta else alike
 
 
-def worth_solving(modes: tuple[Mode, ...], settings: PlanSettings) -> list[Array]:
-    """Poses of the modes that the joint solution could still put first."""
-    if not settings.skipping:
-        return [m.pose for m in modes]
-    return [m.pose for m in modes if m.weight >= settings.negligible or m is modes[0]]
+def worth_solving(found: Found, settings: PlanSettings, most: int) -> list[Array]:
+    """Poses (4, 4), at most so many, that the joint solution could still put first: modes, best first, and `also`."""
+    modes = found.modes
+    worth = [m.pose for m in modes if m.weight >= settings.negligible or m is modes[0] or not settings.skipping]
+    return [*worth[: max(1, most - len(found.also))], *found.also][:most]
 
 
 def _displaced(model: ObjectModel, poses: Array, pose: Array) -> Array:
@@ -203,7 +209,7 @@ def _displaced(model: ObjectModel, poses: Array, pose: Array) -> Array:
 def _refined(
     model: ObjectModel, rows: Evidence, poses: Array, prior: Prior | None, rank: Callable[[Array, float], Array]
 ) -> tuple[Alignment, Array]:
-    refined = align(model, rows, poses, prior, AlignSettings(iterations=30))
+    refined = align(model, rows, poses, prior, REFINED)
     past = rank(refined.poses, 0.0)
     return replace(refined, costs=refined.costs + past), past
 

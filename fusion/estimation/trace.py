@@ -55,10 +55,15 @@ class Trace:
 
     @contextmanager
     def stage(self, name: str, run: bool, why_not: str) -> Iterator[_Running]:
-        """Time a stage. A stage that is not run still passes through (on nothing) and is listed as skipped."""
+        """Time a stage. A stage that is not run still passes through (on nothing) and is listed as skipped.
+
+        Stages within it are listed before it, and their time is theirs.
+        """
         running = _Running()
-        begin = time.perf_counter()
+        begin, before = time.perf_counter(), len(self._stages)
         yield running
-        spent = 1e3 * (time.perf_counter() - begin)
+        spent = 1e3 * (time.perf_counter() - begin) - sum(inner.ms for inner in self._stages[before:])
         _log.debug("%s: %s", name, f"{spent:.1f} ms, {running.rows} rows, {running.why}" if run else why_not)
-        self._stages.append(Stage(name, run, running.why if run else why_not, spent, running.rows if run else 0))
+        self._stages.append(
+            Stage(name, run, running.why if run else why_not, max(spent, 0.0), running.rows if run else 0)
+        )

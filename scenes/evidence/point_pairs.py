@@ -38,6 +38,8 @@ class PairSettings:
     # What counts as alike: the distance as a share of the radius, and the normals' slopes (no unit).
     distance_scale: float = 0.12
     slope_scale: float = 0.25
+    # The nearest are found to this share of their distance: of 250,000 pairs many are as near as noise tells.
+    nearly: float = 0.5
     # Pairs of contacts looked up, the farthest apart first.
     pairs: int = 12
     # Contacts that pairs are made of: all of them would be 5e9 pairs of 1e5 contacts.
@@ -102,7 +104,7 @@ class PairTable:
         pair first[k], second[k] of points (n, 3) with normals (n, 3) that are apart; those of one pair together.
         """
         invariants = self.invariants(points[first], normals[first], points[second], normals[second])
-        _, found = self.tree.query(invariants, k=min(each, len(self.first)))
+        _, found = self.tree.query(invariants, k=min(each, len(self.first)), eps=self.settings.nearly)
         found = found.reshape(len(first), -1)
         a, b = self.first[found].ravel(), self.second[found].ravel()
         rotations, origins = np.zeros((len(a), 3, 3)), np.zeros((len(a), 3))
@@ -134,6 +136,11 @@ def pair_table(model: ObjectModel) -> PairTable:
     return table
 
 
+@numba.njit(cache=True, nogil=True, inline="always")
+def _dot(a: Array, b: Array) -> float:
+    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
 @numba.njit(cache=True, nogil=True)
 def match_pairs(
     points: Array,
@@ -157,16 +164,19 @@ def match_pairs(
         for k in range(3):
             e[k] = points[b, k] - points[a, k]
             f[k] = contact_points[j, k] - contact_points[i, k]
-        e /= math.sqrt((e * e).sum())
-        f /= math.sqrt((f * f).sum())
+        e /= math.sqrt(_dot(e, e))
+        f /= math.sqrt(_dot(f, f))
         # half turn about the bisector takes e to f; nearly opposite directions: about any line across e
-        v[:] = e + f
-        length = math.sqrt((v * v).sum())
+        for k in range(3):
+            v[k] = e[k] + f[k]
+        length = math.sqrt(_dot(v, v))
         if length < 1e-6:
-            axis = np.argmin(np.abs(e))
-            v[:] = -e[axis] * e
-            v[axis] += 1.0
-            length = math.sqrt((v * v).sum())
+            axis = 0
+            for k in range(1, 3):
+                axis = k if abs(e[k]) < abs(e[axis]) else axis
+            for k in range(3):
+                v[k] = (1.0 if k == axis else 0.0) - e[axis] * e[k]
+            length = math.sqrt(_dot(v, v))
         v /= length
         rotation = rotations[h]
         for k in range(3):
@@ -177,12 +187,9 @@ def match_pairs(
         for side in range(2):
             n = normals[a] if side == 0 else normals[b]
             u = contact_normals[i] if side == 0 else contact_normals[j]
-            x[:] = 0.0
             for k in range(3):
-                for m in range(3):
-                    x[k] += rotation[k, m] * n[m]
-            xf, uf, dot = (x * f).sum(), (u * f).sum(), (x * u).sum()
-            cosine += dot - xf * uf
+                x[k] = _dot(rotation[k], n)
+            cosine += _dot(x, u) - _dot(x, f) * _dot(u, f)
             sine += (
                 f[0] * (x[1] * u[2] - x[2] * u[1])
                 + f[1] * (x[2] * u[0] - x[0] * u[2])
@@ -199,7 +206,11 @@ def match_pairs(
         turn[1, 2] -= s * f[0]
         turn[2, 0] -= s * f[1]
         turn[2, 1] += s * f[0]
-        rotation[:, :] = turn @ rotation
+        for m in range(3):
+            for k in range(3):
+                x[k] = rotation[k, m]
+            for k in range(3):
+                rotation[k, m] = _dot(turn[k], x)
         for k in range(3):
             origins[h, k] = 0.5 * (contact_points[i, k] + contact_points[j, k])
             for m in range(3):

@@ -17,6 +17,9 @@ from scenes.geometry.objects import ObjectModel
 
 Array = NDArray[np.float64]
 
+# A step shorter than this share of a pass's blur ends a pose's work in that pass.
+SETTLED = 0.01
+
 
 @dataclass(frozen=True)
 class SearchStage:
@@ -116,7 +119,14 @@ def search(
     result = None
     for stage in stages:
         rows = thin(evidence, stage.rows)
-        how = replace(settings, blur=stage.blur, blur_normal=stage.blur_normal, iterations=stage.iterations)
+        how = replace(
+            settings,
+            blur=stage.blur,
+            blur_normal=stage.blur_normal,
+            iterations=stage.iterations,
+            tolerance_angle=max(settings.tolerance_angle, SETTLED * stage.blur / model.radius),
+            tolerance_distance=max(settings.tolerance_distance, SETTLED * stage.blur),
+        )
         if stage.iterations:
             result = align(model, rows, poses, prior, how)
         else:

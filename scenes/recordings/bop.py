@@ -79,29 +79,50 @@ def write_json(path: str | Path, content: Any) -> None:
 
 
 class FrameEntries(Mapping[int, Any]):
-    """Entries of a JSON object by frame number, kept as text and parsed when they are asked for: an hour of recording
-    has a hundred thousand, nearly all alike.
+    """Entries of a JSON file by frame number, read again when they are asked for: an hour of recording has a hundred
+    thousand. Raises CaptureError for a file that has changed meanwhile.
     """
 
-    def __init__(self, texts: dict[int, str]) -> None:
-        """texts: JSON of each frame's entry, which is known to be some."""
-        self._texts = texts
+    def __init__(self, path: Path, places: Mapping[int, tuple[int, int]]) -> None:
+        """places: first byte of each frame's entry, and the byte after it."""
+        self._path = path
+        self._places = np.array([(frame, *place) for frame, place in places.items()], dtype=np.int64).reshape(-1, 3)
+        self._order = np.argsort(self._places[:, 0], kind="stable")
 
     def __getitem__(self, frame: int) -> Any:
-        return json.loads(self._texts[frame])
+        row = self._row(frame)
+        if row is None:
+            raise KeyError(frame)
+        first, after = map(int, self._places[row, 1:])
+        try:
+            with self._path.open("rb") as file:
+                file.seek(first)
+                return json.loads(file.read(after - first))
+        except (OSError, ValueError) as error:
+            raise CaptureError(
+                f"{self._path}, frame {frame}: expected the file as it was when it was opened"
+            ) from error
+
+    def __contains__(self, frame: object) -> bool:
+        return isinstance(frame, int) and self._row(frame) is not None
 
     def __iter__(self) -> Iterator[int]:
-        return iter(self._texts)
+        return iter(self._places[:, 0].tolist())
 
     def __len__(self) -> int:
-        return len(self._texts)
+        return len(self._places)
+
+    def _row(self, frame: int) -> int | None:
+        at = int(np.searchsorted(self._places[:, 0], frame, sorter=self._order))
+        row = int(self._order[at]) if at < len(self._order) else -1
+        return row if row >= 0 and self._places[row, 0] == frame else None
 
 
 def read_frames(path: str | Path, report: Report) -> Mapping[int, Any]:
     """A JSON object keyed by frame number, as {frame: entry}."""
-    texts = _frame_texts(Path(path))
-    if texts is not None:
-        return FrameEntries(texts)
+    places = _frame_places(Path(path))
+    if places is not None:
+        return FrameEntries(Path(path), places)
     content = read_json(path, report)
     if content is None:
         return {}
@@ -120,13 +141,16 @@ def read_frames(path: str | Path, report: Report) -> Mapping[int, Any]:
 _BLANK = re.compile(r"[ \t\n\r]*")
 
 
-def _frame_texts(path: Path) -> dict[int, str] | None:
-    """The text of each entry of a JSON object keyed by frame; None for a file that is anything else."""
+def _frame_places(path: Path) -> dict[int, tuple[int, int]] | None:
+    """First byte of each entry of a JSON object keyed by frame, and the byte after it; None for any other file."""
     decoder = json.JSONDecoder()
-    texts: dict[int, str] = {}
-    alike: dict[str, str] = {}
+    places: dict[int, tuple[int, int]] = {}
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        content = path.read_bytes()
+        text = content.decode("utf-8-sig")
+        if not text.isascii():  # then bytes are not characters
+            return None
+        mark_of_order = len(content) - len(text)
         at, mark = _past(text, 0, "{"), ","
         if text[at] == "}":
             at, mark = _blank(text, at + 1), "}"
@@ -136,11 +160,10 @@ def _frame_texts(path: Path) -> dict[int, str] | None:
                 return None
             start = _past(text, end, ":")
             _, end = decoder.raw_decode(text, start)
-            entry = text[start:end]
-            texts[int(key)] = alike.setdefault(entry, entry)
+            places[int(key)] = (mark_of_order + start, mark_of_order + end)
             end = _blank(text, end)
             at, mark = _blank(text, end + 1), text[end]
-        return texts if mark == "}" and at == len(text) else None
+        return places if mark == "}" and at == len(text) else None
     except (OSError, ValueError, IndexError, AttributeError, RecursionError):
         return None
 

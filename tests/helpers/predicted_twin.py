@@ -30,7 +30,7 @@ def predicted(found, pose, side):
     by_hand = known & is_hand(found, at, seen)
     plane = known & is_plane(found, rays, seen)
     past = known & ((off > tolerance) | (plane & (off < -tolerance)))
-    beside = known & (nearest_around(depth, s.edge_pixels)[at] < z + tolerance)
+    beside = known & (nearest_around(depth, belief.edge_pixels)[at] < z + tolerance)
     past_share = np.where(past & beside & (off > 0), s.past_beside, 1.0) * past
     other = plane if found._mask is None else plane | ~found._mask[at]
     near = known & ~by_hand & ~other & (np.abs(off) <= tolerance)

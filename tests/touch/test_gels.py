@@ -7,18 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fusion.estimation.estimate import estimate
 from scenes.errors import CaptureError, InputError
 from scenes.evidence.table import GATE_ABOVE
 from scenes.geometry import poses as se3
 from scenes.recordings.frames import Contacts, Frame
 from scenes.robot.digit import digit_gel
 from scenes.robot.gels import Gel
+from scenes.robot.hands import Hand
+from scenes.robot.sensors import Sensor
 from scenes.synthesis import library
 from scenes.synthesis.gels import ball_presses, bridged, lit, lit_digit, photograph_gel, pressed_by, with_gels
 from touch.contacts import feel
 from touch.gels.calibration import Photometry, calibrate
-from touch.gels.heights import indentation_of, integrate, membrane, slopes
-from touch.gels.localize import localize_gels
+from touch.gels.heights import harmonic, indentation_of, integrate, membrane, slopes
+from touch.gels.localize import localize_gels, off_middle
 from touch.gels.patches import Patch, patch_of, patches_of
 from touch.gels.proposals import bend_of, propose
 from touch.gels.rows import gel_contacts, patch_rows
@@ -235,21 +238,28 @@ def test_bending_of_known_shapes():
             assert radius_x > 1 or abs(frame[0, 0]) > 0.99
 
 
-def three_presses(model, truth, gel, seed):
-    """Patches of three far places, noise only in the images."""
-    rng = np.random.default_rng(seed)
+def press_poses(model, count, seed):
+    """object_from_sensor of presses on places far from one another, by name."""
     points, normals = model.sample_surface(60, seed=seed)
     chosen = [0]
-    while len(chosen) < 3:
+    while len(chosen) < count:
         chosen.append(int(np.argmax(np.min([np.linalg.norm(points - points[i], axis=1) for i in chosen], axis=0))))
-    out = []
+    out = {}
     for i in chosen:
         z = -normals[i]
         x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
         x /= np.linalg.norm(x)
-        pose = se3.make_pose(np.stack([x, np.cross(z, x), z], axis=1), points[i] - 0.0009 * normals[i])
+        out[f"g{i}"] = se3.make_pose(np.stack([x, np.cross(z, x), z], axis=1), points[i] - 0.0009 * normals[i])
+    return out
+
+
+def three_presses(model, truth, gel, seed):
+    """Patches of three far places, noise only in the images."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for name, pose in press_poses(model, 3, seed).items():
         image = photograph_gel(gel, bridged(pressed_by(model, pose, gel), gel), rng)
-        out.append(patch_of(f"g{i}", indentation_of(image, gel)).moved(truth @ pose))
+        out.append(patch_of(name, indentation_of(image, gel)).moved(truth @ pose))
     return [patch for patch in out if len(patch)]
 
 
@@ -306,3 +316,45 @@ def test_a_frame_feels_its_gels(hand):
         patches_of(replace(frame, hand=None))
     with pytest.raises(CaptureError, match="expected a gel of the hand"):
         patches_of(replace(frame, gels={"index_tip": image}))
+
+
+def test_an_estimate_without_a_start_begins_where_the_gels_say(digit, hand):
+    model = library.make("drill")
+    truth = se3.exp(np.array([0.4, -1.0, 0.7, 0.1, 0.2, 0.3]))
+    rng = np.random.default_rng(4)
+    sensors, images = {}, {}
+    for name, pose in press_poses(model, 3, 4).items():
+        image = photograph_gel(digit, bridged(pressed_by(model, pose, digit), digit), rng)
+        sensors[name] = Sensor(name, hand.link_names[0], "gel", truth @ pose, gel=digit)
+        images[name] = image
+    held = Hand(hand.robot, sensors)
+    joints = dict.fromkeys(held.joint_names, 0.0)
+    frame = Frame(0, "f", hand=held, joints=joints, world_from_hand=np.eye(4), gels=images)
+    answer = estimate(frame, model, use=("touch",))
+    search = next(stage for stage in answer.trace if stage.name == "search")
+    assert "starts, by 3 gels too" in search.why
+    errors = [se3.difference(mode.pose[None], truth, model.centroid)[0] for mode in answer.modes]
+    assert min(np.linalg.norm(e[:3]) / 0.17 + np.linalg.norm(e[3:]) / 0.01 for e in errors) < 1.5
+    # with a start they are not needed
+    started = estimate(replace(frame, prior=truth), model, use=("touch",))
+    assert all("gels" not in stage.why for stage in started.trace)
+
+
+def test_of_poses_that_explain_alike_the_fingers_are_nearest_to_the_middle():
+    model = library.make("cylinder")
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses[:, 2, 3] = (0.0, 0.02, -0.04)
+    nats = off_middle(model, np.array([[0.03, 0.0, 0.0], [-0.03, 0.0, 0.0]]) + model.centroid, poses, 0.5)
+    assert nats[0] == pytest.approx(0.0, abs=1e-9)
+    assert nats[2] == pytest.approx(4.0 * nats[1]) == pytest.approx(0.5 * (0.04 / (0.5 * model.radius)) ** 2)
+
+
+def test_what_is_smooth_between_held_values_is_found():
+    y, x = np.mgrid[0:120, 0:160] / 100.0
+    plane = 0.3 + 0.2 * x - 0.1 * y  # its own harmonic continuation
+    inside = (x - 0.8) ** 2 + (y - 0.6) ** 2 < 0.1
+    found = harmonic(np.where(inside, 7.0, plane), inside)
+    assert np.abs(found - plane)[inside].max() < 0.004
+    nothing, everything = np.zeros_like(inside), np.ones_like(inside)
+    assert (harmonic(plane, nothing) == 0.0).all()
+    assert (harmonic(plane, everything) == 0.0).all()

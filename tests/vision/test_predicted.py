@@ -10,6 +10,7 @@ from made_frames import plain_view
 from scenes.geometry import poses
 from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import DepthModel
+from scenes.recordings.depth_cameras import DEPTH_CAMERAS
 from scenes.synthesis import library
 from vision import predicted_kernels
 from vision.look.look import look
@@ -48,14 +49,15 @@ def test_rays_meet_what_a_renderer_draws():
     np.testing.assert_allclose(view.expected[0, hit], drawn[v, u], atol=2e-6)
 
 
-@pytest.mark.parametrize("known", ["nothing", "hand", "mask", "plane"])
+@pytest.mark.parametrize("known", ["nothing", "hand", "mask", "plane", "camera"])
 def test_the_kernels_say_what_plain_arrays_say(lab_frame, drill, rng, known):
     truth = lab_frame.camera_from_object_truth
     seen = look(replace(lab_frame, mask=None), drill, start=truth)
     # a wall through the object, so that pixels fall on either side of it
     wall = np.array([0.1, 0.2, -1.0, float(truth[2, 3])]) / np.linalg.norm([0.1, 0.2, -1.0])
     given = {"hand": seen.seen_hand} if known == "hand" else {"plane": wall} if known == "plane" else {}
-    found = predictor(lab_frame if known == "mask" else replace(lab_frame, mask=None), drill, **given)
+    camera = DEPTH_CAMERAS["l515"] if known == "camera" else DepthModel()
+    found = Predictor(lab_frame if known == "mask" else replace(lab_frame, mask=None), drill, camera, **given)
     around = [poses.displaced(truth, 0.3, 0.03, drill.centroid, rng) for _ in range(8)]
     far = [poses.make_pose(None, place) for place in ([0.0, 0.0, -0.5], [0.3, 0.0, 0.5], [0.0, 0.0, 0.02])]
     candidates = np.array([truth, *around, *far])

@@ -86,7 +86,7 @@ def indentation_of(
         if known is not None:
             known = min(known[0] // step, work.width - 1), min(known[1] // step, work.height - 1), known[2]
         return from_outline(moved, work, known, settings)
-    return from_depth(heights(moved, work, photometry_of(gel, where)), work, settings, moved.inside)
+    return from_depth(heights(moved, work, photometry_of(gel, where), settings.cells), work, settings, moved.inside)
 
 
 def from_depth(depth: Array, gel: Gel, settings: HeightSettings, moved: Mask | None = None) -> Indentation:
@@ -102,7 +102,7 @@ def from_depth(depth: Array, gel: Gel, settings: HeightSettings, moved: Mask | N
     return Indentation(gel, np.maximum(depth, 0.0), touched, moved, sigma, True)
 
 
-def heights(moved: Moved, gel: Gel, photometry: Photometry) -> Array:
+def heights(moved: Moved, gel: Gel, photometry: Photometry, cells: int = 48) -> Array:
     """(h, w) m by which the skin is pressed in, from calibrated colours, on working pixels; 0 outside of what moved."""
     if not moved.inside.any():
         return np.zeros((gel.height, gel.width))
@@ -113,7 +113,12 @@ def heights(moved: Moved, gel: Gel, photometry: Photometry) -> Array:
     along_v[outside] = 0.0
     change = integrate(along_u, along_v)
     # what did not move is level with itself; a contact that fills the image leaves its lowest part
-    change -= np.median(change[outside]) if outside.mean() > 0.01 else np.percentile(change, 98.0)
+    if outside.mean() > 0.01:
+        change -= np.median(change[outside])
+        # slopes that do not close leave a step at the outline, where the skin is held: taken off as smoothly as can be
+        change -= harmonic(change, moved.inside, cells)
+    else:
+        change -= np.percentile(change, 98.0)
     # of a pinhole camera it is the logarithm of the depth that was integrated
     pinhole = gel.distance is not None
     depth = -(float(gel.distance or 0.0) + gel.surface) * np.expm1(np.clip(change, -1.0, 1.0)) if pinhole else -change
@@ -201,7 +206,7 @@ def _own_colours(moved: Moved, gel: Gel, cap: Array, settings: HeightSettings) -
     left = change[:, :2] - q @ coefficients[:2, :3].T
     if not (left**2).sum() < settings.unexplained**2 * (change[:, :2] ** 2).sum():
         return None
-    depth = heights(moved, gel, Photometry(coefficients, (gel.width, gel.height), darkest))
+    depth = heights(moved, gel, Photometry(coefficients, (gel.width, gel.height), darkest), settings.cells)
     return depth if depth.max() > 0 else None
 
 
@@ -209,38 +214,72 @@ def membrane(inside: Mask, cells: int = 48) -> Array:
     """(h, w), 1 at its highest: the solution of Poisson's equation with a constant right side, 0 at the outline of
     `inside` (h, w); free where it meets the image's border.
     """
-    import cv2
-    from scipy.sparse import coo_matrix, diags
-    from scipy.sparse.linalg import spsolve
-
-    height, width = inside.shape
-    step = max(1.0, max(height, width) / cells)
-    size = (max(2, round(width / step)), max(2, round(height / step)))
-    share = cv2.resize(inside.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    share = _shrunk(inside.astype(np.float32), cells)
     grid = share > 0.5
     if not grid.any():
         return inside.astype(np.float64)
+    coarse = _relaxed(grid, 1.0, np.zeros(grid.shape))
+    fine = _grown(coarse / max(float(coarse.max()), 1e-300), inside.shape)
+    fine[~inside] = 0.0
+    return fine / max(float(fine.max()), 1e-300)
+
+
+def harmonic(values: Array, inside: Mask, cells: int = 48) -> Array:
+    """(h, w), on a coarse grid: as smooth inside as can be between what values (h, w) are outside; free at the image's
+    border.
+    """
+    outside = (~inside).astype(np.float32)
+    share = _shrunk(outside, cells)
+    held = _shrunk(values.astype(np.float32) * outside, cells) / np.maximum(share, 1e-6)
+    grid = share < 0.5
+    if not grid.any() or grid.all():
+        return np.zeros_like(values)
+    return _grown(np.where(grid, _relaxed(grid, 0.0, held), held), inside.shape)
+
+
+def _shrunk(values: NDArray[np.float32], cells: int) -> Array:
+    """The mean of values (h, w) in each of `cells` cells along the longer side."""
+    import cv2
+
+    height, width = values.shape
+    step = max(1.0, max(height, width) / cells)
+    size = (max(2, round(width / step)), max(2, round(height / step)))
+    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA), dtype=np.float64)
+
+
+def _grown(coarse: Array, shape: tuple[int, ...]) -> Array:
+    import cv2
+
+    fine = cv2.resize(coarse.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(fine, dtype=np.float64)
+
+
+def _relaxed(grid: Mask, load: float, held: Array) -> Array:
+    """(h, w) solution of minus Laplace z = load on the grid (h, w), z = held (h, w) on other cells, free at the border;
+    0 off the grid.
+    """
+    from scipy.sparse import coo_matrix, diags
+    from scipy.sparse.linalg import spsolve
+
     number = np.full(grid.shape, -1)
-    number[grid] = np.arange(int(grid.sum()))
     count = int(grid.sum())
-    diagonal = np.zeros(count)
+    number[grid] = np.arange(count)
+    diagonal, right = np.zeros(count), np.full(count, load)
     rows, columns = [], []
     for axis in (0, 1):
         one = (slice(None, -1), slice(None)) if axis == 0 else (slice(None), slice(None, -1))
         two = (slice(1, None), slice(None)) if axis == 0 else (slice(None), slice(1, None))
-        a, b = number[one].ravel(), number[two].ravel()
-        for here, there in ((a, b), (b, a)):
+        for own, other in ((one, two), (two, one)):
+            here, there = number[own].ravel(), number[other].ravel()
             on = here >= 0
-            np.add.at(diagonal, here[on], 1.0)  # towards what is outside the outline the skin is held
-            both = on & (there >= 0)
+            np.add.at(diagonal, here[on], 1.0)
+            both, rim = on & (there >= 0), on & (there < 0)
+            np.add.at(right, here[rim], held[other].ravel()[rim])
             rows.append(here[both])
             columns.append(there[both])
     # a piece that nothing holds (the whole image) must not be singular
     r, c = np.concatenate(rows), np.concatenate(columns)
     matrix = coo_matrix((-np.ones(len(r)), (r, c)), shape=(count, count)) + diags(diagonal + 1e-6)
-    solved = spsolve(matrix.tocsc(), np.ones(count))
-    coarse = np.zeros(grid.shape, dtype=np.float32)
-    coarse[grid] = solved / max(float(solved.max()), 1e-300)
-    fine = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR).astype(np.float64)
-    fine[~inside] = 0.0
-    return fine / max(float(fine.max()), 1e-300)
+    out = np.zeros(grid.shape)
+    out[grid] = spsolve(matrix.tocsc(), right)
+    return out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,9 @@ class GelSearchSettings:
     # Shaken by this much (rad, share of the radius), so that other seeds look at other places.
     jitter: float = 0.03
     modes: ModeSettings = field(default_factory=ModeSettings)
+    # Several gels hold an object near its middle: standard deviation of their contacts' mean from the centroid, as a
+    # share of its radius. Wide: it decides only between poses that the gels cannot tell apart, along a can or a handle.
+    middle: float = 0.5
 
 
 def gel_starts(
@@ -66,6 +69,43 @@ def gel_starts(
     return se3.perturb(starts, widths * rng.normal(size=(len(starts), 6)), model.centroid)
 
 
+def build_tables(model: ObjectModel, settings: GelSearchSettings | None = None) -> None:
+    """What gel_starts looks up in the object: built at the first call and kept, a second's work."""
+    settings = settings or GelSearchSettings()
+    pair_table(model)
+    for box in settings.proposals.boxes:
+        bending_table(model, box, settings.proposals)
+
+
+def sifted_starts(
+    model: ObjectModel,
+    patches: Sequence[Patch],
+    rng: np.random.Generator,
+    prior: Prior | None = None,
+    extra: Evidence | None = None,
+    settings: GelSearchSettings | None = None,
+) -> Array:
+    """(n, 4, 4) of gel_starts, and the prior's mean, those that the patches' rows, and extra ones, speak for most."""
+    settings = settings or GelSearchSettings()
+    rows = patch_rows(patches, settings.rows)
+    if extra is not None:
+        rows = tables.stack(rows, extra)
+    starts = gel_starts(model, patches, rng, settings)
+    if prior is not None:
+        starts = np.concatenate([prior.pose[None], starts])
+    blur, blur_normal = settings.rank_blur
+    rough = AlignSettings(blur=blur * model.radius, blur_normal=blur_normal)
+    few = rows.take(np.arange(0, len(rows), settings.ranking_step)).reweighted(settings.ranking_step)
+    return starts[np.argsort(costs(model, few, starts, prior, rough), kind="stable")[: settings.ranked]]
+
+
+def off_middle(model: ObjectModel, points: Array, poses: Array, share: float) -> Array:
+    """(b,) nats against poses (b, 4, 4) for how far the mean of the contacts (n, 3) is from the object's centroid."""
+    middles = poses[:, :3, :3] @ model.centroid + poses[:, :3, 3]
+    away = np.linalg.norm(middles - points.mean(axis=0), axis=1)
+    return np.asarray(0.5 * np.square(away / (share * model.radius)))
+
+
 def localize_gels(
     model: ObjectModel,
     patches: Sequence[Patch],
@@ -82,26 +122,19 @@ def localize_gels(
     contacts = gel_contacts(patches, settings.rows)
     if not len(contacts):
         raise InputError("gels: expected at least one gel that touches something, got none")
-    model.field  # noqa: B018  (built once per object, not part of the search's time)
-    pair_table(model)
-    for box in settings.proposals.boxes:
-        bending_table(model, box, settings.proposals)
+    model.field  # noqa: B018  (built once per object, not part of the search's time, nor are the tables)
+    build_tables(model, settings)
     begin = time.perf_counter()
     rng = np.random.default_rng(seed)
     rows = patch_rows(patches, settings.rows)
     if extra is not None:
         rows = tables.stack(rows, extra)
-    starts = gel_starts(model, patches, rng, settings)
-    if prior is not None:
-        starts = np.concatenate([prior.pose[None], starts])
-    blur, blur_normal = settings.rank_blur
-    rough = AlignSettings(blur=blur * model.radius, blur_normal=blur_normal)
-    few = rows.take(np.arange(0, len(rows), settings.ranking_step)).reweighted(settings.ranking_step)
-    merits = costs(model, few, starts, prior, rough)
-    keep = np.argsort(merits, kind="stable")[: settings.ranked]
+    starts = sifted_starts(model, patches, rng, prior, extra, settings)
     stages = tuple(SearchStage(b * model.radius, angle, 10**9, steps, n) for b, angle, steps, n in settings.passes)
-    found = search(model, rows, starts[keep], stages, prior)
+    found = search(model, rows, starts, stages, prior)
     result = align(model, rows, found.poses, prior)
+    if len(contacts) > 1:
+        result = replace(result, costs=result.costs + off_middle(model, contacts.points, result.poses, settings.middle))
     modes = distinct_modes(model, result, settings.modes)
     pose = modes[0].pose
     sigma = float(np.sqrt(np.mean(contacts.sigma_point**2)))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,6 +44,9 @@ class UnscentedSettings:
     # Sigma of a contact in the Kalman update, metres: the authors' program has none there, so that particles end on the
     # surface; some millimetres keep the gain regular.
     update_sigma: float = 0.004
+    # Nodes of the object's lattice are left out until it is about this wide, metres: a third of what the filter
+    # believes of a contact, and small enough for a processor's cache, where look-ups take two thirds of the time.
+    lattice: float = 0.005
     # Artificial motion between two contacts: variances (rad^2, m^2) per axis, Q.
     process_rotation: float = 1e-4
     process_translation: float = 1e-5
@@ -71,6 +75,8 @@ class UnscentedSettings:
     effective_share: float = 0.2
     # Components below this share of the heaviest one's weight are left out of the estimate's mixture.
     least_weight: float = 1e-3
+    # Particles, the heaviest first, at which the mixture is evaluated: where it is highest its particles are heavy.
+    candidates: int = 150
 
 
 class UnscentedParticleFilter:
@@ -134,13 +140,13 @@ class UnscentedParticleFilter:
         exponents = s.window - np.arange(len(window), dtype=np.float64)[::-1]
         likelihood, powered, proposal = np.zeros(n), np.zeros(n), np.zeros(n)
         draws = self._rng.normal(size=(n, 6))
-        field = self.model.field
+        values, spacing = _thinned_lattice(self.model, s.lattice)
 
         def work(part: slice) -> None:
             kernels.filter_step(
-                field.values,
-                field.origin,
-                float(field.spacing),
+                values,
+                self.model.field.origin,
+                spacing,
                 self.model.centroid,
                 window,
                 exponents,
@@ -189,16 +195,33 @@ class UnscentedParticleFilter:
         rotations, middles, covariances = self._drawn
         weights = self._log_estimate - self._log_estimate.max()
         heavy = np.flatnonzero(weights > np.log(self.settings.least_weight))
-        density = np.zeros(len(heavy))
         components = (rotations[heavy], middles[heavy], covariances[heavy], weights[heavy])
+        asked = heavy[np.argsort(-weights[heavy], kind="stable")[: self.settings.candidates]]
+        density = np.zeros(len(asked))
 
         def work(part: slice) -> None:
-            kernels.mixture_density(*components, rotations[heavy[part]], middles[heavy[part]], density[part])
+            kernels.mixture_density(*components, rotations[asked[part]], middles[asked[part]], density[part])
 
-        run_chunks(work, len(heavy), smallest=50)
-        best = heavy[int(np.argmax(density))]
+        run_chunks(work, len(asked), smallest=50)
+        best = asked[int(np.argmax(density))]
         rotation = se3.project_to_rotation(rotations[best])
         return se3.make_pose(rotation, middles[best] - rotation @ self.model.centroid)
+
+
+_LATTICES: WeakKeyDictionary[ObjectModel, dict[int, tuple[NDArray[np.float32], float]]] = WeakKeyDictionary()
+
+
+def _thinned_lattice(model: ObjectModel, widest: float) -> tuple[NDArray[np.float32], float]:
+    """Every k-th node of the object's lattice along each axis, k as large as `widest` (m) allows, and the spacing.
+
+    Kept as long as the object. The last nodes may be left out: they are in the lattice's padding.
+    """
+    field = model.field
+    stride = max(1, int(widest / field.spacing))
+    kept = _LATTICES.setdefault(model, {})
+    if stride not in kept:
+        kept[stride] = np.ascontiguousarray(field.values[::stride, ::stride, ::stride]), stride * float(field.spacing)
+    return kept[stride]
 
 
 def scattered_order(points: Array) -> NDArray[np.intp]:
@@ -224,7 +247,7 @@ def localize(
     settings = settings or UnscentedSettings()
     if settings.window is None:
         settings = replace(settings, window=max(1, round(settings.window_share * len(contacts))))
-    model.field  # noqa: B018  (building the lattice is not part of the search's time)
+    _thinned_lattice(model, settings.lattice)  # not part of the search's time
     begin = time.perf_counter()
     search = UnscentedParticleFilter(model, contacts.points[0], seed, settings, prior, extra)
     order = scattered_order(contacts.points) if settings.scattered else np.arange(len(contacts))

@@ -54,6 +54,11 @@ class LookSettings:
     most_pieces: int = 10
     most_in_piece: int = 1200
     piece_share: float = 0.1
+    # Smoothed depths of neighbours that differ by more (m, and as a share of depth) part a piece in two: a third of
+    # what parts things for certain; of pieces that share this much the coarser is kept.
+    piece_fine: float = 0.002
+    piece_fine_share: float = 0.003
+    piece_same: float = 0.9
     hand: HandViewSettings = field(default_factory=HandViewSettings)
     mask: MaskSettings = field(default_factory=MaskSettings)
     rows: RowSettings = field(default_factory=RowSettings)
@@ -125,24 +130,41 @@ def _find_plane(frame: Frame, model: ObjectModel, beliefs: Beliefs, settings: Lo
 def _find_pieces(
     frame: Frame, model: ObjectModel, plane: Array | None, beliefs: Beliefs, settings: LookSettings
 ) -> tuple[Pixels, ...]:
-    """Connected surfaces off the plane, largest first, those that are not far too small to be the object's."""
+    """Connected surfaces off the plane, largest first, those that are not far too small to be the object's; then those
+    into which finer steps of depth part them: a finger that lies on the object is one piece with it, or two.
+    """
     assert frame.camera is not None
     camera, step = frame.camera, settings.piece_step
     v, u = np.mgrid[0 : camera.height : step, 0 : camera.width : step]
+    out: list[Pixels] = []
+    coarse: list[NDArray[np.bool_]] = []
     points, pieces = surfaces(frame, plane, beliefs, settings)
-    z = points[..., 2]
-    size = np.bincount(pieces[pieces >= 0], minlength=1)
-    out = []
-    for piece in np.argsort(-size, kind="stable")[: settings.most_pieces]:
-        own = pieces == piece
-        middle = float(np.median(z[own])) if size[piece] else 0.0
-        # the mean shadow of a convex body is a quarter of its surface (Cauchy)
-        shown = model.area / 4.0 * camera.fx * camera.fy / max(middle, 1e-3) ** 2 / step**2
-        if size[piece] < max(settings.least_masked / step**2, settings.piece_share * shown):
-            continue
-        pixels = Pixels(np.stack([u[own], v[own]], axis=1).astype(np.int64), points[own], float(step**2))
-        out.append(pixels.thinned(settings.most_in_piece))
+    for numbers in (pieces, finer_surfaces(points, pieces, settings)):
+        size = np.bincount(numbers[numbers >= 0], minlength=1)
+        order = np.argsort(-size, kind="stable")[: settings.most_pieces - len(out)]
+        for piece in order:
+            own = numbers == piece
+            middle = float(np.median(points[..., 2][own])) if size[piece] else 0.0
+            # the mean shadow of a convex body is a quarter of its surface (Cauchy)
+            shown = model.area / 4.0 * camera.fx * camera.fy / max(middle, 1e-3) ** 2 / step**2
+            if size[piece] < max(settings.least_masked / step**2, settings.piece_share * shown):
+                continue
+            # what finer steps did not part is there already
+            if any((own & other).sum() > settings.piece_same * other.sum() for other in coarse):
+                continue
+            coarse.append(own)
+            pixels = Pixels(np.stack([u[own], v[own]], axis=1).astype(np.int64), points[own], float(step**2))
+            out.append(pixels.thinned(settings.most_in_piece))
     return tuple(out)
+
+
+def finer_surfaces(points: Array, pieces: NDArray[np.int64], settings: LookSettings) -> NDArray[np.int64]:
+    """(h, w) numbers of the pieces into which finer steps of smoothed depth part surfaces; see `surfaces`."""
+    import cv2
+
+    z = cv2.medianBlur(np.ascontiguousarray(points[..., 2], dtype=np.float32), 3).astype(np.float64)
+    fine = replace(settings.mask, step=settings.piece_fine, step_share=settings.piece_fine_share)
+    return connected_pieces(z, (pieces >= 0) & is_reading(z), fine)
 
 
 def surfaces(

@@ -33,10 +33,12 @@ class MaskSettings:
     slack: float = 0.035
     # Pixels of the whole image among which the hand is looked for, where nobody has yet.
     most_hand: int = 8000
-    # A plane holds this share of the readings or is none; so many triples of points are tried, on so many points.
+    # A plane holds this share of the readings or is none; so many triples of points are tried, on so many points,
+    # of which every so manieth has a vote on them.
     plane_share: float = 0.2
     plane_tries: int = 200
     plane_points: int = 3000
+    plane_voters: int = 3
     # Room over the plane (m) that is still the plane's: smooth bias and scale of depth at two sigmas; and sigmas of the
     # independent noise on top.
     plane_margin: float = 0.006
@@ -174,10 +176,11 @@ def find_plane(frame: Frame, settings: MaskSettings, depth_model: DepthModel) ->
     offsets = -np.einsum("ni,ni->n", normals, corners[length > 1e-6][:, 0])
     if not len(normals):
         return None
-    on = np.abs(points @ normals.T + offsets) < tolerance[:, None]
+    some = slice(None, None, settings.plane_voters)
+    on = np.abs(points[some] @ normals.T + offsets) < tolerance[some, None]
     best = int(on.sum(axis=0).argmax())
-    chosen = on[:, best]
     normal, offset = normals[best], offsets[best]
+    chosen = np.abs(points @ normal + offset) < tolerance
     for _ in range(3):
         middle = points[chosen].mean(axis=0)
         _, _, axes = np.linalg.svd(points[chosen] - middle, full_matrices=False)

@@ -53,11 +53,17 @@ STOUT = HandShape(
 
 @dataclass(frozen=True)
 class Made:
-    """frame with truth and start; model that the estimator is given; name of the object."""
+    """frame with truth and start; model that the estimator is given; name of the object; number of the trial."""
 
     name: str
     frame: Frame
     model: ObjectModel
+    trial: int = 0
+
+    @property
+    def key(self) -> str:
+        """Tells it from the other frames of its family and hidden share."""
+        return f"{self.name}/{self.trial}"
 
 
 def why_not(family: Family) -> str:
@@ -164,7 +170,7 @@ def _made(family: Family, name: str, occlusion: float, trial: int, seed: int) ->
             )
         except InputError:  # a grasp or view that cannot hide so much is drawn anew
             continue
-        return Made(name, frame, judge_of(name, family.mesh_error).model)
+        return Made(name, frame, judge_of(name, family.mesh_error).model, trial)
     return None
 
 
@@ -198,7 +204,7 @@ def _recorded(name: str, family: Family, trial: int, seed: int) -> Made:
     rng = np.random.default_rng(_seed(family, seed, name, trial))
     start = poses.displaced(frame.camera_from_object_truth, *START, judge.model.centroid, rng)
     mask = frame.mask if family.mask else None
-    return Made(name, replace(frame, mask=mask, prior=start), judge.model)
+    return Made(name, replace(frame, mask=mask, prior=start), judge.model, trial)
 
 
 def judge_for(family: Family, made: Made) -> Judge:

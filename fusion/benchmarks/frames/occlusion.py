@@ -117,7 +117,7 @@ def _family(report: Report, family: Family, settings: BenchSettings) -> list[Ans
                 warm = True
             for row in compare_frame(made.frame, judge, methods, settings.seed):
                 found[level, row.method].append(Judged(row, *_in_hand(row, made.frame, judge.model)))
-                answers.append(answered(row, family.name, level, True, judge.model.symmetries))
+                answers.append(answered(row, family.name, level, True, judge.model.symmetries, made.key))
     for level in levels:
         for method in METHODS:
             if found[level, method]:

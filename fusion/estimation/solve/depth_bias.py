@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation.solve.kernels import mark_near
 from scenes.geometry.cameras import Camera
 from scenes.recordings.beliefs import DepthModel
 
@@ -66,7 +67,9 @@ class DepthBias:
 
 def _is_near(grid: Array, uv: Array, reach: float) -> NDArray[np.bool_]:
     """(k,) whether any of uv (n, 2) is nearer than `reach` to grid (k, 2), all pixels."""
-    return np.array([np.square(uv - node).sum(axis=1).min() < reach * reach for node in grid], dtype=bool)
+    out = np.zeros(len(grid), dtype=bool)
+    mark_near(grid, uv, float(reach), out)
+    return out
 
 
 def _kernel(a: Array, b: Array, length: float) -> Array:

@@ -42,6 +42,7 @@ class JointResult:
     Of the frame alone, without the prior on the pose: covariances (6, 6) independent, of independent noise, and shared,
     of calibration, depth scale and bias; a direction that the frame does not tell is as wide as the object, in shared.
     as_seen (4, 4): where the uncorrected depth image shows the object, scale and mean bias put back along its ray.
+    follows (6, 6): by how much xi is expected to be otherwise where the pose turns out to be otherwise.
     """
 
     pose: Array
@@ -56,6 +57,7 @@ class JointResult:
     independent: Array = field(default_factory=lambda: np.zeros((6, 6)))
     shared: Array = field(default_factory=lambda: np.zeros((6, 6)))
     as_seen: Array = field(default_factory=lambda: np.eye(4))
+    follows: Array = field(default_factory=lambda: np.zeros((6, 6)))
 
     @property
     def millimetres(self) -> float:
@@ -92,19 +94,23 @@ def solve(problem: JointProblem, pose: Array, level: float, weight: float | None
     return answered(settle(problem, pose, level, weight))
 
 
-def settle(problem: JointProblem, pose: Array, level: float, weight: float | None = None) -> Settled:
+def settle(
+    problem: JointProblem, pose: Array, level: float, weight: float | None = None, after: Settled | None = None
+) -> Settled:
     """Gauss-Newton from `pose` (4, 4) for shared errors `level` times as large as believed.
 
     weight: of a pixel; the least of all rigs' when not told, so that log evidences of levels can be compared. Where
     nothing of known shape ties depth's scale and bias (problem.ties_depth), they are not solved for, because a wrong
     outline is then explained by a wrong scale: they widen the covariance by what they do to the pose (a consider
-    analysis, Schmidt 1966), and move nothing.
+    analysis, Schmidt 1966), and move nothing. after: a solution of another level of the same problem, whose unknowns it
+    begins with.
     """
     system = System(problem, pose, level, problem.settings.least_weight if weight is None else weight)
-    here, unknown = pose, system.start()
+    # what is whitened by a level is in units of it
+    here, unknown = pose, system.start() if after is None else after.unknown * (after.level / level)
     free = system.size if problem.ties_depth else SCALE
     cost, gradient, normal = system.terms(here, unknown)
-    damping = 1e-6
+    damping, refused = 1e-6, 0
     for _ in range(problem.settings.steps):
         damped = normal + np.diag(damping * np.diag(normal) + system.width)
         step = np.zeros(system.size)
@@ -124,7 +130,10 @@ def settle(problem: JointProblem, pose: Array, level: float, weight: float | Non
             if np.abs(step[:3]).max() < 1e-5 and np.abs(step[3:6]).max() < 1e-6:
                 break
         else:
-            damping = max(damping, 1e-5) * 10
+            refused += 1
+            if refused > problem.settings.refused:
+                break
+            damping = max(damping, 1e-5) * 100
     _, log_det = _marginal((normal + np.diag(system.width))[:free, :free])
     return Settled(system, here, unknown, float(cost), normal, float(-cost - 0.5 * log_det), level)
 
@@ -141,7 +150,7 @@ def answered(settled: Settled) -> JointResult:
         covariance = gain + inverse @ inverse.T
     vision = system.vision(here, unknown)[0] if len(problem.seen) else 0.0
     misfit = system.misfit()
-    independent, shared = _split(system, here, settled.normal)
+    independent, shared, follows = _split(system, here, settled.normal)
     covariance = misfit * covariance + system.excess_spread(whole[:free, :free], misfit) + _mesh_spread(problem)
     return JointResult(
         here,
@@ -156,6 +165,7 @@ def answered(settled: Settled) -> JointResult:
         independent=misfit * independent,
         shared=misfit * shared,
         as_seen=_as_seen(system, here, unknown),
+        follows=follows,
     )
 
 
@@ -180,8 +190,9 @@ def _as_seen(system: System, pose: Array, unknown: Array) -> Array:
     return out
 
 
-def _split(system: System, pose: Array, normal: Array) -> tuple[Array, Array]:
-    """The covariance of the frame alone, in what independent noise and what shared errors make of it.
+def _split(system: System, pose: Array, normal: Array) -> tuple[Array, Array, Array]:
+    """The covariance of the frame alone, in what independent noise and what shared errors make of it; and how the
+    calibration follows the pose: the regression of xi on delta.
 
     With H the evidence's information and L the priors', the estimate's covariance (H + L)^-1 is
     (H + L)^-1 H (H + L)^-1 from noise in the evidence plus (H + L)^-1 L (H + L)^-1 from errors as the priors have.
@@ -193,7 +204,8 @@ def _split(system: System, pose: Array, normal: Array) -> tuple[Array, Array]:
     evidence[np.arange(6, len(normal)), np.arange(6, len(normal))] -= 1.0
     inverse = np.linalg.solve(evidence + np.diag(believed), np.eye(len(normal))[:, :6])
     shared = inverse.T @ (believed[:, None] * inverse)
-    return inverse.T @ evidence @ inverse, shared
+    follows = system.white_xi @ np.linalg.solve(inverse[POSE].T, inverse[XI].T).T
+    return inverse.T @ evidence @ inverse, shared, follows
 
 
 def _marginal(normal: Array) -> tuple[Array, float]:

@@ -159,3 +159,14 @@ def prior_row(rotation, middle, prior, hessian, gradient):
         for j in range(i):
             hessian[j, i] = hessian[i, j]
     return cost
+
+
+@numba.njit(cache=True, nogil=True)
+def mark_near(grid, points, reach, out):
+    """Fill out (k,) with whether any of points (n, 2) is nearer than reach to each of grid (k, 2)."""
+    for k in range(grid.shape[0]):
+        for n in range(points.shape[0]):
+            a, b = grid[k, 0] - points[n, 0], grid[k, 1] - points[n, 1]
+            if a * a + b * b < reach * reach:
+                out[k] = True
+                break

@@ -28,7 +28,7 @@ def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[Joint
         return [solve(one, start, 1.0) for one, start in pairs]
     tried = [settle(problem, starts[0], settings.rigs[0].level)]
     for rig in settings.rigs[1:]:
-        tried.append(settle(problem, tried[-1].pose, rig.level))
+        tried.append(settle(problem, tried[-1].pose, rig.level, after=tried[-1]))
     score = np.array([t.log_evidence + np.log(rig.share) for t, rig in zip(tried, settings.rigs)])
     weights = np.exp(score - score.max())
     best = int(np.argmax(score))

@@ -27,7 +27,9 @@ class JointSettings:
     # Gauss-Newton steps: the start is the minimum of a system that differs by millimetres.
     steps: int = 8
     # A step that promises less than this (nats) is not taken: beyond it rows change sides, not the pose.
-    worth: float = 0.02
+    worth: float = 0.04
+    # Steps that may be refused because they made it worse: by a nat or so a cost is rough, and no shorter step helps.
+    refused: int = 1
     # Rigs that are tried: factors on the believed sizes of calibration, scale and bias errors, how usual each is before
     # anything is seen, and the weight of a pixel in it. A rig without shared errors, a usual one, a poor one; with one
     # in between, at 0.2 or 0.4, frames that show little of the hand took it too often, and were too sure.

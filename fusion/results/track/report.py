@@ -69,8 +69,12 @@ def write_track_report(
 def _shown(columns: Columns) -> NDArray[np.int64]:
     """Rows that are drawn: of a long track those evenly spread and those in which something changes."""
     step = every(len(columns))
-    said = list(zip(columns.verdict, columns.how, columns.slip))
-    return np.array([i for i, now in enumerate(said) if i % step == 0 or now != said[i - 1]], dtype=np.int64)
+    verdict, how, slip = columns.verdict, columns.how, columns.slip
+
+    def changes(i: int) -> bool:
+        return verdict[i] != verdict[i - 1] or how[i] != how[i - 1] or bool(slip[i] != slip[i - 1])
+
+    return np.array([i for i in range(len(columns)) if i % step == 0 or changes(i)], dtype=np.int64)
 
 
 def _rows(columns: Columns, rows: NDArray[np.int64]) -> Json:

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion.estimation.solve.joint import solve
+from fusion.estimation.solve.kernels import mark_near
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import solve_modes
 from fusion.estimation.solve.settings import JointSettings
@@ -26,6 +27,14 @@ from vision.look.look import look
 from vision.look.looked import RowSettings
 
 CAMERA = Camera(570.0, 570.0, 319.5, 239.5, 640, 480)
+
+
+def test_inducing_pixels_are_near_some_pixel(rng):
+    grid, pixels = rng.uniform(0, 100, (50, 2)), rng.uniform(0, 60, (40, 2))
+    near = np.zeros(50, dtype=bool)
+    mark_near(grid, pixels, 12.0, near)
+    assert np.array_equal(near, np.linalg.norm(grid[:, None] - pixels, axis=2).min(axis=1) < 12.0)
+    assert 0 < near.sum() < 50
 
 
 @given(st.floats(0, 1e5), st.sampled_from([0.0, 0.5, 1.5, 2.5, 5.0, 8.9, 20.0, NO_GATE]))

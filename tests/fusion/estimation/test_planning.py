@@ -1,11 +1,13 @@
 """Searches that end early: when a few starts may speak for all, and what makes them doubt."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fusion.estimation.estimate import estimate
 from fusion.estimation.proposals import ProposalSettings, search_stages
-from fusion.estimation.search import PlanSettings, find_modes, valley_steps, worth_solving
+from fusion.estimation.search import Found, PlanSettings, find_modes, valley_steps, worth_solving
 from scenes.evidence import table as evidence
 from scenes.evidence.align import Prior
 from scenes.evidence.modes import Mode, ModeSettings
@@ -77,8 +79,12 @@ def test_without_a_prior_nothing_is_skipped(drill):
 
 def test_modes_that_cannot_win_are_not_solved():
     modes = tuple(Mode(np.eye(4) * k, w, 0.0, np.eye(6)) for k, w in enumerate((0.0005, 0.9, 0.0995, 1e-5)))
-    assert len(worth_solving(modes, PlanSettings())) == 3  # the first is the answer so far, whatever it weighs
-    assert len(worth_solving(modes, PlanSettings(skipping=False))) == 4
+    found = Found(modes, 1, "")
+    assert len(worth_solving(found, PlanSettings(), 5)) == 3  # the first is the answer so far, whatever it weighs
+    assert len(worth_solving(found, PlanSettings(skipping=False), 5)) == 4
+    felt = 9.0 * np.eye(4)
+    worth = worth_solving(replace(found, also=(felt,)), PlanSettings(skipping=False), 3)
+    assert [pose[0, 0] for pose in worth] == [0.0, 1.0, 9.0]  # what touch says is solved, however unlikely it seems
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -8,12 +8,18 @@ import pytest
 
 from fusion import estimate
 from fusion.estimation.confidence import ConfidenceSettings, confidence, spread_of, whole_covariance, within
+from fusion.estimation.pool import Pool, PoolSettings
+from fusion.estimation.proposals import ProposalSettings, search_stages
+from fusion.estimation.propose import modes_near
 from fusion.estimation.ranking import guarded
+from fusion.estimation.search import Found, PlanSettings
 from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.solve.joint import JointResult
+from fusion.estimation.trace import Trace
 from fusion.truth.errors import Judge
+from scenes.evidence import table as tables
 from scenes.evidence.align import Prior
-from scenes.evidence.modes import Mode
+from scenes.evidence.modes import Mode, ModeSettings
 from scenes.geometry import poses
 from scenes.synthesis import library
 from scenes.synthesis.recording import synthesize_frames
@@ -51,7 +57,53 @@ def test_an_object_on_a_table_is_found_without_a_mask_and_without_a_start():
 def test_few_starts_that_convince_end_the_search(lab_frame, drill):
     answer = estimate(replace(lab_frame, prior=lab_frame.camera_from_object_truth), drill)
     search = next(stage for stage in answer.trace if stage.name == "search")
-    assert search.why.startswith("32 of 320 starts")
+    assert search.why.startswith(f"{PlanSettings().rounds[0]} of 320 starts")
+
+
+class Rounds:
+    """A pool in which nothing happens but rounds: the ends of the searches, one a round, and whether they convince."""
+
+    def __init__(self, model, ends, shown=0.0):
+        self.model, self.ends, self.shown, self.looked_at = model, iter(ends), shown, []
+        self.settings, self.modes, self.prior = PoolSettings(), ModeSettings(), SimpleNamespace(pose=np.eye(4))
+        self.predictor, self.sight = SimpleNamespace(sees=True), SimpleNamespace(costs=None)
+        self.felt, self.held, self.rng, self.costs = tables.empty(), None, None, None
+        self.proposals = ProposalSettings()
+
+    apart, is_same, held_starts = Pool.apart, Pool.is_same, Pool.held_starts
+
+    def proposed(self, starts, stages, seen, start, descents):
+        self.looked_at.append(len(starts))
+        return np.zeros((0, 4, 4))
+
+    def compete(self, candidates, most=None):
+        return tuple(Mode(pose, 1.0 / len(candidates), 0.0, np.eye(6)) for pose in candidates[:1])
+
+    def convinces(self, modes, shown=None):
+        return self.shown > (0.1 if shown is None else shown)
+
+    def end(self, *_):
+        return Found((Mode(poses.make_pose(None, [next(self.ends), 0.0, 0.0]), 1.0, 0.0, np.eye(6)),), 0, "")
+
+
+@pytest.mark.parametrize(
+    ("ends", "shown", "looked_at", "why"),
+    [
+        ([0.0], 0.9, [], "convince"),
+        ([0.0], 0.2, [20], "convince"),
+        ([0.0, 0.0005], 0.0, [20, 76], "in doubt"),
+        ([0.0, 0.05, 0.1], 0.0, [20, 76, 224], "in doubt"),
+    ],
+)
+def test_rounds_of_fresh_starts_end_where_nothing_new_comes(drill, monkeypatch, ends, shown, looked_at, why):
+    pool = Rounds(drill, ends, shown)
+    monkeypatch.setattr("fusion.estimation.propose.find_modes", pool.end)
+    monkeypatch.setattr("fusion.estimation.propose.walk", lambda *_: np.zeros((0, 4, 4)))
+    starts = np.tile(np.eye(4), (320, 1, 1))
+    found = modes_near(pool, None, None, starts, search_stages(0.01, ()), PlanSettings(), Trace())
+    assert pool.looked_at == looked_at
+    assert found.looked_at == (sum(looked_at) or 20)
+    assert why in found.why
 
 
 def result(pose, scale=0.0):

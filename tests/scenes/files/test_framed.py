@@ -85,9 +85,21 @@ def test_entries_are_what_json_says(tmp_path, text):
     path.write_text(text, encoding="utf-8")
     expected = {int(k): v for k, v in json.loads(text.lstrip("\ufeff")).items()}
     found = bop.read_frames(path, refuse)
-    assert isinstance(found, bop.FrameEntries)
+    assert isinstance(found, bop.FrameEntries) == text.lstrip("\ufeff").isascii()
     assert str(dict(found)) == str(expected)
     assert (len(found), 99 in found, list(found)) == (len(expected), False, list(expected))
+
+
+def test_entries_of_a_file_that_has_changed_are_refused(tmp_path):
+    path = tmp_path / "e.json"
+    path.write_text('{"7": [1, 2], "3": {"a": 1}}')
+    found = bop.read_frames(path, refuse)
+    assert (found[3], found[7]) == ({"a": 1}, [1, 2])
+    with pytest.raises(KeyError):
+        found[5]
+    path.write_text('{"7": [')
+    with pytest.raises(CaptureError, match="frame 3: expected the file as it was"):
+        found[3]
 
 
 @pytest.mark.parametrize(

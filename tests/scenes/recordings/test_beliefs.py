@@ -19,6 +19,7 @@ from scenes.recordings.frames import Frame
 from scenes.recordings.telling import beliefs_json, believed, of_joints
 from scenes.recordings.validation import validate
 from scenes.synthesis.library import make
+from vision.sight import Sight
 
 OTHERS = Beliefs(
     DepthModel(bias_sigma=0.001), CalibrationModel(0.003, 0.01), TouchModel(0.005, 0.001), mesh_sigma=0.0007
@@ -135,3 +136,17 @@ def test_noise_grows_as_the_makers_say():
     assert DEPTH_CAMERAS["kinect-v1"] == DepthModel()
     for values in noise.values():
         assert (np.diff(values) > 0).all()
+
+
+def test_the_form_of_the_noise_reaches_the_compiled_look_up():
+    """A noise told as growing from 0 m and the same number told as constant cost the same at one depth."""
+    frame, box = plain_view(), make("box")
+    pose = frame.camera_from_object_truth
+    away = pose.copy()
+    away[2, 3] -= 0.03  # nearer: the camera sees past it, but for noise
+    depth = float(pose[2, 3])
+    grown = DepthModel(axial_floor=0.001, axial_from=0.0, axial_growth=0.2)
+    constant = DepthModel(axial_floor=0.001 + 0.2 * depth**2, axial_growth=0.0)
+    costs = [Sight(frame, box, model).costs(np.array([pose, away])) for model in (grown, constant, DepthModel())]
+    np.testing.assert_allclose(costs[0], costs[1], atol=2.0)
+    assert costs[2][1] > costs[0][1] + 20.0

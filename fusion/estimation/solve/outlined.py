@@ -1,0 +1,97 @@
+"""The answer moved to where the image shows its outline, as far as everything else lets it. Camera frame, metres.
+
+The joint solution leaves a Gaussian of the pose, all else marginalised; the lines across the outline add theirs to it
+and are read anew where it leads. What else was sensed weighs as its model says. How wrong it may be beyond its model
+(pulls that scatter more than they should) is part of the covariance, but no weight: estimated from a few patches of an
+image, it is too uncertain to be one. So the covariance follows the gain that was used, optimal or not (Joseph form).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation.pool import Pool
+from fusion.estimation.settings import EstimateSettings
+from fusion.estimation.solve.joint import JointResult
+from scenes.evidence.align import costs
+from scenes.evidence.modes import Mode
+from scenes.geometry import poses as se3
+from scenes.recordings.frames import Frame
+from vision.contour.evidence import ContourEvidence
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Outlined:
+    """mode: with what the outline says. solved: the joint solution, its calibration moved with the pose. lines: that
+    were open; why: a word on what was found.
+    """
+
+    mode: Mode
+    solved: JointResult
+    lines: int
+    why: str
+
+
+def outlined(
+    frame: Frame, pool: Pool, solved: JointResult, mode: Mode, mesh_sigma: float, settings: EstimateSettings
+) -> Outlined:
+    """The mode, and the joint solution it is from, with what the image says of the outline; as they were where it says
+    nothing, is not registered with depth, or wants what everything else speaks against.
+
+    mesh_sigma (m): what the mesh leaves out of the object. The mode may be wider than its solution: as sampled.
+    """
+    model, how = pool.model, settings.contour
+    wider = _positive(mode.covariance - solved.covariance)
+    information = np.linalg.inv(solved.independent + solved.shared + wider)
+    hessian, lines = np.zeros((6, 6)), 0
+    at = mode.pose
+    for turn in range(how.rounds):
+        evidence = ContourEvidence(frame, model, pool.predictor, at, mesh_sigma, how)
+        why_not = evidence.why_not or (evidence.unregistered(mode.covariance) if turn == 0 else "")
+        if why_not:
+            return Outlined(mode, solved, 0, why_not)
+        lines = evidence.count
+        before = se3.difference(at, mode.pose, model.centroid)
+        delta = np.zeros(6)
+        for step in range(how.steps):
+            if step == how.steps - 1:
+                evidence.temper(delta)
+            gradient, hessian = evidence.terms(delta)
+            delta = delta - np.linalg.solve(information + hessian, gradient + information @ (before + delta))
+        at = se3.perturb(at, delta, model.centroid)
+        if evidence.shift_of(delta) < how.anew:
+            break
+    moved = se3.difference(at, mode.pose, model.centroid)
+    tension = float(moved @ np.linalg.solve(mode.covariance, moved))
+    as_seen = se3.perturb(solved.as_seen, moved, model.centroid)
+    worse = _worse(pool, (mode.pose, at), (solved.as_seen, as_seen))
+    if tension > how.most_moved or worse > settings.most_worse_outlined:
+        why = f"outline and depth disagree (chi-square {tension:.0f}, {worse:.0f} nats worse)"
+        return Outlined(mode, solved, 0, why)
+    inverse = np.linalg.inv(information + hessian)
+    kept = np.eye(6) - inverse @ hessian
+    # the mesh's own error is in both, and no evidence takes it away
+    mesh = np.diag(np.repeat([(mesh_sigma / model.radius) ** 2, mesh_sigma**2], 3))
+    spread = kept @ _positive(mode.covariance - mesh) @ kept.T + inverse @ hessian @ inverse + mesh
+    why = f"{lines} lines across it, moved by {1e3 * float(np.linalg.norm(moved[3:])):.1f} mm, {worse:+.1f} nats"
+    calibrated = replace(solved, xi=solved.xi + solved.follows @ moved)
+    return Outlined(replace(mode, pose=at, covariance=0.5 * (spread + spread.T)), calibrated, lines, why)
+
+
+def _worse(pool: Pool, poses: tuple[Array, Array], as_seen: tuple[Array, Array]) -> float:
+    """Nats that touch and the prior have against the second of two poses (4, 4) more than against the first, and the
+    picture of depth against where it has them.
+    """
+    all_of_it = costs(pool.model, pool.felt, np.array(poses), pool.prior) + pool.predictor.costs(np.array(as_seen))
+    return float(all_of_it[1] - all_of_it[0])
+
+
+def _positive(matrix: Array) -> Array:
+    """A symmetric matrix (6, 6) without its negative part."""
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)

@@ -1,0 +1,1 @@
+"""The steps of an estimate that are also asked for by themselves."""

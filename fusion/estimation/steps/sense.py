@@ -1,0 +1,126 @@
+"""What one frame's senses say before anything is searched, and the joint solution that ends a search.
+
+The steps that an estimate and the judging of given poses share. Camera frame, metres, radians.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation.asked import Asked
+from fusion.estimation.pool import Pool
+from fusion.estimation.ranking import guarded, joint_costs
+from fusion.estimation.solve.joint import JointResult
+from fusion.estimation.solve.problem import JointProblem
+from fusion.estimation.solve.rigs import solve_modes
+from fusion.estimation.trace import Trace
+from scenes.evidence import table as tables
+from scenes.evidence.table import Evidence
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.frames import Frame
+from touch.contacts import Felt, feel
+from touch.held import Held
+from vision.look.hand import HandView, camera_from_hand
+from vision.look.look import look, surfaces
+from vision.look.looked import Looked
+from vision.predicted import Predictor
+from vision.sight import Sight
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Sensed:
+    """A frame's evidence: viewed and touched are the frame with what each sense may use; seen: vision's rows, rows: all
+    of them; hand: where the robot's own is seen; pool: judges poses, sight quickly.
+    """
+
+    frame: Frame
+    viewed: Frame
+    touched: Frame
+    looked: Looked
+    felt: Felt
+    seen: Evidence
+    rows: Evidence
+    sight: Sight
+    pool: Pool
+
+    @property
+    def hand(self) -> HandView | None:
+        """The robot's own hand, when enough of it is seen."""
+        return self.looked.seen_hand
+
+    @property
+    def contacts(self) -> int:
+        """How many contacts there are."""
+        return len(self.felt.reported_contacts)
+
+    @property
+    def nothing(self) -> bool:
+        """Whether nothing tells where the object is: emptiness alone tells where it is not."""
+        return len(self.rows) == 0 or (self.pool.prior is None and not len(self.looked.pixels) and not self.contacts)
+
+
+def look_once(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace) -> Looked:
+    """What the camera saw, once for all that is asked about it."""
+    settings, start = asked.settings.look, asked.prior.pose if asked.prior is not None else None
+    viewed = frame if "vision" in asked.senses else frame.without_vision()
+    with trace.stage("look", "vision" in asked.senses, "vision not asked for") as stage:
+        looked = look(viewed, model, asked.beliefs, start, settings)
+        count = len(looked.rows(asked.beliefs.depth, settings.rows))
+        stage.note(count, f"{len(looked.pixels)} object pixels, {len(looked.of_hand)} of the hand{looked.how}")
+    return looked
+
+
+def sense(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: Looked) -> Sensed:
+    """Feel, and lay out what judges poses."""
+    settings, beliefs, believed = asked.settings, asked.beliefs, asked.prior
+    viewed = frame if "vision" in asked.senses else frame.without_vision()
+    touched = frame if "touch" in asked.senses else frame.without_touch()
+    seen = looked.rows(beliefs.depth, settings.look.rows)
+    with trace.stage("feel", "touch" in asked.senses, "touch not asked for") as stage:
+        hand = looked.seen_hand
+        felt = feel(touched, hand.correct() if hand is not None else None, beliefs, looked.region, settings.touch)
+        contacts = len(felt.reported_contacts)
+        stage.note(len(felt.reported_rows), f"{contacts} contacts, {len(felt.reported_rows) - contacts} empty points")
+    sight = Sight(viewed, model, beliefs.depth, settings.sight)
+    # something that nobody has a model of touches the object, and may be what is seen
+    unknown = not looked.told_apart and viewed.depth is not None
+    pieces = surfaces(viewed, looked.plane, beliefs, settings.look)[1] if unknown else None
+    predictor = Predictor(viewed, model, beliefs.depth, hand, settings.prediction, looked.plane, pieces)
+    asks = settings.look.rows, settings.proposals, settings.modes, settings.pool
+    rng = np.random.default_rng(asked.seed)
+    pool = Pool(
+        model, felt.rows, believed, predictor, sight, looked, beliefs.depth, rng, *asks, held=_held(frame, hand)
+    )
+    return Sensed(frame, viewed, touched, looked, felt, seen, tables.stack(seen, felt.rows), sight, pool)
+
+
+def _held(frame: Frame, seen: HandView | None) -> Held | None:
+    """The hand at its joints, where it is seen or else where the robot says that it is."""
+    reported = camera_from_hand(frame)
+    if frame.hand is None or frame.joints is None or reported is None:
+        return None
+    return Held(frame.hand, frame.joints, reported if seen is None else seen.aligned)
+
+
+@dataclass(frozen=True)
+class Solved:
+    """Joint solutions of one frame, their costs (k,) by all that was sensed, nats, and vision's rows of each."""
+
+    results: list[JointResult]
+    costs: Array
+    shown: list[Evidence]
+
+
+def solve_together(sensed: Sensed, poses: list[Array], asked: Asked) -> Solved:
+    """The joint solution from each of poses (4, 4), the likeliest first: it tells how large shared errors are."""
+    settings, pool, hand = asked.settings, sensed.pool, sensed.hand
+    shown = [pool.evidence(pose) if pool.predictor.sees else sensed.seen for pose in poses]
+    known = sensed.felt.reported_rows, asked.prior, hand, asked.beliefs, settings.joint
+    results = solve_modes([JointProblem.of(pool.model, sensed.frame, rows, *known) for rows in shown], poses)
+    results = guarded(pool, results, poses, hand, settings)
+    return Solved(results, joint_costs(sensed.touched, pool, results, sensed.sight, settings), shown)

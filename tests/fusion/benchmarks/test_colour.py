@@ -1,0 +1,29 @@
+"""The benchmark of the outline's colours: what it measures, and that it runs."""
+
+import numpy as np
+import pytest
+
+from fusion.benchmarks.camera import colour
+from fusion.benchmarks.families.table import FAMILIES
+from fusion.benchmarks.printing.tables import BenchSettings
+from scenes.geometry import poses
+from scenes.synthesis import library
+
+
+def test_the_lateral_error_leaves_the_ray_out():
+    model = library.make("box")
+    truth = poses.make_pose(None, [0.0, 0.0, 0.5] - model.centroid)
+    assert colour.lateral(poses.make_pose(None, [0.0, 0.0, 0.02]) @ truth, truth, model) < 1e-9
+    across = poses.make_pose(None, [0.003, 0.004, 0.02]) @ truth
+    assert colour.lateral(across, truth, model) == pytest.approx(0.005, rel=1e-6)
+
+
+def test_frames_are_answered_without_and_with_colours(tmp_path):
+    report = colour.run(BenchSettings(trials=1, quick=True, family="lab", objects=("box",), data=tmp_path))
+    (table,) = report.tables
+    assert [row[:3] for row in table.rows] == [["lab", "fused", 1], ["lab", "vision", 1]]
+    assert all(np.isfinite(row[6]) and np.isfinite(row[7]) for row in table.rows)
+    assert len(report.claims) == 2
+    pairs = list(colour.pairs_of(FAMILIES["lab"], [0.0], ["box"], 1, 0))
+    assert {pair.sense for pair in pairs} == {"fused", "vision"}
+    assert all(pair.used for pair in pairs)

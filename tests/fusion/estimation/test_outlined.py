@@ -1,0 +1,100 @@
+"""The answer with the image's outline: better where it tells, the same where it does not, never worse."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fusion import estimate
+from fusion.estimation.settings import EstimateSettings
+from scenes.errors import InputError
+from scenes.geometry import poses
+from scenes.synthesis import library
+from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
+
+PLAIN = EstimateSettings()
+PLAIN = replace(PLAIN, contour=replace(PLAIN.contour, used=False))
+
+
+@pytest.fixture(scope="module")
+def held(hand):
+    """A bottle in a hand that hides a third of it, with a lab's errors, and its colours."""
+    settings = SynthesisSettings(prior_angle=0.1, prior_distance=0.01)
+    return synthesize_frames(library.make("bottle"), hand, 1, 0.3, noise="lab", seed=8, settings=settings)[0]
+
+
+def across(pose, frame, model):
+    """How far (m) the centroid is from the truth across the ray."""
+    at, there = (poses.apply(one, model.centroid[None])[0] for one in (pose, frame.camera_from_object_truth))
+    ray = there / np.linalg.norm(there)
+    return float(np.linalg.norm((at - there) - ((at - there) @ ray) * ray))
+
+
+def stage_of(answer):
+    return next(stage for stage in answer.trace if stage.name == "outline")
+
+
+def test_the_outline_has_its_say_and_keeps_the_answer_honest(held):
+    model = library.make("bottle")
+    before, after = estimate(held, model, settings=PLAIN), estimate(held, model)
+    assert not stage_of(before).ran
+    assert stage_of(after).rows > 20
+    assert across(after.pose, held, model) <= across(before.pose, held, model) + 1e-4
+    assert np.linalg.eigvalsh(after.covariance).min() > 0.0
+    # it is surer across the ray
+    assert np.trace(after.covariance[3:5, 3:5]) < np.trace(before.covariance[3:5, 3:5])
+    assert np.array_equal(after.pose, estimate(held, model).pose)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (np.zeros_like, "dark"),
+        (lambda rgb: np.full_like(rgb, 255), "overexposed"),
+        (lambda rgb: np.full_like(rgb, 128), "no contrast"),
+        (lambda rgb: np.roll(rgb, 10, axis=1), "registered"),
+    ],
+)
+def test_an_image_that_cannot_help_changes_nothing_and_is_said(held, change, said):
+    model = library.make("bottle")
+    before = estimate(held, model, settings=PLAIN)
+    after = estimate(replace(held, rgb=change(held.rgb)), model)
+    assert np.array_equal(before.pose, after.pose)
+    assert np.array_equal(before.covariance, after.covariance)
+    assert said in stage_of(after).why
+    assert any(said in note for note in after.notes)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda rgb: rgb[..., ::-1],
+        lambda rgb: np.repeat(rgb[..., :1], 3, axis=2),
+        lambda rgb: (rgb // 4).astype(np.uint8),
+    ],
+)
+def test_other_colours_are_no_worse_than_none(held, change):
+    model = library.make("bottle")
+    before, after = estimate(held, model, settings=PLAIN), estimate(replace(held, rgb=change(held.rgb)), model)
+    assert across(after.pose, held, model) <= across(before.pose, held, model) + 3e-4
+
+
+def test_an_image_of_noise_moves_little(held):
+    model = library.make("bottle")
+    noise = np.random.default_rng(0).integers(0, 256, held.rgb.shape, dtype=np.uint8)
+    before, after = estimate(held, model, settings=PLAIN), estimate(replace(held, rgb=noise), model)
+    moved = poses.difference(after.pose, before.pose, model.centroid)
+    assert np.linalg.norm(moved[3:]) < 5e-4
+
+
+def test_an_image_of_another_size_is_refused_in_a_line(held):
+    with pytest.raises(InputError, match="rgb"):
+        replace(held, rgb=held.rgb[:100, :100])
+
+
+def test_the_hand_follows_the_pose(held):
+    """hand_from_object: the calibration is corrected with the pose, so that contacts stay where they were felt."""
+    model = library.make("bottle")
+    before, after = estimate(held, model, settings=PLAIN), estimate(held, model)
+    worst = [max(abs(one.residual_mm) for one in answer.contacts) for answer in (before, after)]
+    assert worst[1] < worst[0] + 0.5

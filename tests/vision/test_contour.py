@@ -1,0 +1,251 @@
+"""The outline in the image: drawn, read across, and what it says of a pose."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_frames import plain_view
+
+from scenes.geometry import poses
+from scenes.geometry.cameras import Camera
+from scenes.geometry.rendering import Renderer, shade
+from scenes.recordings.beliefs import DepthModel
+from scenes.synthesis import library
+from vision.contour import kernels
+from vision.contour.evidence import ContourEvidence, ContourSettings
+from vision.contour.lines import LineSettings, lines_across
+from vision.contour.outline import outline_of
+from vision.predicted import Predictor
+
+MESH = 1e-4
+
+
+def coloured(name, back=(138, 142, 146)):
+    """A plain view with a colour image of it, and the model."""
+    frame, model = plain_view(name), library.make(name)
+    meshes = {"object": (model.vertices, model.faces)}
+    seen = Renderer(meshes).render(frame.camera, {"object": frame.camera_from_object_truth})
+    rgb = shade(seen, {"object": (206, 116, 58)})
+    rgb[~seen.mask("object")] = back
+    noise = np.random.default_rng(3).normal(0.0, 4.0, rgb.shape)
+    return replace(frame, rgb=np.clip(rgb + noise, 0, 255).astype(np.uint8)), model
+
+
+def evidence_at(frame, model, pose, settings=None):
+    return ContourEvidence(frame, model, Predictor(frame, model, DepthModel()), pose, MESH, settings)
+
+
+def test_the_outline_of_a_ball_is_where_its_tangents_are():
+    model, away = library.make("sphere"), 0.5
+    radius = float(np.linalg.norm(model.vertices - model.centroid, axis=1).max())
+    camera = Camera(600.0, 600.0, 160.0, 120.0, 320, 240)
+    outline = outline_of(model, camera, poses.make_pose(None, [0.0, 0.0, away] - model.centroid))
+    from_middle = outline.places - [160.0, 120.0]
+    size = np.linalg.norm(from_middle, axis=1)
+    expected = 600.0 * radius / np.sqrt(away**2 - radius**2)
+    assert len(outline) > 60
+    np.testing.assert_allclose(size, expected, atol=0.4)
+    np.testing.assert_allclose(np.einsum("ij,ij->i", outline.normals, from_middle / size[:, None]), 1.0, atol=0.02)
+    projected, _ = camera.project(outline.points)
+    np.testing.assert_allclose(projected, outline.places, atol=1e-6)
+
+
+def test_an_object_beside_the_image_has_no_outline():
+    model, camera = library.make("box"), Camera(600.0, 600.0, 160.0, 120.0, 320, 240)
+    assert len(outline_of(model, camera, poses.make_pose(None, [3.0, 0.0, 0.5]))) == 0
+    assert len(outline_of(model, camera, poses.make_pose(None, [0.0, 0.0, -0.5]))) == 0
+
+
+def plain_tables(bins, ratios, group, temper, first, near, count):
+    """NumPy twin of `kernels.offset_tables`."""
+    each = np.take_along_axis(ratios[group], bins, axis=1)
+    total = np.concatenate([np.zeros((len(bins), 1)), np.cumsum(each, axis=1)], axis=1)[:, first : first + count]
+    log_p = temper * total - np.log(np.exp(temper * total).sum(axis=1, keepdims=True))
+    middle, steps = bins.shape[1] // 2, np.arange(near[0], near[1] + 1)
+    return log_p, np.stack([each[:, middle - steps].mean(axis=1), each[:, middle + steps].mean(axis=1)], axis=1)
+
+
+def test_tables_agree_with_their_twin(rng):
+    bins, ratios = rng.integers(0, 9, (7, 35)), rng.normal(size=(3, 9))
+    group, near = rng.integers(0, 3, 7), np.array([2, 9])
+    log_p, sides = np.zeros((7, 26)), np.zeros((7, 2))
+    kernels.offset_tables(bins, ratios, group, 1.5, 5, near, log_p, sides)
+    expected = plain_tables(bins, ratios, group, 1.5, 5, near, 26)
+    np.testing.assert_allclose(log_p, expected[0], atol=1e-9)
+    np.testing.assert_allclose(sides, expected[1], atol=1e-12)
+
+
+def plain_sites(log_p, lowest, expected, window):
+    """NumPy twin of `kernels.sites`."""
+    off = lowest + np.arange(log_p.shape[1]) - expected[:, None]
+    p = np.exp(log_p - 0.5 * (off / window) ** 2)
+    p /= p.sum(axis=1, keepdims=True)
+    middle = (p * off).sum(axis=1)
+    variance = (p * off**2).sum(axis=1) - middle**2 + 1.0 / 12.0
+    left = 1.0 / variance - window**-2.0
+    told = left > 0.0
+    safe = np.where(told, left, 1.0)
+    return np.where(told, expected + middle / variance / safe, expected), np.where(told, left, 0.0)
+
+
+def test_sites_agree_with_their_twin_and_find_a_gaussian(rng):
+    log_p, expected = np.log(rng.dirichlet(np.ones(26), size=9)), rng.normal(0.0, 2.0, 9)
+    mean, precision = np.zeros(9), np.zeros(9)
+    kernels.sites(log_p, -12.5, expected, 2.5, mean, precision)
+    twin = plain_sites(log_p, -12.5, expected, 2.5)
+    np.testing.assert_allclose(mean, twin[0], atol=1e-9)
+    np.testing.assert_allclose(precision, twin[1], atol=1e-9)
+    offsets = -12.5 + np.arange(26)
+    sharp = -0.5 * ((offsets - 1.3) / 1.5) ** 2
+    kernels.sites(sharp[None], -12.5, np.zeros(1), 4.0, mean[:1], precision[:1])
+    assert abs(mean[0] - 1.3) < 0.02
+    # a pixel's width is added to what a table of whole pixels tells
+    assert 1.5 < precision[0] ** -0.5 < 1.7
+
+
+def plain_shifts(log_p, lowest, normals, most, unknown):
+    """NumPy twin of `kernels.shift_scores`."""
+    out = np.zeros((2 * most + 1, 2 * most + 1))
+    for a in range(-most, most + 1):
+        for b in range(-most, most + 1):
+            j = np.floor(normals @ [b, a] - lowest + 0.5).astype(int)
+            good = (j >= 0) & (j < log_p.shape[1])
+            told = log_p[np.arange(len(j)), np.clip(j, 0, log_p.shape[1] - 1)]
+            out[a + most, b + most] = np.where(good, told, unknown).mean()
+    return out
+
+
+def test_shifts_agree_with_their_twin(rng):
+    log_p, turn = np.log(rng.dirichlet(np.ones(26), size=9)), rng.uniform(0, 6, 9)
+    normals, scores = np.stack([np.cos(turn), np.sin(turn)], axis=1), np.zeros((25, 25))
+    kernels.shift_scores(log_p, -12.5, normals, 12, -5.0, scores)
+    np.testing.assert_allclose(scores, plain_shifts(log_p, -12.5, normals, 12, -5.0), atol=1e-12)
+
+
+# a round thing darkens towards its rim: in grey that is an edge of its own
+@pytest.mark.parametrize(("name", "grey", "most"), [("box", False, 0.1), ("box", True, 0.7), ("mug", False, 0.4)])
+def test_lines_find_the_outline_to_a_fraction_of_a_pixel(name, grey, most):
+    frame, model = coloured(name)
+    image = np.repeat(frame.rgb[..., :1], 3, axis=2) if grey else frame.rgb
+    outline = outline_of(model, frame.camera, frame.camera_from_object_truth)
+    lines = lines_across(image, outline)
+    assert lines.grey == grey
+    mean, precision = np.zeros(len(lines)), np.zeros(len(lines))
+    kernels.sites(lines.log_p, lines.lowest, mean.copy(), 2.5, mean, precision)
+    told = precision > 0.2
+    assert told.mean() > 0.5
+    assert np.median(np.abs(mean[told])) < most
+
+
+def test_the_matrix_and_the_gradient_are_those_of_the_outline():
+    frame, model = coloured("box")
+    truth = frame.camera_from_object_truth
+    off = np.array([0.004, -0.006, 0.003, 0.0008, -0.0006, 0.0004])
+    evidence = evidence_at(frame, model, poses.perturb(truth, off, model.centroid))
+    outline = evidence.lines.outline
+    # a place moves along its normal as its point of the surface does
+    for k in range(6):
+        delta = np.zeros(6)
+        delta[k] = 1e-6
+        at = poses.perturb(truth, off, model.centroid)
+        shift = poses.perturb(at, delta, model.centroid) @ poses.inverse(at)
+        uv, _ = frame.camera.project(poses.apply(shift, outline.points))
+        moved = np.einsum("ij,ij->i", uv - outline.places, outline.normals) / 1e-6
+        np.testing.assert_allclose(evidence.jacobian[:, k], moved, rtol=1e-3, atol=0.5)
+    gradient, hessian = evidence.terms(np.zeros(6))
+    assert np.linalg.eigvalsh(hessian).min() > -1e-9 * np.linalg.eigvalsh(hessian).max()
+    # downhill is towards the truth
+    back = poses.difference(truth, poses.perturb(truth, off, model.centroid), model.centroid)
+    assert gradient @ back < 0.0
+
+
+@pytest.mark.parametrize("name", ["box", "drill"])
+def test_descent_leads_back_across_the_ray(name):
+    frame, model = coloured(name)
+    truth = frame.camera_from_object_truth
+    off = np.array([0.0, 0.0, 0.01, 0.0015, -0.001, 0.0])
+    at = poses.perturb(truth, off, model.centroid)
+    weak = np.diag(np.repeat([(1.0 / 0.05) ** 2, (1.0 / 0.003) ** 2], 3))
+    for _ in range(3):
+        evidence, delta = evidence_at(frame, model, at, ContourSettings(shift_colour=0.1)), np.zeros(6)
+        for _ in range(4):
+            gradient, hessian = evidence.terms(delta)
+            delta = delta - np.linalg.solve(hessian + weak, gradient + weak @ delta)
+        at = poses.perturb(at, delta, model.centroid)
+    left = poses.difference(at, truth, model.centroid)
+    assert np.linalg.norm(left[3:5]) < 0.0007
+    assert abs(left[2]) < 0.006
+
+
+def test_what_is_behind_something_says_nothing():
+    frame, model = coloured("box")
+    pose = frame.camera_from_object_truth
+    middle = frame.camera.project(poses.apply(pose, model.centroid[None]))[0][0]
+    open_lines = evidence_at(frame, model, pose).count
+    depth = frame.depth.copy()
+    depth[:, : int(middle[0])] = pose[2, 3] - 0.1
+    covered = evidence_at(replace(frame, depth=depth), model, pose)
+    assert 0.2 * open_lines < covered.count < 0.8 * open_lines
+    assert covered.lines.outline.places[:, 0].min() > middle[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda rgb: np.zeros_like(rgb), "dark"),
+        (lambda rgb: np.full_like(rgb, 255), "overexposed"),
+        (lambda rgb: np.full_like(rgb, 127), "no contrast"),
+    ],
+)
+def test_an_image_that_tells_nothing_is_said(change, said):
+    frame, model = coloured("box")
+    evidence = evidence_at(replace(frame, rgb=change(frame.rgb)), model, frame.camera_from_object_truth)
+    assert said in evidence.why_not
+
+
+def test_no_image_is_said():
+    frame, model = coloured("box")
+    assert "no colour" in evidence_at(replace(frame, rgb=None), model, frame.camera_from_object_truth).why_not
+
+
+def test_a_shifted_image_is_noticed():
+    frame, model = coloured("mug")
+    truth = frame.camera_from_object_truth
+    covariance = np.diag(np.repeat([0.01**2, 0.001**2], 3))
+    assert evidence_at(frame, model, truth).unregistered(covariance) == ""
+    beside = replace(frame, rgb=np.roll(frame.rgb, 10, axis=1))
+    assert "10 px beside" in evidence_at(beside, model, truth).unregistered(covariance)
+    # a pose that may be that far off is no reason to doubt the image
+    assert evidence_at(beside, model, truth).unregistered(400.0 * covariance) == ""
+
+
+def test_an_object_of_the_colour_of_its_ground_says_little():
+    frame, model = coloured("box")
+    rng = np.random.default_rng(0)
+    plain = np.clip(rng.normal(120.0, 12.0, frame.rgb.shape), 0, 255).astype(np.uint8)
+    evidence = evidence_at(replace(frame, rgb=plain), model, frame.camera_from_object_truth)
+    telling = evidence_at(frame, model, frame.camera_from_object_truth)
+    assert np.trace(evidence.terms(np.zeros(6))[1]) < 0.1 * np.trace(telling.terms(np.zeros(6))[1])
+
+
+def test_settings_have_room_for_what_they_read():
+    s = LineSettings()
+    assert s.near[1] <= s.reach
+    assert s.gap < s.reach + s.beyond
+
+
+def test_lines_that_scatter_by_whole_blocks_count_less():
+    frame, model = coloured("box")
+    evidence = evidence_at(frame, model, frame.camera_from_object_truth)
+    before = evidence.share.copy()
+    evidence.terms(np.zeros(6))
+    evidence.temper(np.zeros(6))
+    # noise of single lines is what they expect
+    np.testing.assert_allclose(evidence.share, before)
+    # whole pieces of the outline, each seen elsewhere
+    pieces = np.random.default_rng(1).integers(-2, 3, int(evidence._block.max()) + 1)[evidence._block]
+    evidence.lines = replace(
+        evidence.lines, log_p=np.array([np.roll(row, step) for row, step in zip(evidence.lines.log_p, pieces)])
+    )
+    evidence.temper(np.zeros(6))
+    assert evidence.share.max() < 0.7 * before.max()

@@ -1,0 +1,208 @@
+"""The outline as evidence of a pose: gradient and Gauss-Newton matrix in its tangent space, like any other rows.
+
+A place of the predicted outline moves across the image with the pose; where the colours change on the line through it
+says how far. What all lines share is solved for with them and left out of what they tell: the image may be shifted
+against depth (registration), and the whole outline may be seen too fat (blur, the mesh).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.frames import Frame
+from vision.contour import kernels
+from vision.contour.lines import Lines, LineSettings, lines_across
+from vision.contour.outline import Outline, OutlineSettings, inner_depths, outline_of
+from vision.predicted import Predictor
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ContourSettings:
+    """What an outline is worth. Tuned on the tuning family `d435`."""
+
+    # Whether the image is asked at all.
+    used: bool = True
+    # Times that the outline is drawn and read, anew only where the last time moved it by more than this (px); and
+    # Gauss-Newton steps of each.
+    rounds: int = 3
+    anew: float = 0.7
+    steps: int = 4
+    # Standard deviations (px) of a shift of the image against depth: of a grey image, which is a depth camera's own,
+    # and of a colour camera's, brought to it by calibration (by judgement: reprojection errors of such cameras); of an
+    # outline that is fatter than predicted, and of a line beyond what its colours say.
+    shift: float = 0.25
+    shift_colour: float = 0.7
+    fatter: float = 0.2
+    floor: float = 0.25
+    # Lines within this distance (px) of each other say the same: measured, neighbours 4 px apart correlate by a half.
+    apart: float = 8.0
+    # Side (px) of the blocks of the image within which lines may share more than that, and the fewest blocks beyond
+    # what is fitted to them that tell how much they scatter.
+    block: float = 24.0
+    least_blocks: int = 3
+    # Share of lines that are wrong, and the standard deviation (px) of the Gaussian within which a line is read.
+    outliers: float = 0.2
+    window: float = 2.5
+    # Fewer open lines than this tell nothing.
+    least: int = 10
+    # Places across the outline (px, inside negative) where nothing may be in front of it, and those inside at which the
+    # object's own depth is looked up, for it bulges towards the camera.
+    looked: tuple[float, ...] = (-6.0, -3.0, 0.0, 3.0, 6.0)
+    bulge: tuple[float, ...] = (-3.0, -6.0, -9.0)
+    # Where the image's edges lie on the outline only when it is shifted as a whole by more than this (px), and by more
+    # than the pose's covariance explains (standard deviations), image and depth may not be registered: edges must be
+    # stronger there by this factor than anywhere nearer.
+    most_shift: float = 3.0
+    most_sigmas: float = 4.0
+    shift_gain: float = 1.3
+    # A pose is not moved by more than this (chi-square of six degrees of freedom; 22.5 is passed once in a thousand).
+    most_moved: float = 22.5
+    outline: OutlineSettings = field(default_factory=OutlineSettings)
+    lines: LineSettings = field(default_factory=LineSettings)
+
+
+class ContourEvidence:
+    """What the lines across the outline at `pose` (4, 4) camera_from_object say of poses near it.
+
+    why_not: why they say nothing; "" when they do.
+    """
+
+    def __init__(
+        self,
+        frame: Frame,
+        model: ObjectModel,
+        predictor: Predictor,
+        pose: Array,
+        mesh_sigma: float,
+        settings: ContourSettings | None = None,
+    ) -> None:
+        """predictor: the frame's, which knows what hides the object. mesh_sigma (m): what a mesh leaves out."""
+        self.settings = s = settings or ContourSettings()
+        self.lines: Lines | None = None
+        self.why_not = ""
+        if frame.rgb is None or frame.camera is None or not predictor.sees:
+            self.why_not = "no colour image" if frame.rgb is None else "no depth image beside the colours"
+            return
+        camera = frame.camera
+        outline = outline_of(model, camera, pose, s.outline)
+        if len(outline):
+            outline = outline.take(~_hidden(outline, model, frame, predictor, pose, s))
+        if len(outline) < s.least:
+            self.why_not = f"only {len(outline)} places of the outline in view"
+            return
+        self.lines = lines_across(frame.rgb, outline, s.lines)
+        self.why_not = self.lines.why_not
+        place, normal, focal = outline.points, outline.normals, np.array([camera.fx, camera.fy])
+        z = place[:, 2]
+        # how far a place moves along its normal (px) when the surface's point moves (m)
+        slope = np.concatenate([normal * focal, -((normal * focal * place[:, :2]).sum(axis=1) / z)[:, None]], axis=1)
+        slope /= z[:, None]
+        centre = pose[:3, :3] @ model.centroid + pose[:3, 3]
+        self.jacobian = np.concatenate([se3.cross(place - centre, slope), slope], axis=1)
+        self.common = np.concatenate([normal, np.ones((len(place), 1))], axis=1)
+        fatter = np.hypot(s.fatter, mesh_sigma * float(np.median(camera.fx / z)))
+        self.shift = s.shift if self.lines.grey else s.shift_colour
+        self.common_information = np.diag(np.array([self.shift, self.shift, fatter]) ** -2.0)
+        near = np.square(outline.places[:, None] - outline.places[None]).sum(axis=-1) < (0.5 * s.apart) ** 2
+        self.share = 1.0 / near.sum(axis=1)
+        blocks = np.floor(outline.places / s.block).astype(np.int64)
+        self._block = np.unique(blocks, axis=0, return_inverse=True)[1].ravel()
+        self._common = np.zeros(3)
+
+    @property
+    def count(self) -> int:
+        """Lines that are open."""
+        return 0 if self.lines is None else len(self.lines)
+
+    def temper(self, delta: Array) -> None:
+        """Make all lines less sure by as much as their pulls scatter more, from block to block of the image, than they
+        should at the pose moved by delta (6,): patterns and shades along an outline are shared beyond neighbours.
+        """
+        left, weight = self._weighted(delta)
+        off = left + self.common @ self._common
+        count = int(self._block.max()) + 1
+        information = np.bincount(self._block, weight, minlength=count)
+        pulls = np.bincount(self._block, weight * off, minlength=count)
+        told = information > 0.0
+        spare = int(told.sum()) - 5  # what a pose and the lines' common errors fit of an outline, about
+        if spare < self.settings.least_blocks:
+            return
+        misfit = float(np.sum(np.square(pulls[told]) / information[told])) / spare
+        self.share = self.share / max(misfit, 1.0)
+
+    def terms(self, delta: Array) -> tuple[Array, Array]:
+        """Gradient (6,) and Gauss-Newton matrix (6, 6) of the lines' cost (nats) at the pose moved by delta (6,).
+
+        What the lines share is marginalised. Each line is the Gaussian that stands for it where it is expected, with
+        the probability that it is none of the wrong ones as its weight.
+        """
+        left, weight = self._weighted(delta)
+        shared = (self.common * weight[:, None]).T @ self.common + self.common_information
+        cross = (self.jacobian * weight[:, None]).T @ self.common
+        pull = self.common.T @ (weight * left)
+        self._common = -np.linalg.solve(shared, pull)
+        gradient = self.jacobian.T @ (weight * left) + cross @ self._common
+        hessian = (self.jacobian * weight[:, None]).T @ self.jacobian - cross @ np.linalg.solve(shared, cross.T)
+        return gradient, 0.5 * (hessian + hessian.T)
+
+    def _weighted(self, delta: Array) -> tuple[Array, Array]:
+        """How far (n,) px each predicted place, moved by delta (6,), is from what its line says, what all share left
+        in; and the line's weight (n,).
+        """
+        assert self.lines is not None
+        s = self.settings
+        count = len(self.lines)
+        moved = self.jacobian @ delta
+        expected = moved + self.common @ self._common
+        mean, precision = np.zeros(count), np.zeros(count)
+        kernels.sites(self.lines.log_p, self.lines.lowest, expected, s.window, mean, precision)
+        variance = 1.0 / np.maximum(precision, 1e-6) + s.floor**2
+        off = mean - expected
+        wrong = s.outliers / (1.0 - s.outliers) * np.sqrt(2.0 * np.pi * variance) / self.lines.log_p.shape[1]
+        weight = self.share / variance / (1.0 + wrong * np.exp(np.minimum(0.5 * off**2 / variance, 50.0)))
+        weight = np.where(precision > 0.0, weight, 0.0)
+        return moved - mean, weight
+
+    def shift_of(self, delta: Array) -> float:
+        """How far (px, root mean square) a move by delta (6,) shifts the outline across itself."""
+        return float(np.sqrt(np.mean(np.square(self.jacobian @ delta))))
+
+    def unregistered(self, covariance: Array) -> str:
+        """Why the image may not be of the same moment and place as depth: the outline is in it, but shifted by more
+        than the pose's covariance (6, 6) about the centroid explains; "" when it is not.
+        """
+        assert self.lines is not None
+        s, most = self.settings, self.settings.lines.reach
+        scores = np.zeros((2 * most + 1, 2 * most + 1))
+        kernels.shift_scores(self.lines.edges, -float(most), self.lines.outline.normals, most, 0.0, scores)
+        row, column = np.unravel_index(int(np.argmax(scores)), scores.shape)
+        shift = np.array([column - most, row - most], dtype=np.float64)
+        size = float(np.linalg.norm(shift))
+        steps = np.arange(-most, most + 1)
+        near = np.hypot(steps[:, None], steps[None]) <= s.most_shift
+        if size <= s.most_shift or scores[row, column] < s.shift_gain * scores[near].max():
+            return ""
+        # how the pose's own error moves the outline as a whole
+        fit = np.linalg.lstsq(self.lines.outline.normals, self.jacobian, rcond=None)[0]
+        spread = fit @ covariance @ fit.T + self.shift**2 * np.eye(2)
+        if float(shift @ np.linalg.solve(spread, shift)) <= s.most_sigmas**2:
+            return ""
+        return f"the image's outline is {size:.0f} px beside where depth has it: image and depth may not be registered"
+
+
+def _hidden(
+    outline: Outline, model: ObjectModel, frame: Frame, predictor: Predictor, pose: Array, settings: ContourSettings
+) -> NDArray[np.bool_]:
+    """(n,) whether something is in front of the outline's places, or beside them nearer than the object."""
+    assert frame.camera is not None
+    nearest = inner_depths(model, frame.camera, pose, outline, settings.bulge)
+    across = np.array(settings.looked)[:, None, None] * outline.normals[None]
+    hides = predictor.hides((outline.places[None] + across).reshape(-1, 2), np.tile(nearest, len(across)))
+    return np.asarray(hides.reshape(len(across), -1).any(axis=0))

@@ -1,0 +1,146 @@
+"""The outline that an object must show at a pose: places in the image, their normals, and the points of the surface
+that make them. Camera frame, metres; pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.geometry import poses as se3
+from scenes.geometry.cameras import Camera
+from scenes.geometry.objects import ObjectModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class OutlineSettings:
+    """How an outline is drawn. By judgement."""
+
+    # Rays along the longer side of the box around the outline, and the least distance between them (px).
+    side: int = 48
+    finest: float = 1.0
+    # Halvings between a ray that meets the object and its neighbour that does not: a 32nd of their distance is left.
+    halvings: int = 5
+    # A place's normal is that of the line through its neighbours within so many steps of the rays; where these lie off
+    # it by more than this share (least over largest standard deviation) the outline has a corner and no normal.
+    around: float = 3.0
+    straight: float = 0.3
+
+
+@dataclass(frozen=True)
+class Outline:
+    """places (n, 2) in the image (px); normals (n, 2) unit, away from the object; points (n, 3) of the surface,
+    camera frame; step: distance between the rays it was found with (px).
+    """
+
+    places: Array
+    normals: Array
+    points: Array
+    step: float
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    def take(self, rows: NDArray) -> Outline:
+        """The chosen places, in that order."""
+        return Outline(self.places[rows], self.normals[rows], self.points[rows], self.step)
+
+
+def outline_of(model: ObjectModel, camera: Camera, pose: Array, settings: OutlineSettings | None = None) -> Outline:
+    """The outer border of the object at pose (4, 4) camera_from_object, as far as it is inside the image.
+
+    Rays on a grid tell inside from outside; between neighbours that differ the border is bracketed by halving.
+    """
+    s = settings or OutlineSettings()
+    none = Outline(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 3)), s.finest)
+    low, high = _box(model, camera, pose)
+    if not (high > low).all():
+        return none
+    step = max(float((high - low).max()) / s.side, s.finest)
+    low, high = low - 1.5 * step, high + 1.5 * step
+    u, v = np.arange(low[0], high[0], step), np.arange(low[1], high[1], step)
+    grid = np.stack(np.meshgrid(u, v), axis=-1)
+    caster = _Caster(model, camera, pose)
+    hit = np.isfinite(caster.depth(grid.reshape(-1, 2))).reshape(grid.shape[:2])
+    pairs = []
+    for axis in (0, 1):
+        first, second = (hit[:-1], hit[1:]) if axis == 0 else (hit[:, :-1], hit[:, 1:])
+        here, there = (grid[:-1], grid[1:]) if axis == 0 else (grid[:, :-1], grid[:, 1:])
+        out, back = first & ~second, second & ~first
+        pairs += [(here[out], there[out]), (there[back], here[back])]
+    inner, outer = np.concatenate([a for a, _ in pairs]), np.concatenate([b for _, b in pairs])
+    if not len(inner):
+        return none
+    away = outer - inner
+    depth = caster.depth(inner)
+    for _ in range(s.halvings):
+        middle = 0.5 * (inner + outer)
+        z = caster.depth(middle)
+        inside = np.isfinite(z)
+        depth = np.where(inside, z, depth)
+        inner, outer = np.where(inside[:, None], middle, inner), np.where(inside[:, None], outer, middle)
+    places = 0.5 * (inner + outer)
+    within = (places >= 0.0).all(axis=1) & (places[:, 0] <= camera.width - 1) & (places[:, 1] <= camera.height - 1)
+    within &= np.isfinite(depth)
+    places, away, depth = places[within], away[within], depth[within]
+    if len(places) < 3:
+        return none
+    normals, straight = _normals(places, away, step, s)
+    points = np.concatenate([(places - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones((len(places), 1))], 1)
+    return Outline(places, normals, points * depth[:, None], step).take(straight)
+
+
+def inner_depths(model: ObjectModel, camera: Camera, pose: Array, outline: Outline, across: tuple[float, ...]) -> Array:
+    """(n,) least depth (m) of the object at the outline's places and `across` (px along the normal) from them."""
+    inside = (outline.places[None] + np.array(across)[:, None, None] * outline.normals[None]).reshape(-1, 2)
+    depths = _Caster(model, camera, pose).depth(inside).reshape(len(across), len(outline))
+    return np.minimum(depths.min(axis=0), outline.points[:, 2])
+
+
+class _Caster:
+    """Depths of the object at a pose along rays through places of the image."""
+
+    def __init__(self, model: ObjectModel, camera: Camera, pose: Array) -> None:
+        self.surface, self.camera, self.inverse = model.surface, camera, se3.inverse(pose)
+
+    def depth(self, places: Array) -> Array:
+        """(n,) m along z through places (n, 2); inf where the ray misses."""
+        c = self.camera
+        rays = np.stack([(places[:, 0] - c.cx) / c.fx, (places[:, 1] - c.cy) / c.fy, np.ones(len(places))], axis=1)
+        origins = np.broadcast_to(self.inverse[:3, 3], rays.shape)
+        return self.surface.cast(origins, rays @ self.inverse[:3, :3].T)
+
+
+def _box(model: ObjectModel, camera: Camera, pose: Array) -> tuple[Array, Array]:
+    """Lowest and highest place of the object in the image (px), clipped to it; empty where it is not ahead."""
+    points = se3.apply(pose, model.vertices)
+    if points[:, 2].min() < 1e-3:
+        return np.ones(2), np.zeros(2)
+    uv, _ = camera.project(points)
+    size = np.array([camera.width - 1.0, camera.height - 1.0])
+    return np.clip(uv.min(axis=0), 0.0, size), np.clip(uv.max(axis=0), 0.0, size)
+
+
+def _normals(places: Array, away: Array, step: float, settings: OutlineSettings) -> tuple[Array, NDArray[np.bool_]]:
+    """(n, 2) normals away from the object, and where the outline is straight enough to have one."""
+    near = np.abs(places[:, None, 0] - places[None, :, 0]) < settings.around * step
+    near &= np.abs(places[:, None, 1] - places[None, :, 1]) < settings.around * step
+    weight = near.astype(np.float64)
+    count = weight.sum(axis=1)
+    middle = places.mean(axis=0)
+    x, y = (places - middle).T
+    mx, my = weight @ x / count, weight @ y / count
+    xx = weight @ (x * x) / count - mx * mx
+    yy = weight @ (y * y) / count - my * my
+    xy = weight @ (x * y) / count - mx * my
+    angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)  # of the line along the outline
+    half, root = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    largest, least = half + root, np.maximum(half - root, 0.0)
+    normals = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
+    normals *= np.where(np.einsum("ij,ij->i", normals, away) < 0.0, -1.0, 1.0)[:, None]
+    straight = (least < settings.straight**2 * largest) & (count >= 4)
+    return normals, straight
