@@ -195,7 +195,7 @@ class Tracker:
         vote, against = self._vote(alone), alone.verdict == "ok"
         modes = tuple(replace(m, pose=self.model.symmetries.nearest(m.pose, answer.pose)) for m in alone.modes)
         leader = replace(state.hypotheses[0], pose=answer.pose, covariance=answer.modes[0].covariance)
-        same, better = several.alike(self.model, leader, modes[0], s.hypotheses), self._prefers(answer, modes[0].pose)
+        same, better = several.alike(self.model, leader, modes[0], s.hypotheses), self._prefers(answer, modes[0])
         if not same and better > s.hypotheses.missed:
             vote = 0.0
         carried = (leader, *state.hypotheses[1:])
@@ -217,12 +217,12 @@ class Tracker:
             return max(0.0, 2.0 * sure - 1.0)
         return s.part if alone.verdict == "ambiguous" and sure >= s.likely else 0.0
 
-    def _prefers(self, answer: TrackedEstimate, other: Array) -> float:
-        """Nats by which the frame prefers the track's pose to another (4, 4)."""
+    def _prefers(self, answer: TrackedEstimate, other: Mode) -> float:
+        """Nats by which the frame prefers the track's pose to another."""
         if self._sensed is None or self._sensed.pool is None:
             return 0.0
-        prior = Prior(answer.pose, np.asarray(np.linalg.inv(answer.modes[0].covariance), dtype=np.float64))
-        mine, its = frame_nats(np.array([answer.pose, other]), prior, self._sensed, self.settings)
+        widths = answer.modes[0].covariance, other.covariance
+        mine, its = frame_nats(np.array([answer.pose, other.pose]), widths, self._sensed, self.settings)
         return float(its - mine)
 
     def _believed(self, answer: TrackedEstimate) -> TrackedEstimate:
