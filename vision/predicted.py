@@ -60,7 +60,7 @@ class PredictionSettings:
     seen: float = 2.0
     past: float = 4.0
     hidden: float = 0.6
-    # Where an unknown thing touches the object, something in front is no wonder; and the most nats that one connected
+    # Where what hides the object is unknown, something in front is no wonder; and the most nats that one connected
     # piece of the image earns: six parameters laid over a surface fit it wherever it is.
     hidden_by_unknown: float = 0.2
     most_of_piece: float = 30.0
@@ -152,7 +152,7 @@ class Predictor:
         """hand: the robot's own as seen in this frame; what it hides is no wonder. plane (4,): of the table or wall.
 
         pieces (h, w) at every settings.piece_step pixels, from 0, -1 for none: connected surfaces of the image, given
-        where something touches the object that nobody has a model of, so that what is seen may be that. One piece is
+        where nobody has a model of what hides the object, so that what is seen may be that. One piece is
         then one thing, whose word is bounded however many pixels it has, and something in front is no wonder.
         """
         self._plane, self._pieces = plane, pieces
@@ -173,12 +173,14 @@ class Predictor:
         """Whether there is an image to compare with."""
         return self._depth is not None
 
-    def costs(self, candidates: Array) -> Array:
-        """(n,) nats for poses (n, 4, 4) camera_from_object, up to a constant: lower is likelier."""
+    def costs(self, candidates: Array, side: int | None = None) -> Array:
+        """(n,) nats for poses (n, 4, 4) camera_from_object, up to a constant: lower is likelier. side: rays along the
+        outline's box.
+        """
         s = self.settings
         if not self.sees or not len(candidates):
             return np.zeros(len(candidates))
-        p = self.predict(candidates)
+        p = self.predict(candidates, side)
         hidden = s.hidden if self._pieces is None else s.hidden_by_unknown
         cost = s.cells * (s.past * p.past + hidden * p.hidden) - s.cells * s.seen * p.seen + s.runs_on * p.outline
         # an object that is nowhere in the image is hidden by the image's border
