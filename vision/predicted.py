@@ -89,7 +89,7 @@ class PredictionSettings:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Shares (n,) of the predicted pixels inside the image, for n poses.
+    """Shares (n,) of the predicted pixels, for n poses; those outside the image are hidden.
 
     seen: at the depth predicted, falling off smoothly with the difference; agree: within the tolerance; past: seen
     through, or under a table; hidden: behind something that is not the robot's hand; behind_hand: the hand explains
@@ -110,7 +110,7 @@ class Prediction:
 class _View:
     """The rays of n poses, side^2 each: pixels u, v (n, side) along each side; expected, seen (n, side^2): depth (m) at
     which a ray meets the object, and what is read, 0 for none; state: bits of predicted_kernels; past: how much of a
-    ray is seen past; fade: how well one at the predicted depth agrees.
+    ray is seen past; fade: how well one at the predicted depth agrees; inside (n,): share of the object in the image.
     """
 
     u: NDArray[np.int64]
@@ -120,6 +120,7 @@ class _View:
     state: NDArray[np.uint8]
     past: Array
     fade: Array
+    inside: Array
 
     @property
     def side(self) -> int:
@@ -195,12 +196,14 @@ class Predictor:
         kernels.sum_up(side, s.smooth, s.smooth_share, *flat, sums)
         # where nothing is read little is known: surfaces that give no reading are the object's or not
         total = np.maximum(sums[:, kernels.HITS] - s.unread * sums[:, kernels.UNREAD], 1.0)
+        # what the image's border hides is hidden, too: the corner of an object tells little of it
+        total = total / np.maximum(view.inside, 1e-3)
         shares = sums / total[:, None]
         return Prediction(
             seen=shares[:, kernels.SEEN] if self._pieces is None else self._bounded(view, self._pieces, total),
             agree=shares[:, kernels.AGREE],
             past=shares[:, kernels.PAST],
-            hidden=shares[:, kernels.BEHIND],
+            hidden=shares[:, kernels.BEHIND] + 1.0 - view.inside,
             behind_hand=shares[:, kernels.BEHIND_HAND],
             outline=sums[:, kernels.OUTLINE],
             count=sums[:, kernels.HITS].astype(np.int64),
@@ -225,9 +228,10 @@ class Predictor:
         camera = float(c.fx), float(c.fy), float(c.cx), float(c.cy), c.width, c.height
         u, v = np.zeros((2, count, side), dtype=np.int64)
         rays, index = np.zeros((count * side**2, 6), np.float32), np.zeros(count * side**2, dtype=np.int64)
+        inside = np.zeros(count)
         rotations, translations = (np.ascontiguousarray(candidates[:, :3, k]) for k in (slice(3), 3))
         middle = self.model.surface.middle
-        k = kernels.outline_rays(self._points, rotations, translations, camera, middle, u, v, rays, index)
+        k = kernels.outline_rays(self._points, rotations, translations, camera, middle, u, v, rays, index, inside)
         met = self.model.surface.cast_local(rays[:k])
         expected, seen, past, fade = np.zeros((4, count, side**2))
         state = np.zeros((count, side**2), dtype=np.uint8)
@@ -254,7 +258,7 @@ class Predictor:
             ),
             *(values.ravel() for values in (expected, seen, state, past, fade)),
         )
-        return _View(u, v, expected, seen, state, past, fade)
+        return _View(u, v, expected, seen, state, past, fade, inside)
 
     def seen_pixels(self, pose: Array, side: int | None = None, inner: int = 1) -> Pixels:
         """The pixels that show the object at pose (4, 4): inside its outline by `inner` rays, where edges smear no

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.proposals import ProposalSettings
+from fusion.estimation.proposals import ProposalSettings, search_stages
 from scenes.evidence import table as tables
 from scenes.evidence.align import Alignment, AlignSettings, Prior, align, costs
 from scenes.evidence.modes import Mode, ModeSettings, distinct_modes
@@ -137,14 +137,22 @@ class Pool:
             parts.append(poses)
         return np.concatenate(parts) if parts else np.zeros((0, 4, 4))
 
-    def piece_starts(self) -> Array:
-        """(n, 4, 4) starts that each connected piece of the image proposes by itself, those that differ."""
-        found = [np.zeros((0, 4, 4))]
+    def piece_starts(self) -> tuple[tuple[Evidence, Array], ...]:
+        """Of each connected piece of the image its rows, and starts (n, 4, 4) that it proposes by itself."""
+        found = []
         for piece in self.looked.pieces:
             rows = surface_rows(replace(self.looked, pixels=piece, told_apart=True), self.depth, self.rows)
-            found.append(
-                seen_starts(self.model, piece.points, rows, self.sight.costs, self.rng, self.proposals.of_piece)
-            )
+            settings = self.proposals.of_piece
+            found.append((rows, seen_starts(self.model, piece.points, rows, self.sight.costs, self.rng, settings)))
+        return tuple(found)
+
+    def of_pieces(self, pieces: tuple[tuple[Evidence, Array], ...]) -> Array:
+        """(n, 4, 4) where a search of each piece by its own rows ends, from `piece_starts`."""
+        passes = search_stages(self.proposals.blur(self.model), self.proposals.sifted)
+        found = [np.zeros((0, 4, 4))]
+        for rows, starts in pieces:
+            if len(starts):
+                found.append(search(self.model, rows, starts, passes, self.prior, rank=self.sight.costs).poses)
         return np.concatenate(found)
 
     def held_starts(self) -> Array:
