@@ -26,7 +26,7 @@ from fusion.estimation.steps.sense import look_once, sense, solve_together
 from fusion.estimation.tolerance import good_enough, is_within, with_shared_errors
 from fusion.estimation.trace import Trace
 from scenes.evidence import table as tables
-from scenes.evidence.align import Prior, costs
+from scenes.evidence.align import Prior
 from scenes.evidence.near_symmetries import near_symmetries
 from scenes.evidence.point_pairs import pair_table
 from scenes.geometry.objects import ObjectModel
@@ -167,7 +167,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         share, rms = posterior.pixel_agreement(model, seen, pose)
         seeing = visibility(viewed, model, pose, beliefs.depth)
         picture = predictor.predict(pose[None]) if predictor.sees else None
-        nats = float(costs(model, felt.rows, pose[None])[0]) if contacts else 0.0
+        nats = posterior.nats_of_contacts(model, felt.rows, contacts, pose)
         agreed = residuals, nats, share, seeing, picture
         right, sure, word, why = posterior.judged(model, modes, *agreed, settings.verdict, settings.confidence)
         covariance = modes[0].covariance

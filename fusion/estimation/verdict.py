@@ -12,7 +12,7 @@ from fusion.estimation.confidence import ConfidenceSettings, chances
 from scenes.evidence import align as alignment
 from scenes.evidence.align import Prior
 from scenes.evidence.modes import ModeSettings, covariance_of, distinct_modes
-from scenes.evidence.table import GATE_ABOVE, POINT, SIGMA, TOUCH, VISION, Evidence, empty
+from scenes.evidence.table import GATE_ABOVE, POINT, SIGMA, TOUCH, VISION, WEIGHT, Evidence, empty
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts, Frame
@@ -66,6 +66,17 @@ def contact_residuals(
         limit = max(settings.outlier_sigmas * contacts.sigma_point[i], settings.outlier_distance)
         out.append(ContactResidual(contacts.sensors[i], 1e3 * distance[i], angle, bool(abs(distance[i]) > limit)))
     return tuple(out)
+
+
+def nats_of_contacts(model: ObjectModel, felt: Evidence, count: int, pose: Array) -> float:
+    """What `count` contacts cost at pose (4, 4), together: rows of touch beyond them, of gels and of taxels, count as
+    the mean of all does.
+    """
+    if not count:
+        return 0.0
+    on = felt.rows[:, GATE_ABOVE] > 0
+    places = max(float(felt.rows[on, WEIGHT].sum()), float(count))
+    return float(alignment.costs(model, felt, pose[None])[0]) * count / places
 
 
 def pixel_agreement(model: ObjectModel, seen: Evidence, pose: Array) -> tuple[float, float]:

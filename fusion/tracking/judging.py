@@ -15,7 +15,6 @@ from fusion.tracking.filter import Belief
 from fusion.tracking.hypotheses import Hypotheses, weights
 from fusion.tracking.sensing import Sensed
 from fusion.tracking.slip import Watched
-from scenes.evidence.align import costs
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
@@ -70,7 +69,7 @@ def judge(
     share, rms = posterior.pixel_agreement(model, sensed.seen, pose)
     picture = None if sensed.pool is None else sensed.pool.predictor.predict(pose[None], settings.side)
     seeing = visibility(sensed.viewed, model, pose, beliefs.depth) if picture is None else as_seen(picture)
-    nats = float(costs(model, sensed.felt.rows, pose[None])[0]) if len(contacts) else 0.0
+    nats = posterior.nats_of_contacts(model, sensed.felt.rows, len(contacts), pose)
     agreed = residuals, nats, share, seeing, picture
     right, sure, word, why = posterior.judged(model, modes, *agreed, first.verdict, first.confidence)
     if word != "lost" and strays(share, usual, len(sensed.looked.pixels), settings):

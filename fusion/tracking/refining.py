@@ -17,12 +17,12 @@ from fusion.estimation.solve.joint import JointResult
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import solve_modes
 from fusion.estimation.solve.settings import JointSettings
-from fusion.estimation.verdict import contact_residuals
+from fusion.estimation.verdict import contact_residuals, nats_of_contacts
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.hypotheses import Hypotheses, weighed
 from fusion.tracking.sensing import Sensed
 from scenes.evidence import table as tables
-from scenes.evidence.align import AlignSettings, Prior, align, costs
+from scenes.evidence.align import AlignSettings, Prior, align
 from scenes.evidence.modes import covariance_of
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
@@ -84,7 +84,7 @@ def frame_nats(poses: Array, widths: Sequence[Array], sensed: Sensed, settings: 
     for k, pose in enumerate(poses):
         picture = pool.predictor.predict(pose[None], settings.side)
         residuals = contact_residuals(pool.model, contacts, pose, first.verdict)
-        nats = float(costs(pool.model, sensed.felt.rows, pose[None])[0]) if len(contacts) else 0.0
+        nats = nats_of_contacts(pool.model, sensed.felt.rows, len(contacts), pose)
         mode = (Mode(pose, 1.0, 0.0, widths[k]),)
         right, _ = chances(pool.model, mode, picture, residuals, nats, settings=first.confidence)
         out[k] -= s.of_odds * float(np.log(max(right, 1e-9) / max(1.0 - right, 1e-9)))
