@@ -173,12 +173,14 @@ class Predictor:
         """Whether there is an image to compare with."""
         return self._depth is not None
 
-    def costs(self, candidates: Array) -> Array:
-        """(n,) nats for poses (n, 4, 4) camera_from_object, up to a constant: lower is likelier."""
+    def costs(self, candidates: Array, side: int | None = None) -> Array:
+        """(n,) nats for poses (n, 4, 4) camera_from_object, up to a constant: lower is likelier. side: rays along the
+        outline's box.
+        """
         s = self.settings
         if not self.sees or not len(candidates):
             return np.zeros(len(candidates))
-        p = self.predict(candidates)
+        p = self.predict(candidates, side)
         hidden = s.hidden if self._pieces is None else s.hidden_by_unknown
         cost = s.cells * (s.past * p.past + hidden * p.hidden) - s.cells * s.seen * p.seen + s.runs_on * p.outline
         # an object that is nowhere in the image is hidden by the image's border

@@ -49,6 +49,8 @@ class PoolSettings:
     fitted_in_doubt: int = 12
     sides: tuple[int, ...] = (40, 40)
     least_pixels: int = 25
+    # Rays along each side of an outline while hundreds of poses walk: half as many in all as where answers are ranked.
+    walking_side: int = 12
     # A pose that costs so many nats more than the best after a fit is not fitted again.
     hopeless: float = 40.0
     # Steps of a fit, and where it ends (rad, m): pixels change sides before a tenth of their noise.
@@ -105,9 +107,15 @@ class Pool:
         """OUTSIDE rows before what was seen, wherever the object is."""
         return free_space_rows(self.looked, self.rows)
 
-    def costs(self, candidates: Array) -> Array:
-        """(n,) nats of poses (n, 4, 4), up to a constant: touch, prior, and the predicted image."""
-        return costs(self.model, self.felt, candidates, self.prior) + self.predictor.costs(candidates)
+    def costs(self, candidates: Array, side: int | None = None) -> Array:
+        """(n,) nats of poses (n, 4, 4), up to a constant: touch, prior, and the predicted image, by `side` rays along
+        each side of an outline; default as many as tell two answers apart.
+        """
+        return costs(self.model, self.felt, candidates, self.prior) + self.predictor.costs(candidates, side)
+
+    def walking(self, candidates: Array) -> Array:
+        """Costs (n,) by few rays, as a walk over hundreds of poses (n, 4, 4) needs them."""
+        return self.costs(candidates, self.settings.walking_side)
 
     def proposed(
         self, starts: Array, stages: tuple[SearchStage, ...], seen: Evidence, start: Array | None, descents: int

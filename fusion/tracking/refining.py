@@ -5,6 +5,7 @@ Camera frame, metres, radians.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -60,32 +61,31 @@ def refine(
         hessians.append(hessian)
         by_rows.append(cost)
     poses = np.array(found)
+    widths = [covariance_of(model, hessian) for hessian in hessians]
     nats = np.zeros(len(poses))
     if len(poses) > 1:
-        nats = np.array(by_rows) if sensed.pool is None else frame_nats(poses, leading, sensed, settings)
-    # what refined poses are worth beside one another is told by the frame alone, their widths by frame and past
-    wide = tuple(
-        h if k == 0 else replace(h, covariance=covariance_of(model, hessians[k])) for k, h in enumerate(hypotheses)
-    )
+        nats = np.array(by_rows) if sensed.pool is None else frame_nats(poses, widths, sensed, settings)
+    wide = tuple(h if k == 0 else replace(h, covariance=widths[k]) for k, h in enumerate(hypotheses))
     after = weighed(wide, found, nats, settings.hypotheses)
     first = next(k for k, pose in enumerate(found) if pose is after[0].pose)
     return Refined(after, shown[first], first != 0)
 
 
-def frame_nats(poses: Array, leading: Prior, sensed: Sensed, settings: TrackSettings) -> Array:
-    """(n,) nats of poses (n, 4, 4), up to a constant, by what must be seen and is felt; all as sure as `leading`."""
+def frame_nats(poses: Array, widths: Sequence[Array], sensed: Sensed, settings: TrackSettings) -> Array:
+    """(n,) nats of poses (n, 4, 4) with covariances widths, n of (6, 6), up to a constant: by what must be seen and is
+    felt. A pose of which little is seen contradicts nothing, but is not known either.
+    """
     pool, first, s = sensed.pool, settings.first, settings.hypotheses
     assert pool is not None
     if sensed.told_apart:
         return pool.costs(poses)
-    covariance = np.asarray(np.linalg.inv(leading.information), dtype=np.float64)
     out = s.of_cost * pool.costs(poses)
     contacts = sensed.felt.contacts
     for k, pose in enumerate(poses):
         picture = pool.predictor.predict(pose[None], settings.side)
         residuals = contact_residuals(pool.model, contacts, pose, first.verdict)
         nats = float(costs(pool.model, sensed.felt.rows, pose[None])[0]) if len(contacts) else 0.0
-        mode = (Mode(pose, 1.0, 0.0, covariance),)
+        mode = (Mode(pose, 1.0, 0.0, widths[k]),)
         right, _ = chances(pool.model, mode, picture, residuals, nats, settings=first.confidence)
         out[k] -= s.of_odds * float(np.log(max(right, 1e-9) / max(1.0 - right, 1e-9)))
     return out

@@ -120,7 +120,7 @@ class Tracker:
             return self._begin(frame)
         with one_blas_thread():
             answer = self._follow(frame, state.belief)
-        if answer.how == "lost":
+        if answer.verdict == "lost":
             state.lost_for += 1
             answer = self._recover(frame, answer)
         elif answer.how == "tracked" and frame.index >= state.renewal.due:
@@ -166,9 +166,10 @@ class Tracker:
         self._state.belief = Belief(answer.pose, (1 - share) * own, share * own)
 
     def _recover(self, frame: Frame, lost: TrackedEstimate) -> TrackedEstimate:
-        """Look for the object around the prediction, now and then everywhere."""
+        """Look for the object around the prediction, if anything is seen there, and now and then everywhere."""
         s, lost_for = self.settings, self._state.lost_for
-        tries: list[Prior | None] = [Prior.isotropic(lost.pose, s.near_angle, s.near_distance)]
+        near = Prior.isotropic(lost.pose, s.near_angle, s.near_distance)
+        tries: list[Prior | None] = [near] if lost.how == "lost" else []
         if lost_for == 2 or lost_for % s.global_every == 0:
             tries.append(None)
         for prior in tries:
@@ -194,7 +195,7 @@ class Tracker:
         vote, against = self._vote(alone), alone.verdict == "ok"
         modes = tuple(replace(m, pose=self.model.symmetries.nearest(m.pose, answer.pose)) for m in alone.modes)
         leader = replace(state.hypotheses[0], pose=answer.pose, covariance=answer.modes[0].covariance)
-        same, better = several.alike(self.model, leader, modes[0], s.hypotheses), self._prefers(answer, modes[0].pose)
+        same, better = several.alike(self.model, leader, modes[0], s.hypotheses), self._prefers(answer, modes[0])
         if not same and better > s.hypotheses.missed:
             vote = 0.0
         carried = (leader, *state.hypotheses[1:])
@@ -216,12 +217,12 @@ class Tracker:
             return max(0.0, 2.0 * sure - 1.0)
         return s.part if alone.verdict == "ambiguous" and sure >= s.likely else 0.0
 
-    def _prefers(self, answer: TrackedEstimate, other: Array) -> float:
-        """Nats by which the frame prefers the track's pose to another (4, 4)."""
+    def _prefers(self, answer: TrackedEstimate, other: Mode) -> float:
+        """Nats by which the frame prefers the track's pose to another."""
         if self._sensed is None or self._sensed.pool is None:
             return 0.0
-        prior = Prior(answer.pose, np.asarray(np.linalg.inv(answer.modes[0].covariance), dtype=np.float64))
-        mine, its = frame_nats(np.array([answer.pose, other]), prior, self._sensed, self.settings)
+        widths = answer.modes[0].covariance, other.covariance
+        mine, its = frame_nats(np.array([answer.pose, other.pose]), widths, self._sensed, self.settings)
         return float(its - mine)
 
     def _believed(self, answer: TrackedEstimate) -> TrackedEstimate:
@@ -401,8 +402,10 @@ class Tracker:
             self._velocity.coast(frame.index)
         held = state.hand is not None and state.unseen <= s.coast
         answer = as_carried(self.model, frame, predicted, trace.stages, held, state.hand is not None, s)
+        how = s.first.confidence
         sure = state.right * self._near(answer.modes[0]) if held else 0.0
-        return replace(answer, confidence=sure, sure_within=s.first.confidence.tolerance)
+        wide = whole_covariance(self.model, answer.modes, state.right if held else 0.0, None, how)
+        return replace(answer, covariance=wide, confidence=sure, sure_within=how.tolerance)
 
 
 def _shift(correction: Array, point: Array) -> float:

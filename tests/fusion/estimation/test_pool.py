@@ -75,7 +75,7 @@ class Rounds:
         self.model, self.ends, self.shown, self.looked_at = model, iter(ends), shown, []
         self.settings, self.modes, self.prior = PoolSettings(), ModeSettings(), SimpleNamespace(pose=np.eye(4))
         self.predictor, self.sight = SimpleNamespace(sees=True), SimpleNamespace(costs=None)
-        self.felt, self.held, self.rng, self.costs = tables.empty(), None, None, None
+        self.felt, self.held, self.rng, self.walking = tables.empty(), None, None, None
         self.proposals = ProposalSettings()
 
     apart, is_same, held_starts = Pool.apart, Pool.is_same, Pool.held_starts
@@ -90,8 +90,11 @@ class Rounds:
     def convinces(self, modes, shown=None):
         return self.shown > (0.1 if shown is None else shown)
 
+    def walk(self, *_):
+        return poses.make_pose(None, [next(self.ends), 0.0, 0.0])[None]
+
     def end(self, *_):
-        return Found((Mode(poses.make_pose(None, [next(self.ends), 0.0, 0.0]), 1.0, 0.0, np.eye(6)),), 0, "")
+        return Found((Mode(self.walk()[0], 1.0, 0.0, np.eye(6)),), 0, "")
 
 
 @pytest.mark.parametrize(
@@ -99,14 +102,15 @@ class Rounds:
     [
         ([0.0], 0.9, [], "convince"),
         ([0.0], 0.2, [20], "convince"),
-        ([0.0, 0.0005], 0.0, [20, 76], "in doubt"),
-        ([0.0, 0.05, 0.1], 0.0, [20, 76, 224], "in doubt"),
+        ([0.0, 0.0005], 0.0, [20], "in doubt"),
+        ([0.0, 0.05, 0.0505], 0.0, [20, 76], "in doubt"),
+        ([0.0, 0.05, 0.1, 0.15], 0.0, [20, 76, 224], "in doubt"),
     ],
 )
 def test_rounds_of_fresh_starts_end_where_nothing_new_comes(drill, monkeypatch, ends, shown, looked_at, why):
     pool = Rounds(drill, ends, shown)
     monkeypatch.setattr("fusion.estimation.propose.find_modes", pool.end)
-    monkeypatch.setattr("fusion.estimation.propose.walk", lambda *_: np.zeros((0, 4, 4)))
+    monkeypatch.setattr("fusion.estimation.propose.walk", pool.walk)
     starts = np.tile(np.eye(4), (320, 1, 1))
     found = modes_near(pool, None, None, starts, search_stages(0.01, ()), PlanSettings(), Trace())
     assert pool.looked_at == looked_at

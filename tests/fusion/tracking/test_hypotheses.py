@@ -129,11 +129,11 @@ def off(answer, frame, model):
 
 
 def test_a_track_that_begins_wrong_and_sure_of_it_loses_its_ok_and_recovers():
-    model = library.make("l_block")
-    frames = seen(model, 0.03 * np.arange(16), [0, 0, 1], poses.exp_rotation([1.0, 0.4, 0.0]))
+    model = library.make("drill")
+    frames = seen(model, 0.03 * np.arange(16), [0, 0, 1], poses.exp_rotation([np.pi / 2 + 0.6, 0.0, 0.0]))
     first = estimate(frames[0], model)
     assert off(first, frames[0], model) < 0.004
-    # upside down, where it hides nearly the same pixels
+    # upside down, where it hides some of the same pixels
     wrong = poses.perturb(first.pose, np.array([0.0, 0.0, np.pi, 0.0, 0.0, 0.0]), model.centroid)
     answers = []
     for _ in range(2):
@@ -184,3 +184,21 @@ def test_a_finger_that_goes_with_the_object_is_learned_and_its_flank_is_left_out
     assert beside[near].mean() > 0.5
     far = np.linalg.norm(surface - surface[0], axis=1) > 0.035
     assert beside[far].mean() < 0.02
+
+
+def test_without_a_hand_an_object_that_was_out_of_sight_is_looked_for_again():
+    model = library.make("drill")
+    frames = seen(model, np.zeros(6), [0, 0, 1], poses.exp_rotation([np.pi / 2 + 0.6, 0.0, 0.0]))
+    gone = [replace(f, index=f.index + 4, depth=np.full_like(f.depth, 2.0)) for f in frames[:3]]
+    shift = poses.make_pose(np.eye(3), [0.12, 0.0, 0.0])
+    back = []
+    for index in range(7, 20):
+        truth = shift @ frames[0].camera_from_object_truth
+        depth = np.roll(frames[0].depth, round(0.12 * CAMERA.fx / 0.5), axis=1)  # elsewhere in the image
+        back.append(replace(frames[0], index=index, depth=depth, camera_from_object_truth=truth))
+    tracker = Tracker(model)
+    answers = [tracker.step(frame) for frame in (*frames[:4], *gone, *back)]
+    assert answers[3].verdict == "ok"
+    assert {a.verdict for a in answers[4:7]} == {"lost"}
+    assert "re-initialised" in [a.how for a in answers[7:]]
+    assert off(answers[-1], back[-1], model) < 0.02
