@@ -60,7 +60,7 @@ class PredictionSettings:
     seen: float = 2.0
     past: float = 4.0
     hidden: float = 0.6
-    # Where an unknown thing touches the object, something in front is no wonder; and the most nats that one connected
+    # Where what hides the object is unknown, something in front is no wonder; and the most nats that one connected
     # piece of the image earns: six parameters laid over a surface fit it wherever it is.
     hidden_by_unknown: float = 0.2
     most_of_piece: float = 30.0
@@ -89,7 +89,7 @@ class PredictionSettings:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Shares (n,) of the predicted pixels inside the image, for n poses.
+    """Shares (n,) of the predicted pixels, for n poses; those outside the image are hidden.
 
     seen: at the depth predicted, falling off smoothly with the difference; agree: within the tolerance; past: seen
     through, or under a table; hidden: behind something that is not the robot's hand; behind_hand: the hand explains
@@ -110,7 +110,7 @@ class Prediction:
 class _View:
     """The rays of n poses, side^2 each: pixels u, v (n, side) along each side; expected, seen (n, side^2): depth (m) at
     which a ray meets the object, and what is read, 0 for none; state: bits of predicted_kernels; past: how much of a
-    ray is seen past; fade: how well one at the predicted depth agrees.
+    ray is seen past; fade: how well one at the predicted depth agrees; inside (n,): share of the object in the image.
     """
 
     u: NDArray[np.int64]
@@ -120,6 +120,7 @@ class _View:
     state: NDArray[np.uint8]
     past: Array
     fade: Array
+    inside: Array
 
     @property
     def side(self) -> int:
@@ -152,7 +153,7 @@ class Predictor:
         """hand: the robot's own as seen in this frame; what it hides is no wonder. plane (4,): of the table or wall.
 
         pieces (h, w) at every settings.piece_step pixels, from 0, -1 for none: connected surfaces of the image, given
-        where something touches the object that nobody has a model of, so that what is seen may be that. One piece is
+        where nobody has a model of what hides the object, so that what is seen may be that. One piece is
         then one thing, whose word is bounded however many pixels it has, and something in front is no wonder.
         """
         self._plane, self._pieces = plane, pieces
@@ -173,12 +174,14 @@ class Predictor:
         """Whether there is an image to compare with."""
         return self._depth is not None
 
-    def costs(self, candidates: Array) -> Array:
-        """(n,) nats for poses (n, 4, 4) camera_from_object, up to a constant: lower is likelier."""
+    def costs(self, candidates: Array, side: int | None = None) -> Array:
+        """(n,) nats for poses (n, 4, 4) camera_from_object, up to a constant: lower is likelier. side: rays along the
+        outline's box.
+        """
         s = self.settings
         if not self.sees or not len(candidates):
             return np.zeros(len(candidates))
-        p = self.predict(candidates)
+        p = self.predict(candidates, side)
         hidden = s.hidden if self._pieces is None else s.hidden_by_unknown
         cost = s.cells * (s.past * p.past + hidden * p.hidden) - s.cells * s.seen * p.seen + s.runs_on * p.outline
         # an object that is nowhere in the image is hidden by the image's border
@@ -193,12 +196,14 @@ class Predictor:
         kernels.sum_up(side, s.smooth, s.smooth_share, *flat, sums)
         # where nothing is read little is known: surfaces that give no reading are the object's or not
         total = np.maximum(sums[:, kernels.HITS] - s.unread * sums[:, kernels.UNREAD], 1.0)
+        # what the image's border hides is hidden, too: the corner of an object tells little of it
+        total = total / np.maximum(view.inside, 1e-3)
         shares = sums / total[:, None]
         return Prediction(
             seen=shares[:, kernels.SEEN] if self._pieces is None else self._bounded(view, self._pieces, total),
             agree=shares[:, kernels.AGREE],
             past=shares[:, kernels.PAST],
-            hidden=shares[:, kernels.BEHIND],
+            hidden=shares[:, kernels.BEHIND] + 1.0 - view.inside,
             behind_hand=shares[:, kernels.BEHIND_HAND],
             outline=sums[:, kernels.OUTLINE],
             count=sums[:, kernels.HITS].astype(np.int64),
@@ -223,9 +228,10 @@ class Predictor:
         camera = float(c.fx), float(c.fy), float(c.cx), float(c.cy), c.width, c.height
         u, v = np.zeros((2, count, side), dtype=np.int64)
         rays, index = np.zeros((count * side**2, 6), np.float32), np.zeros(count * side**2, dtype=np.int64)
+        inside = np.zeros(count)
         rotations, translations = (np.ascontiguousarray(candidates[:, :3, k]) for k in (slice(3), 3))
         middle = self.model.surface.middle
-        k = kernels.outline_rays(self._points, rotations, translations, camera, middle, u, v, rays, index)
+        k = kernels.outline_rays(self._points, rotations, translations, camera, middle, u, v, rays, index, inside)
         met = self.model.surface.cast_local(rays[:k])
         expected, seen, past, fade = np.zeros((4, count, side**2))
         state = np.zeros((count, side**2), dtype=np.uint8)
@@ -252,7 +258,7 @@ class Predictor:
             ),
             *(values.ravel() for values in (expected, seen, state, past, fade)),
         )
-        return _View(u, v, expected, seen, state, past, fade)
+        return _View(u, v, expected, seen, state, past, fade, inside)
 
     def seen_pixels(self, pose: Array, side: int | None = None, inner: int = 1) -> Pixels:
         """The pixels that show the object at pose (4, 4): inside its outline by `inner` rays, where edges smear no

@@ -27,12 +27,13 @@ _NEAREST = 1e-3
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def outline_rays(points, rotations, translations, camera, middle, u, v, rays, index):
+def outline_rays(points, rotations, translations, camera, middle, u, v, rays, index, inside):
     """Pixels u, v (n, side) over the box of each pose's outline; fills rays and index, and returns how many rays.
 
     points (m, 3): of the surface, object frame. rotations (n, 3, 3), translations (n, 3): camera_from_object. camera:
     fx, fy, cx, cy, width, height. middle (3,): what the ray caster takes off its points. rays (n side^2, 6): origin and
     direction with z = 1, object frame about the middle, of the pixels in the image; index: where among all they belong.
+    inside (n,): share of the points that project into the image.
     """
     fx, fy, cx, cy, width, height = camera
     side = u.shape[1]
@@ -42,6 +43,7 @@ def outline_rays(points, rotations, translations, camera, middle, u, v, rays, in
         low_u = low_v = math.inf
         high_u = high_v = -math.inf
         ahead = True
+        within = 0
         for k in range(points.shape[0]):
             px, py, pz = points[k, 0], points[k, 1], points[k, 2]
             x = r[0, 0] * px + r[0, 1] * py + r[0, 2] * pz + t[0]
@@ -51,8 +53,10 @@ def outline_rays(points, rotations, translations, camera, middle, u, v, rays, in
                 ahead = False
                 z = 1.0
             a, b = fx * x / z + cx, fy * y / z + cy
+            within += 0.0 <= a < width and 0.0 <= b < height
             low_u, high_u = min(low_u, a), max(high_u, a)
             low_v, high_v = min(low_v, b), max(high_v, b)
+        inside[n] = within / points.shape[0] if ahead else 0.0
         # far outside the image nothing is asked
         low_u, high_u = min(max(low_u - 1.0, -width), 2.0 * width), min(max(high_u + 1.0, -width), 2.0 * width)
         low_v, high_v = min(max(low_v - 1.0, -width), 2.0 * width), min(max(high_v + 1.0, -width), 2.0 * width)

@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--family",
         metavar="NAME",
         help="frames of one family, or all, tuning or report (docs/evaluation.md), where accuracy is measured:"
-        " occlusion, calibration, vision, faults, tracking, colour, peers",
+        " search, occlusion, calibration, vision, faults, tracking, colour, peers",
     )
     parser.add_argument(
         "--motions", metavar="A,B", type=names_list, help="motions of the sequences of `tracking` (default: all nine)"

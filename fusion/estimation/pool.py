@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.proposals import ProposalSettings
+from fusion.estimation.proposals import ProposalSettings, search_stages
 from scenes.evidence import table as tables
 from scenes.evidence.align import Alignment, AlignSettings, Prior, align, costs
 from scenes.evidence.modes import Mode, ModeSettings, distinct_modes
@@ -49,6 +49,8 @@ class PoolSettings:
     fitted_in_doubt: int = 12
     sides: tuple[int, ...] = (40, 40)
     least_pixels: int = 25
+    # Rays along each side of an outline while hundreds of poses walk: half as many in all as where answers are ranked.
+    walking_side: int = 12
     # A pose that costs so many nats more than the best after a fit is not fitted again.
     hopeless: float = 40.0
     # Steps of a fit, and where it ends (rad, m): pixels change sides before a tenth of their noise.
@@ -105,9 +107,15 @@ class Pool:
         """OUTSIDE rows before what was seen, wherever the object is."""
         return free_space_rows(self.looked, self.rows)
 
-    def costs(self, candidates: Array) -> Array:
-        """(n,) nats of poses (n, 4, 4), up to a constant: touch, prior, and the predicted image."""
-        return costs(self.model, self.felt, candidates, self.prior) + self.predictor.costs(candidates)
+    def costs(self, candidates: Array, side: int | None = None) -> Array:
+        """(n,) nats of poses (n, 4, 4), up to a constant: touch, prior, and the predicted image, by `side` rays along
+        each side of an outline; default as many as tell two answers apart.
+        """
+        return costs(self.model, self.felt, candidates, self.prior) + self.predictor.costs(candidates, side)
+
+    def walking(self, candidates: Array) -> Array:
+        """Costs (n,) by few rays, as a walk over hundreds of poses (n, 4, 4) needs them."""
+        return self.costs(candidates, self.settings.walking_side)
 
     def proposed(
         self, starts: Array, stages: tuple[SearchStage, ...], seen: Evidence, start: Array | None, descents: int
@@ -129,14 +137,22 @@ class Pool:
             parts.append(poses)
         return np.concatenate(parts) if parts else np.zeros((0, 4, 4))
 
-    def piece_starts(self) -> Array:
-        """(n, 4, 4) starts that each connected piece of the image proposes by itself, those that differ."""
-        found = [np.zeros((0, 4, 4))]
+    def piece_starts(self) -> tuple[tuple[Evidence, Array], ...]:
+        """Of each connected piece of the image its rows, and starts (n, 4, 4) that it proposes by itself."""
+        found = []
         for piece in self.looked.pieces:
             rows = surface_rows(replace(self.looked, pixels=piece, told_apart=True), self.depth, self.rows)
-            found.append(
-                seen_starts(self.model, piece.points, rows, self.sight.costs, self.rng, self.proposals.of_piece)
-            )
+            settings = self.proposals.of_piece
+            found.append((rows, seen_starts(self.model, piece.points, rows, self.sight.costs, self.rng, settings)))
+        return tuple(found)
+
+    def of_pieces(self, pieces: tuple[tuple[Evidence, Array], ...]) -> Array:
+        """(n, 4, 4) where a search of each piece by its own rows ends, from `piece_starts`."""
+        passes = search_stages(self.proposals.blur(self.model), self.proposals.sifted)
+        found = [np.zeros((0, 4, 4))]
+        for rows, starts in pieces:
+            if len(starts):
+                found.append(search(self.model, rows, starts, passes, self.prior, rank=self.sight.costs).poses)
         return np.concatenate(found)
 
     def held_starts(self) -> Array:

@@ -115,7 +115,7 @@ def modes_near(
 
     def walked() -> Array:
         everywhere = np.concatenate([starts, pool.held_starts()])
-        return walk(pool.model, everywhere, pool.costs, pool.rng, pool.proposals.walk)
+        return walk(pool.model, everywhere, pool.walking, pool.rng, pool.proposals.walk)
 
     for end, descending in zip([*ends, len(starts)], [*settings.descents[: len(ends)], settings.descents[-1]]):
         fresh, before = starts[begin:end], asked.modes
@@ -125,8 +125,10 @@ def modes_near(
             "touch and descents", partial(felt, fresh, descending), "what all rows say is clearly seen" if clear else ""
         )
         if not begin:
+            before = asked.modes
             asked.enter(f"a walk{' and the hand' * (pool.held is not None)}", walked, asked.enough)
         begin = end
+        # a walk from everywhere is a round, too
         if asked.convinced or (before and pool.is_same(asked.modes, before)):
             break
     return asked.found(begin)
@@ -144,13 +146,18 @@ def modes_anywhere(
     felt = asked.by_touch(pool.proposed(starts, passes, seen, None, 0))
     asked.enter("touch", lambda: felt, "" if len(felt) else "nothing is felt")
     pieces = pool.looked.pieces
+    begun: list[tuple[Evidence, Array]] = []
 
     def walked() -> Array:
-        everywhere = np.concatenate([likely, felt, pool.piece_starts(), pool.held_starts()])
-        return walk(pool.model, everywhere, pool.costs, pool.rng, pool.proposals.walk_far)
+        begun.extend(pool.piece_starts())
+        everywhere = np.concatenate([likely, felt, *(starts for _, starts in begun), pool.held_starts()])
+        return walk(pool.model, everywhere, pool.walking, pool.rng, pool.proposals.walk_far)
 
     sources = ["a walk", *[f"{len(pieces)} pieces"] * bool(pieces), *["the hand"] * (pool.held is not None)]
     # a picture that convinces may be that of another thing; one that touch agrees with is not
     agreed = asked.convinced and asked.contacts >= pool.settings.tying_contacts
     asked.enter(", ".join(sources), walked, "seen and felt agree" if agreed else "")
+    clear = pool.convinces(asked.modes, pool.settings.clearly_shown) or (agreed and not begun)
+    why_not = "the best is clearly seen" if clear else "" if begun else "no piece stands alone"
+    asked.enter("each piece alone", lambda: pool.of_pieces(tuple(begun)), why_not)
     return asked.found(asked.proposed)

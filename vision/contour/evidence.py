@@ -27,8 +27,9 @@ Array = NDArray[np.float64]
 class ContourSettings:
     """What an outline is worth. Tuned on the tuning family `d435`."""
 
-    # Whether the image is asked at all.
-    used: bool = True
+    # Whether the image is asked at all. On cameras imitated from their optics it takes up to a third of the error, on
+    # recorded frames, whose colour camera is another than the depth camera, it adds some: only when the caller says so.
+    used: bool = False
     # Times that the outline is drawn and read, anew only where the last time moved it by more than this (px); and
     # Gauss-Newton steps of each.
     rounds: int = 3

@@ -60,10 +60,10 @@ def judge(
     of them. Raises InputError for other counts or shapes, and for a frame that tells nothing of the object.
     """
     asked = Asked.of(frame, prior, use, None, seed, settings, beliefs)
+    shape, most = np.shape(candidates), asked.settings.joint.modes
+    if len(shape) != 3 or not 1 <= shape[0] <= most:
+        raise InputError(f"judge: expected 1 to {most} poses of shape (n, 4, 4), got {shape}")
     given = se3.check_pose(candidates, "candidates")
-    most = asked.settings.joint.modes
-    if given.ndim != 3 or not 1 <= len(given) <= most:
-        raise InputError(f"judge: expected 1 to {most} poses of shape (n, 4, 4), got {given.shape}")
     check_scale(frame, model)
     with one_blas_thread():
         trace = Trace()

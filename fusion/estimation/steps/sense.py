@@ -87,7 +87,7 @@ def sense(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: 
         contacts = len(felt.reported_contacts)
         stage.note(len(felt.reported_rows), f"{contacts} contacts, {len(felt.reported_rows) - contacts} empty points")
     sight = Sight(viewed, model, beliefs.depth, settings.sight)
-    # something that nobody has a model of touches the object, and may be what is seen
+    # where neither mask nor hand tells what hides the object, what is seen may be that
     unknown = not looked.told_apart and viewed.depth is not None
     pieces = surfaces(viewed, looked.plane, beliefs, settings.look)[1] if unknown else None
     predictor = Predictor(viewed, model, beliefs.depth, hand, settings.prediction, looked.plane, pieces)

@@ -43,6 +43,14 @@ def test_fused_is_as_good_as_touch_where_unknown_fingers_hide_the_object(hidden)
         assert add_s(model, both, frame) < max(0.005, 1.2 * add_s(model, touch, frame))
 
 
+@pytest.mark.parametrize(("name", "seed"), [("mug", 3), ("drill", 4), ("box", 5)])
+def test_fused_is_right_where_vision_or_touch_alone_is(name, seed):
+    model = library.make(name)
+    frame = synthesize_frames(model, None, 1, 0.8, noise="lab", seed=seed, settings=SETTINGS)[0]
+    alone = [add_s(model, estimate(frame, model, use=(sense,)), frame) for sense in ("vision", "touch")]
+    assert add_s(model, estimate(frame, model), frame) < max(0.005, min(alone))
+
+
 def test_an_object_on_a_table_is_found_without_a_mask_and_without_a_start():
     model = library.make("mug")
     frame = synthesize_frames(
@@ -67,7 +75,7 @@ class Rounds:
         self.model, self.ends, self.shown, self.looked_at = model, iter(ends), shown, []
         self.settings, self.modes, self.prior = PoolSettings(), ModeSettings(), SimpleNamespace(pose=np.eye(4))
         self.predictor, self.sight = SimpleNamespace(sees=True), SimpleNamespace(costs=None)
-        self.felt, self.held, self.rng, self.costs = tables.empty(), None, None, None
+        self.felt, self.held, self.rng, self.walking = tables.empty(), None, None, None
         self.proposals = ProposalSettings()
 
     apart, is_same, held_starts = Pool.apart, Pool.is_same, Pool.held_starts
@@ -82,8 +90,11 @@ class Rounds:
     def convinces(self, modes, shown=None):
         return self.shown > (0.1 if shown is None else shown)
 
+    def walk(self, *_):
+        return poses.make_pose(None, [next(self.ends), 0.0, 0.0])[None]
+
     def end(self, *_):
-        return Found((Mode(poses.make_pose(None, [next(self.ends), 0.0, 0.0]), 1.0, 0.0, np.eye(6)),), 0, "")
+        return Found((Mode(self.walk()[0], 1.0, 0.0, np.eye(6)),), 0, "")
 
 
 @pytest.mark.parametrize(
@@ -91,14 +102,15 @@ class Rounds:
     [
         ([0.0], 0.9, [], "convince"),
         ([0.0], 0.2, [20], "convince"),
-        ([0.0, 0.0005], 0.0, [20, 76], "in doubt"),
-        ([0.0, 0.05, 0.1], 0.0, [20, 76, 224], "in doubt"),
+        ([0.0, 0.0005], 0.0, [20], "in doubt"),
+        ([0.0, 0.05, 0.0505], 0.0, [20, 76], "in doubt"),
+        ([0.0, 0.05, 0.1, 0.15], 0.0, [20, 76, 224], "in doubt"),
     ],
 )
 def test_rounds_of_fresh_starts_end_where_nothing_new_comes(drill, monkeypatch, ends, shown, looked_at, why):
     pool = Rounds(drill, ends, shown)
     monkeypatch.setattr("fusion.estimation.propose.find_modes", pool.end)
-    monkeypatch.setattr("fusion.estimation.propose.walk", lambda *_: np.zeros((0, 4, 4)))
+    monkeypatch.setattr("fusion.estimation.propose.walk", pool.walk)
     starts = np.tile(np.eye(4), (320, 1, 1))
     found = modes_near(pool, None, None, starts, search_stages(0.01, ()), PlanSettings(), Trace())
     assert pool.looked_at == looked_at
