@@ -48,6 +48,8 @@ class Regression:
     contact_nats: float = 0.0
     # Of the logarithm of the spread over the object's radius, held within bounds (see ConfidenceSettings).
     spread: float = 0.0
+    # Of there having been no start: it was looked for everywhere.
+    anywhere: float = 0.0
     constant: float = 0.0
     # ADD-S over the root mean square of how far points of the surface are off: what slides along it counts less.
     nearest: float = 0.7
@@ -60,21 +62,24 @@ class ConfidenceSettings:
     # Error (ADD-S, m) that is good enough when the caller does not say.
     tolerance: float = 0.005
     # Confidence (a probability, no unit) from which an answer is `ok`.
-    sure: float = 0.85
+    sure: float = 0.90
     # Whether the first mode is the right one, with a picture of it and by touch alone.
     seen: Regression = Regression(
-        weight=0.47,
-        agree=9.5,
-        past=-28.6,
-        behind_hand=1.0,
-        outline=-26.2,
-        touch=2.0,
-        outliers=-3.1,
-        spread=-1.57,
-        constant=-3.2,
-        nearest=0.48,
+        weight=0.26,
+        agree=19.8,
+        past=-37.3,
+        hidden=-0.89,
+        behind_hand=1.72,
+        outline=-22.6,
+        touch=2.14,
+        outliers=-3.5,
+        contact_nats=-0.16,
+        spread=-1.81,
+        anywhere=-1.9,
+        constant=-2.6,
+        nearest=0.59,
     )
-    felt: Regression = Regression(weight=0.4, constant=1.76, nearest=0.36)
+    felt: Regression = Regression(weight=0.52, constant=0.96, nearest=0.36)
     # Share of the picture above which agreement speaks for an answer, and the most of what is seen past and of the
     # outline that runs on (shares) that speaks against one: cameras that blend edges draw surfaces on.
     agreeing: float = 0.8
@@ -131,17 +136,19 @@ def chances(
     contact_nats: float,
     tolerance: float | None = None,
     settings: ConfidenceSettings | None = None,
+    anywhere: bool = False,
 ) -> tuple[float, float]:
     """Probability that the first mode is the right one, whatever its spread, and that its ADD-S is below tolerance (m)
     if it is.
 
     picture: the predicted one at the answer, None without a depth image. contact_nats: what the contacts cost there, in
-    all. tolerance: None for the settings'.
+    all. tolerance: None for the settings'. anywhere: there was no start.
     """
     s = settings or ConfidenceSettings()
     seen = picture is not None and picture.count[0] > 0
     factors = s.seen if seen else s.felt
     read = observations(model, modes, picture if seen else None, contacts, contact_nats, s)
+    read["anywhere"] = float(anywhere)
     score = sum(getattr(factors, name) * value for name, value in read.items())
     right = float(1.0 / (1.0 + np.exp(-np.clip(score, -40.0, 40.0))))
     limit = s.tolerance if tolerance is None else tolerance

@@ -169,7 +169,8 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         picture = predictor.predict(pose[None]) if predictor.sees else None
         nats = posterior.nats_of_contacts(model, felt.rows, contacts, pose)
         agreed = residuals, nats, share, seeing, picture
-        right, sure, word, why = posterior.judged(model, modes, *agreed, settings.verdict, settings.confidence)
+        rules = settings.verdict, settings.confidence
+        right, sure, word, why = posterior.judged(model, modes, *agreed, *rules, believed is None)
         covariance = modes[0].covariance
         if word != "ok":
             covariance = whole_covariance(model, modes, right, believed, settings.confidence)

@@ -151,7 +151,7 @@ def modes_anywhere(
     def walked() -> Array:
         begun.extend(pool.piece_starts())
         everywhere = np.concatenate([likely, felt, *(starts for _, starts in begun), pool.held_starts()])
-        return walk(pool.model, everywhere, pool.walking, pool.rng, pool.proposals.walk_far)
+        return walk(pool.model, everywhere, pool.costs, pool.rng, pool.proposals.walk_far)
 
     sources = ["a walk", *[f"{len(pieces)} pieces"] * bool(pieces), *["the hand"] * (pool.held is not None)]
     # a picture that convinces may be that of another thing; one that touch agrees with is not

@@ -201,15 +201,16 @@ def judged(
     picture: Prediction | None,
     settings: VerdictSettings,
     confident: ConfidenceSettings,
+    anywhere: bool = False,
 ) -> tuple[float, float, str, str]:
     """Of the first of the modes, found in one frame or followed through many: the chance that it is the right one, and
     that it is near enough, too (the confidence); verdict and its reason.
 
     residuals and contact_nats: how each contact agrees there, and what all cost; pixel_share: of the object's pixels
-    that it explains; picture: the predicted one, None without a depth image. What contradicts the pose, and a picture
-    that does not show it, speak against it however narrow its covariance is.
+    that it explains; picture: the predicted one, None without a depth image; anywhere: there was no start. What
+    contradicts the pose, and a picture that does not show it, speak against it however narrow its covariance is.
     """
-    right, near = chances(model, modes, picture, residuals, contact_nats, settings=confident)
+    right, near = chances(model, modes, picture, residuals, contact_nats, None, confident, anywhere)
     sure = right * near
     word, why = verdict(model, modes, residuals, pixel_share, seeing, settings)
     if word == "ok" and contact_nats > settings.most_contradicted * max(len(residuals), 1):
