@@ -88,19 +88,28 @@ def add_beliefs(parser: argparse.ArgumentParser) -> None:
 
 
 def add_sure(parser: argparse.ArgumentParser) -> None:
-    """--sure-within."""
+    """--sure-within and --outline."""
     parser.add_argument(
         "--sure-within",
         metavar="MM",
         type=positive_number,
         help="`sure` is the probability that ADD-S is below this (default 5)",
     )
+    parser.add_argument(
+        "--outline",
+        action="store_true",
+        help="let the object's outline in the image (colour, grey, infra-red) move the answer, where it can be read",
+    )
 
 
 def with_sure(settings: EstimateSettings, args: argparse.Namespace) -> EstimateSettings:
-    """The settings with what --sure-within says."""
+    """The settings with what --sure-within and --outline say."""
+    from dataclasses import replace
+
     from fusion.estimation.asked import sure_to_be_within
 
+    if args.outline:
+        settings = replace(settings, contour=replace(settings.contour, used=True))
     return sure_to_be_within(settings, None if args.sure_within is None else 1e-3 * args.sure_within)
 
 

@@ -55,9 +55,10 @@ class Pair:
 
 def answers(frame: Frame, model: ObjectModel, use: Sequence[str], seed: int) -> tuple[Estimate, Estimate]:
     """The frame's answers without colours of the outline and with them."""
-    settings = EstimateSettings()
-    without = replace(settings, contour=replace(settings.contour, used=False))
-    return estimate(frame, model, use=use, seed=seed, settings=without), estimate(frame, model, use=use, seed=seed)
+    plain = EstimateSettings()
+    without, colour = (replace(plain, contour=replace(plain.contour, used=used)) for used in (False, True))
+    before = estimate(frame, model, use=use, seed=seed, settings=without)
+    return before, estimate(frame, model, use=use, seed=seed, settings=colour)
 
 
 def lateral(pose: Array, truth: Array, model: ObjectModel) -> float:

@@ -13,7 +13,7 @@ from scenes.synthesis import library
 from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
 
 PLAIN = EstimateSettings()
-PLAIN = replace(PLAIN, contour=replace(PLAIN.contour, used=False))
+COLOUR = replace(PLAIN, contour=replace(PLAIN.contour, used=True))
 
 
 @pytest.fixture(scope="module")
@@ -36,14 +36,14 @@ def stage_of(answer):
 
 def test_the_outline_has_its_say_and_keeps_the_answer_honest(held):
     model = library.make("bottle")
-    before, after = estimate(held, model, settings=PLAIN), estimate(held, model)
+    before, after = estimate(held, model, settings=PLAIN), estimate(held, model, settings=COLOUR)
     assert not stage_of(before).ran
     assert stage_of(after).rows > 20
     assert across(after.pose, held, model) <= across(before.pose, held, model) + 1e-4
     assert np.linalg.eigvalsh(after.covariance).min() > 0.0
     # it is surer across the ray
     assert np.trace(after.covariance[3:5, 3:5]) < np.trace(before.covariance[3:5, 3:5])
-    assert np.array_equal(after.pose, estimate(held, model).pose)
+    assert np.array_equal(after.pose, estimate(held, model, settings=COLOUR).pose)
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_the_outline_has_its_say_and_keeps_the_answer_honest(held):
 def test_an_image_that_cannot_help_changes_nothing_and_is_said(held, change, said):
     model = library.make("bottle")
     before = estimate(held, model, settings=PLAIN)
-    after = estimate(replace(held, rgb=change(held.rgb)), model)
+    after = estimate(replace(held, rgb=change(held.rgb)), model, settings=COLOUR)
     assert np.array_equal(before.pose, after.pose)
     assert np.array_equal(before.covariance, after.covariance)
     assert said in stage_of(after).why
@@ -75,14 +75,17 @@ def test_an_image_that_cannot_help_changes_nothing_and_is_said(held, change, sai
 )
 def test_other_colours_are_no_worse_than_none(held, change):
     model = library.make("bottle")
-    before, after = estimate(held, model, settings=PLAIN), estimate(replace(held, rgb=change(held.rgb)), model)
+    before, after = (
+        estimate(held, model, settings=PLAIN),
+        estimate(replace(held, rgb=change(held.rgb)), model, settings=COLOUR),
+    )
     assert across(after.pose, held, model) <= across(before.pose, held, model) + 3e-4
 
 
 def test_an_image_of_noise_moves_little(held):
     model = library.make("bottle")
     noise = np.random.default_rng(0).integers(0, 256, held.rgb.shape, dtype=np.uint8)
-    before, after = estimate(held, model, settings=PLAIN), estimate(replace(held, rgb=noise), model)
+    before, after = estimate(held, model, settings=PLAIN), estimate(replace(held, rgb=noise), model, settings=COLOUR)
     moved = poses.difference(after.pose, before.pose, model.centroid)
     assert np.linalg.norm(moved[3:]) < 5e-4
 
@@ -95,6 +98,6 @@ def test_an_image_of_another_size_is_refused_in_a_line(held):
 def test_the_hand_follows_the_pose(held):
     """hand_from_object: the calibration is corrected with the pose, so that contacts stay where they were felt."""
     model = library.make("bottle")
-    before, after = estimate(held, model, settings=PLAIN), estimate(held, model)
+    before, after = estimate(held, model, settings=PLAIN), estimate(held, model, settings=COLOUR)
     worst = [max(abs(one.residual_mm) for one in answer.contacts) for answer in (before, after)]
     assert worst[1] < worst[0] + 0.5
