@@ -62,7 +62,7 @@ class ConfidenceSettings:
     # Error (ADD-S, m) that is good enough when the caller does not say.
     tolerance: float = 0.005
     # Confidence (a probability, no unit) from which an answer is `ok`.
-    sure: float = 0.90
+    sure: float = 0.85
     # Whether the first mode is the right one, with a picture of it and by touch alone.
     seen: Regression = Regression(
         weight=0.26,
