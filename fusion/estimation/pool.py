@@ -18,7 +18,7 @@ from fusion.estimation.proposals import ProposalSettings, search_stages
 from scenes.evidence import table as tables
 from scenes.evidence.align import Alignment, AlignSettings, Prior, align, costs
 from scenes.evidence.modes import Mode, ModeSettings, distinct_modes
-from scenes.evidence.search import SearchStage, leaders, search, thin
+from scenes.evidence.search import SETTLED, SearchStage, leaders, search, thin
 from scenes.evidence.table import GATE_ABOVE, Evidence
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import DepthModel
@@ -123,7 +123,7 @@ class Pool:
         """(n, 4, 4) poses that touch alone, and descents from near the start, propose beside a search over all rows."""
         s, parts = self.settings, []
         if (self.felt.rows[:, GATE_ABOVE] > 0).any():
-            felt = search(self.model, self.felt, starts, stages, self.prior, apart=0.5 * self.apart)
+            felt = search(self.model, self.felt, starts, stages, self.prior, apart=0.5 * self.apart, settled=SETTLED)
             best, _ = leaders(self.model, felt.poses, self.apart)
             parts.append(felt.poses[best[: s.by_touch]])
         on = seen.take(seen.rows[:, GATE_ABOVE] > 0)
@@ -152,7 +152,9 @@ class Pool:
         found = [np.zeros((0, 4, 4))]
         for rows, starts in pieces:
             if len(starts):
-                found.append(search(self.model, rows, starts, passes, self.prior, rank=self.sight.costs).poses)
+                found.append(
+                    search(self.model, rows, starts, passes, self.prior, rank=self.sight.costs, settled=SETTLED).poses
+                )
         return np.concatenate(found)
 
     def held_starts(self) -> Array:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scenes.evidence.align import Alignment, AlignSettings, Prior, align, terms
 from scenes.evidence.modes import Mode, ModeSettings, covariance_of, distinct_modes
 from scenes.evidence.near_symmetries import near_symmetries
-from scenes.evidence.search import SearchStage, leaders, search, thin
+from scenes.evidence.search import SETTLED, SearchStage, leaders, search, thin
 from scenes.evidence.table import GATE_ABOVE, SIGMA, TOUCH, VISION, Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -128,7 +128,9 @@ def find_modes(
             first = _with_valleys(model, rows, first, stages[0], prior, rank, settings, mode_settings)
             modes = distinct_modes(model, first, mode_settings)
             return Found(modes, few, "the first agree and explain what was sensed")
-    found = search(model, rows, starts, stages, prior, rank=rank, apart=settings.passes_together * merged)
+    found = search(
+        model, rows, starts, stages, prior, rank=rank, apart=settings.passes_together * merged, settled=SETTLED
+    )
     chosen, _ = leaders(model, found.poses, care.together * merged)
     refined, _ = _refined(model, rows, found.poses[chosen[: settings.refined]], prior, rank)
     refined = _with_valleys(model, rows, refined, stages[0], prior, rank, settings, mode_settings)

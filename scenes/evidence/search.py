@@ -17,7 +17,8 @@ from scenes.geometry.objects import ObjectModel
 
 Array = NDArray[np.float64]
 
-# A step shorter than this share of a pass's blur ends a pose's work in that pass.
+# A step shorter than this share of a pass's blur may end a pose's work in that pass: where all that is found is refined
+# afterwards.
 SETTLED = 0.01
 
 
@@ -108,11 +109,13 @@ def search(
     settings: AlignSettings | None = None,
     rank: Callable[[Array, float], Array] | None = None,
     apart: float = 0.0,
+    settled: float = 0.0,
 ) -> Alignment:
     """Run the stages; returns the last stage's survivors, best first, with their final costs and Hessians.
 
     rank(poses, blur) -> (n,) is added to the costs when survivors are chosen (not when poses move). apart: of poses
     that are nearer than this (m, see `leaders`) the best goes on; 0 tells only those apart that reached one minimum.
+    settled: see SETTLED; 0 for none.
     """
     settings = settings or AlignSettings()
     poses = starts
@@ -124,8 +127,8 @@ def search(
             blur=stage.blur,
             blur_normal=stage.blur_normal,
             iterations=stage.iterations,
-            tolerance_angle=max(settings.tolerance_angle, SETTLED * stage.blur / model.radius),
-            tolerance_distance=max(settings.tolerance_distance, SETTLED * stage.blur),
+            tolerance_angle=max(settings.tolerance_angle, settled * stage.blur / model.radius),
+            tolerance_distance=max(settings.tolerance_distance, settled * stage.blur),
         )
         if stage.iterations:
             result = align(model, rows, poses, prior, how)

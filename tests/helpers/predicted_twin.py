@@ -36,9 +36,20 @@ def predicted(found, pose, side):
     near = known & ~by_hand & ~other & (np.abs(off) <= tolerance)
     hidden = known & ~by_hand & ~past & ~near
     fade = np.exp(-0.5 * np.square(off / (s.fading * smooth))) * near
-    total = max(hit.sum() - s.unread * (hit & ~read).sum(), 1.0)
+    share = in_image(found, pose)
+    total = max(hit.sum() - s.unread * (hit & ~read).sum(), 1.0) / max(share, 1e-3)
     sums = [x.sum() / total for x in (fade, near, past_share, hidden, by_hand & ~past)]
+    sums[3] += 1.0 - share
     return *sums, runs_on(s, hit, near, read, seen, side), int(hit.sum())
+
+
+def in_image(found, pose):
+    """Share of the object's points that project into the image; 0 when one is behind the camera."""
+    c, points = found.camera, found._points @ pose[:3, :3].T + pose[:3, 3]
+    if not (points[:, 2] > 1e-3).all():
+        return 0.0
+    u, v = c.fx * points[:, 0] / points[:, 2] + c.cx, c.fy * points[:, 1] / points[:, 2] + c.cy
+    return float(((u >= 0) & (u < c.width) & (v >= 0) & (v < c.height)).mean())
 
 
 def grid(found, pose, side):

@@ -110,10 +110,10 @@ def test_what_has_no_place_is_refused(tmp_path, text, message):
 def test_commands_take_it(tmp_path, capsys, capture):
     assert "cannot be opened" in refused(capsys, "estimate", capture, "--config", tmp_path / "none.toml")
     with pytest.raises(SystemExit) as end:
-        main(["track", "--config", str(written(tmp_path, "[track]\nmodes = 3")), "--show-config"])
+        main(["track", "--config", str(written(tmp_path, "[track]\nlevel_frames = 5")), "--show-config"])
     assert end.value.code == 0
     printed = capsys.readouterr().out
-    assert re.search(r"^\[track\]\n(.*\n)*?modes = 3$", printed, re.MULTILINE)
+    assert re.search(r"^\[track\]\n(.*\n)*?level_frames = 5$", printed, re.MULTILINE)
     # a gate that takes nothing in is a setting that one sees at work
     config = written(tmp_path, "[estimate.verdict]\nsure_share = 2.0")
     run("estimate", capture, "--out", tmp_path / "o", "--no-report", "--config", config)
