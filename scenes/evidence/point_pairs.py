@@ -38,7 +38,8 @@ class PairSettings:
     # What counts as alike: the distance as a share of the radius, and the normals' slopes (no unit).
     distance_scale: float = 0.12
     slope_scale: float = 0.25
-    # The nearest are found to this share of their distance: of 250,000 pairs many are as near as noise tells.
+    # Of an image's pairs the nearest are found to this share of their distance: of 250,000 pairs many are as near as
+    # noise tells. Those of contacts are few, and found exactly.
     nearly: float = 0.5
     # Pairs of contacts looked up, the farthest apart first.
     pairs: int = 12
@@ -95,16 +96,25 @@ class PairTable:
         if not len(longest):
             return np.zeros((0, 3, 3)), np.zeros((0, 3))
         i, j = known[one[longest]], known[other[longest]]
-        return self.matching(p, n, i, j, max(1, count // len(longest)))
+        return self.matching(p, n, i, j, max(1, count // len(longest)), 0.0)
 
     def matching(
-        self, points: Array, normals: Array, first: NDArray[np.int64], second: NDArray[np.int64], each: int
+        self,
+        points: Array,
+        normals: Array,
+        first: NDArray[np.int64],
+        second: NDArray[np.int64],
+        each: int,
+        nearly: float | None = None,
     ) -> tuple[Array, Array]:
         """Rotations (h, 3, 3) and the object's origins (h, 3) that put the `each` nearest pairs of the object onto each
         pair first[k], second[k] of points (n, 3) with normals (n, 3) that are apart; those of one pair together.
+
+        nearly: to what share of their distance they are the nearest; None for the settings'.
         """
         invariants = self.invariants(points[first], normals[first], points[second], normals[second])
-        _, found = self.tree.query(invariants, k=min(each, len(self.first)), eps=self.settings.nearly)
+        nearly = self.settings.nearly if nearly is None else nearly
+        _, found = self.tree.query(invariants, k=min(each, len(self.first)), eps=nearly)
         found = found.reshape(len(first), -1)
         a, b = self.first[found].ravel(), self.second[found].ravel()
         rotations, origins = np.zeros((len(a), 3, 3)), np.zeros((len(a), 3))

@@ -121,9 +121,7 @@ def everything_scaled_by(factor: float) -> float:
 
 @CASES("invariance", "displacement between the answers, m", over=NAMES)
 def rows_in_another_order(name: str) -> float:
-    """Contacts and rows shuffled: sums differ in their last digits, answers by less than a quarter of a contact's noise
-    (other draws may end in the next of the small minima that a lattice's cells leave).
-    """
+    """Contacts and rows shuffled: sums differ in their last digits, answers do not."""
     model, contacts = library.make(name), _felt(name)
     rows = from_contacts(contacts)
     rng = np.random.default_rng(5)
@@ -137,7 +135,7 @@ def rows_in_another_order(name: str) -> float:
         at_most(np.abs(shuffled.costs - aligned.costs) / (1 + aligned.costs), 1e-4, "cost after alignment")
         found = localize(model, contacts.take(order), seed=0)
         need(found.verdict == reference.verdict, f"verdicts {reference.verdict}, {found.verdict}")
-        worst = max(worst, at_most(apart(model, found.pose, reference.pose)[1], 2e-4, "displacement"))
+        worst = max(worst, at_most(apart(model, found.pose, reference.pose)[1], 2e-5, "displacement"))
     return worst
 
 
