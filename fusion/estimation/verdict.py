@@ -176,7 +176,7 @@ def verdict(
     if residuals:
         good = float(np.mean([not r.outlier for r in residuals]))
         if good < settings.least_contacts:
-            return "lost", f"{good:.0%} of the contacts explained"
+            return "lost", f"{good:.0%} of the contacts explained: they, or their normals, contradict the pose"
     if np.isfinite(pixel_share) and pixel_share < settings.least_pixels and not residuals:
         return "lost", f"{pixel_share:.0%} of the pixels explained"
     if np.isfinite(seeing.violated) and seeing.violated > settings.most_violated:
