@@ -111,16 +111,23 @@ def answer_cell(cell: Cell) -> list[Answer]:
 
 def cells_of(families: Sequence[Family], trials: int, settings: BenchSettings) -> tuple[list[Cell], list[str]]:
     """Every family, level and object; and the families that cannot be made here, with the reason."""
-    cells, missing = [], []
+    places, missing = places_of(families, settings)
+    return [Cell(*place, trials, settings.seed) for place in places], missing
+
+
+def places_of(families: Sequence[Family], settings: BenchSettings) -> tuple[list[tuple[Family, float, str]], list[str]]:
+    """(family, hidden share, object) of all that is asked for; families that cannot be made here, with the reason."""
+    places: list[tuple[Family, float, str]] = []
+    missing = []
     for family in families:
         reason = why_not(family)
         if reason:
             missing.append(f"{family.name}: {reason}")
             continue
         names = settings.some(objects_of(family, settings.objects), 1)
-        for level in quick_levels(family) if settings.quick else family.levels:
-            cells += [Cell(family, level, name, trials, settings.seed) for name in names]
-    return cells, missing
+        levels = quick_levels(family) if settings.quick else family.levels
+        places += [(family, level, name) for level in levels for name in names]
+    return places, missing
 
 
 def quick_levels(family: Family) -> tuple[float, ...]:

@@ -28,9 +28,9 @@ Array = NDArray[np.float64]
 class Regression:
     """Factors of a logistic regression, no unit: what each observation adds to the log odds that a mode is right.
 
-    Tuned on 1176 answers of the nine tuning families (docs/evaluation.md), with a start and without: the product of
-    both factors of the probability, at tolerances of 3, 5 and 10 mm, by maximum likelihood, every factor held to the
-    sign that it must have. Those without one were of no use beside the others.
+    Tuned on 1176 answers of seven tuning families, all but `clean` and `d435` (docs/evaluation.md), with a start and
+    without: the product of both factors of the probability, at tolerances of 3, 5 and 10 mm, by maximum likelihood,
+    factors held to the sign that they must have. Those of 0 were of no use beside the others.
     """
 
     # Of the logarithm of the first mode's odds against the others, held within `most_odds`.
@@ -190,20 +190,6 @@ def _surface_squares(model: ObjectModel, pose: Array, covariance: Array) -> Arra
     moments[:3, 3:] = se3.skew(rotation @ mean)
     moments[3:, :3] = moments[:3, 3:].T
     return np.asarray(moments @ (known @ covariance @ known.T), dtype=np.float64)
-
-
-def confidence(
-    model: ObjectModel,
-    modes: tuple[Mode, ...],
-    picture: Prediction | None,
-    contacts: tuple[ContactResidual, ...],
-    contact_nats: float,
-    tolerance: float | None = None,
-    settings: ConfidenceSettings | None = None,
-) -> float:
-    """Probability that the first mode's ADD-S is below tolerance (m): that it is the right one, and that near."""
-    right, near = chances(model, modes, picture, contacts, contact_nats, tolerance, settings)
-    return right * near
 
 
 def whole_covariance(

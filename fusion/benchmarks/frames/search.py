@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.benchmarks.families.making import Made, frames_of, judge_for, objects_of, why_not
+from fusion.benchmarks.families.making import Made, frames_of, judge_for
 from fusion.benchmarks.families.table import FAMILIES, REPORT, TUNING, Family, chosen
 from fusion.benchmarks.frames.missed import keep_miss
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Rate, Report, Table
-from fusion.benchmarks.strata import WRONG, Answer, parallel, quick_levels, senses_table
+from fusion.benchmarks.strata import WRONG, Answer, parallel, places_of, senses_table
 from fusion.estimation.estimate import estimate
 from fusion.estimation.steps.judge import judge
 from fusion.truth.compare import SENSES
@@ -162,7 +162,8 @@ def _tried(cell: SearchCell, made: Made, true: Judge, frame: Frame, sense: str, 
 def run(settings: BenchSettings) -> Report:
     """Tables of whose fault wrong answers are: by family and hidden share, and by what is told."""
     trials = settings.count(TRIALS, quick=1)
-    cells, missing = _cells(chosen(settings.family), trials, settings)
+    places, missing = places_of(chosen(settings.family), settings)
+    cells = [SearchCell(*place, trials, settings.seed, settings.quick, settings.folder) for place in places]
     report = Report(
         "search",
         "Does the search find what its own objective prefers?",
@@ -185,20 +186,6 @@ def run(settings: BenchSettings) -> Report:
             settings.show(table)
     _claims(report, found)
     return report
-
-
-def _cells(families: Sequence[Family], trials: int, settings: BenchSettings) -> tuple[list[SearchCell], list[str]]:
-    cells, missing = [], []
-    for family in families:
-        reason = why_not(family)
-        if reason:
-            missing.append(f"{family.name}: {reason}")
-            continue
-        for level in quick_levels(family) if settings.quick else family.levels:
-            names = settings.some(objects_of(family, settings.objects), 1)
-            asked = trials, settings.seed, settings.quick, settings.folder
-            cells += [SearchCell(family, level, name, *asked) for name in names]
-    return cells, missing
 
 
 SENSES_SHOWN = ("fused", "vision", "touch")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fusion import estimate
-from fusion.estimation.confidence import ConfidenceSettings, confidence, spread_of, whole_covariance, within
+from fusion.estimation.confidence import ConfidenceSettings, chances, spread_of, whole_covariance, within
 from fusion.estimation.pool import Pool, PoolSettings
 from fusion.estimation.proposals import ProposalSettings, search_stages
 from fusion.estimation.propose import modes_near
@@ -139,6 +139,12 @@ def picture(**shares):
     usual = {"seen": 0.9, "agree": 0.95, "past": 0.0, "hidden": 0.0, "behind_hand": 0.0, "outline": 0.0}
     values = usual | shares
     return Prediction(*(np.array([values[k]]) for k in values), np.array([200]))
+
+
+def confidence(*answer):
+    """The probability that an estimate states: that it is the right mode, and that near."""
+    right, near = chances(*answer)
+    return right * near
 
 
 def sure(model, sigma, **shares):
