@@ -156,8 +156,11 @@ def modes_anywhere(
     sources = ["a walk", *[f"{len(pieces)} pieces"] * bool(pieces), *["the hand"] * (pool.held is not None)]
     # a picture that convinces may be that of another thing; one that touch agrees with is not
     agreed = asked.convinced and asked.contacts >= pool.settings.tying_contacts
-    asked.enter(", ".join(sources), walked, "seen and felt agree" if agreed else "")
-    clear = pool.convinces(asked.modes, pool.settings.clearly_shown) or (agreed and not begun)
-    why_not = "the best is clearly seen" if clear else "" if begun else "no piece stands alone"
+    why_not = "seen and felt agree" if agreed else ""
+    asked.enter(", ".join(sources), walked, why_not)
+    if not why_not and not begun:
+        why_not = "no piece stands alone"
+    elif not why_not and asked.modes and pool.convinces(asked.modes, pool.settings.clearly_shown):
+        why_not = "the best is clearly seen"
     asked.enter("each piece alone", lambda: pool.of_pieces(tuple(begun)), why_not)
     return asked.found(asked.proposed)
