@@ -35,7 +35,6 @@ from scenes.recordings.frames import Frame
 from scenes.recordings.validation import check_scale
 from scenes.threads import one_blas_thread
 from touch.gels.localize import build_tables
-from vision.look.look import look_closer
 from vision.look.looked import Looked
 from vision.plausibility import doubts
 from vision.visibility import visibility
@@ -104,30 +103,25 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
 
     how, blur = settings.proposals, settings.proposals.blur(model)
     with trace.stage("search", True, "") as stage:
-        starts = starts_of(
-            model, believed, looked.pixels.points, felt.contacts, rows, sight.costs, how, pool.rng, felt.patches
-        )
+        starts: list[Array] = []
+
+        def begun() -> Array:
+            pixels, contacts = looked.pixels.points, felt.contacts
+            starts.append(
+                starts_of(model, believed, pixels, contacts, rows, sight.costs, how, pool.rng, felt.patches)
+            )
+            return starts[0]
+
+        wide = search_stages(blur, how.wide if contacts else how.sifted)
         if believed is not None:
-            found = modes_near(pool, rows, seen, starts, search_stages(blur, how.near), settings.plan, trace)
+            found = modes_near(pool, rows, seen, begun(), search_stages(blur, how.near), settings.plan, trace)
+        elif predictor.sees:
+            found = modes_anywhere(pool, rows, seen, begun, wide, trace)
         else:
-            stages = search_stages(blur, how.wide if contacts else how.sifted)
-            found = find_modes(model, rows, starts, stages, None, sight.costs, settings.plan, settings.modes)
+            found = find_modes(model, rows, begun(), wide, None, sight.costs, settings.plan, settings.modes)
         gels = f", by {len(felt.patches)} gels too" if felt.patches and believed is None else ""
-        said = f"{found.looked_at} of {len(starts)} starts{gels}, blur {1e3 * blur:.1f} mm; {found.why}"
-        stage.note(len(rows), said)
-    wide = believed is None and predictor.sees
-    with trace.stage("look again", wide, "the region was narrow") as stage:
-        if wide:
-            likely = np.array([m.pose for m in found.modes if m.weight > settings.plan.negligible])
-            if looked.region is not None:
-                looked = look_closer(viewed, model, looked, likely, beliefs, settings.look)
-                seen = looked.rows(beliefs.depth, settings.look.rows)
-                rows = tables.stack(seen, felt.rows)
-                last = search_stages(blur, how.near)[-1:]
-                again = find_modes(model, rows, likely, last, None, sight.costs, settings.plan, settings.modes)
-                likely = np.array([m.pose for m in again.modes])
-            found = modes_anywhere(replace(pool, looked=looked), likely, seen, starts, stages, trace)
-            stage.note(len(rows), f"{len(looked.pixels)} object pixels around {len(likely)} poses; {found.why}")
+        tried = f"{found.looked_at} of {len(starts[0])} starts{gels}" if starts else "pairs of pixels"
+        stage.note(len(rows), f"{tried}, blur {1e3 * blur:.1f} mm; {found.why}")
     modes = found.modes
     rough = with_shared_errors(model, modes, viewed, beliefs.depth)
     spent, settled = trace.over_budget, is_within(model, rough, asked.tolerance, settings)
