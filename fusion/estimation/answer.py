@@ -71,7 +71,8 @@ class Estimate:
 
     covariance (6, 6) about the centroid, (turn, move): of the first mode when the verdict is `ok`; otherwise of all
     that may be the case, other modes and none of them included. Each mode has its own. confidence: probability that
-    the pose's ADD-S is below sure_within (m), see fusion.estimation.confidence.
+    the pose's ADD-S is below sure_within (m), see fusion.estimation.confidence. searched: where the search ended, from
+    which the pose was solved with all that the senses share; None where nothing was searched.
     """
 
     frame: int
@@ -91,6 +92,7 @@ class Estimate:
     contributions: tuple[Contribution, ...] = ()
     confidence: float = float("nan")
     sure_within: float = float("nan")
+    searched: Array | None = None
 
     @property
     def time_ms(self) -> float:

@@ -130,12 +130,14 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
     why_not = "the time budget is spent" if spent else "the rows alone are within the tolerance"
     finish = not (spent or settled)
     modes = modes if finish else rough
+    searched = modes[0].pose
     with trace.stage("solve together", finish, why_not) as stage:
         if finish:
             worth = worth_solving(found, settings.plan, settings.joint.modes)
             solved = solve_together(sensed, worth, asked)
             modes = rejudged(model, solved.results, solved.costs, settings)
             first_of = int(np.argmin(solved.costs))
+            searched = worth[first_of]
             best, seen = solved.results[first_of], solved.shown[first_of]
             rows = tables.stack(seen, felt.rows)
             felt = felt.corrected(best.correct())
@@ -188,4 +190,5 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         contributions=posterior.contributions(model, rows, pose, covariance, believed),
         confidence=sure,
         sure_within=settings.confidence.tolerance,
+        searched=searched,
     )
