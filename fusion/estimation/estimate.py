@@ -107,9 +107,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
 
         def begun() -> Array:
             pixels, contacts = looked.pixels.points, felt.contacts
-            starts.append(
-                starts_of(model, believed, pixels, contacts, rows, sight.costs, how, pool.rng, felt.patches)
-            )
+            starts.append(starts_of(model, believed, pixels, contacts, rows, sight.costs, how, pool.rng, felt.patches))
             return starts[0]
 
         wide = search_stages(blur, how.wide if contacts else how.sifted)

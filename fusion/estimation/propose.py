@@ -59,7 +59,7 @@ class Competition:
                 return
             before, convinced = self.modes[0], self.convinced
             drawn = walk(pool.model, before.pose[None], pool.walking, pool.rng, pool.proposals.around)
-            drawn = drawn[pool.costs(drawn) < before.cost + pool.settings.bettered]
+            drawn = drawn[pool.costs(drawn) < before.cost + pool.settings.promising]
             self._compete(drawn, None)
             gained = before.cost - self.modes[0].cost
             self.convinced = self.convinced and convinced and gained < pool.settings.bettered
@@ -122,7 +122,8 @@ class Competition:
         also: tuple[Array, ...] = ()
         if not self.convinced and self._felt is not None:
             also = (self.pool.compete(self._felt[None])[0].pose,)
-        return Found(self.modes, looked_at, f"{len(self.modes)} of {self.proposed} proposals are left, {words}", also)
+        said = f"{len(self.modes)} of {self.proposed} proposals are left, {words}"
+        return Found(self.modes, looked_at, said, also, not self.convinced)
 
 
 def poses_of(modes: tuple[Mode, ...]) -> Array:
@@ -160,8 +161,8 @@ def modes_near(
         return asked.by_touch(pool.proposed(fresh, stages, seen, prior.pose, descending))
 
     def walked() -> Array:
-        everywhere = pool.sifted(np.concatenate([starts, pool.held_starts()]))
-        return walk(pool.model, everywhere, pool.walking, pool.rng, pool.proposals.walk)
+        everywhere = np.concatenate([pool.glanced(rows), poses_of(asked.modes), starts, pool.held_starts()])
+        return walk(pool.model, pool.sifted(everywhere), pool.walking, pool.rng, pool.proposals.walk)
 
     for end, descending in zip([*ends, len(starts)], [*settings.descents[: len(ends)], settings.descents[-1]]):
         fresh, before = starts[begin:end], asked.modes

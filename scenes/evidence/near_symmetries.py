@@ -101,9 +101,9 @@ def quarter_turns(model: ObjectModel) -> Array:
     points, _ = model.sample_surface(NearSettings().samples, seed=3)
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
     axes = axes * np.sign(np.linalg.det(axes))
-    turns = np.array([
-        np.diag(signs)[list(order)] for order in permutations(range(3)) for signs in product((1.0, -1.0), repeat=3)
-    ])
+    turns = np.array(
+        [np.diag(signs)[list(order)] for order in permutations(range(3)) for signs in product((1.0, -1.0), repeat=3)]
+    )
     turns = turns[np.linalg.det(turns) > 0.0]
     turns = turns[np.trace(turns, axis1=1, axis2=2) < 2.9]
     rotations = axes.T @ turns @ axes
