@@ -10,7 +10,7 @@ import json
 import math
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -213,6 +213,7 @@ def read_answers(path: Path) -> list[Told]:
         lines = path.read_text(encoding="utf-8").split("\n")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: expected a file of answers, got {error}") from error
+    needed = {field.name for field in fields(Told) if field.default is MISSING}
     names = {field.name for field in fields(Told)}
     out = []
     for number, line in enumerate(lines[:-1], 1):
@@ -220,7 +221,8 @@ def read_answers(path: Path) -> list[Told]:
             content = json.loads(line)
         except json.JSONDecodeError:
             content = None
-        if not isinstance(content, dict) or not set(content) <= names or content.get("family") not in FAMILIES:
+        there = set(content) if isinstance(content, dict) else set()
+        if not needed <= there <= names or content["family"] not in FAMILIES:
             raise InputError(f"{path}, line {number}: expected an answer of fit-confidence, got {line[:60]!r}")
         numbers = {key: math.nan for key in ("add_s", "mean", "variance") if content.get(key) is None}
         out.append(Told(**{**content, **numbers}))
