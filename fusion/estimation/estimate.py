@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import Asked, check_limits, sure_to_be_within
-from fusion.estimation.confidence import whole_covariance, within
+from fusion.estimation.confidence import as_shown, whole_covariance, within
 from fusion.estimation.moments import moments
 from fusion.estimation.proposals import search_stages, starts_of
 from fusion.estimation.propose import modes_anywhere, modes_near
@@ -167,6 +167,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         share, rms = posterior.pixel_agreement(model, seen, pose)
         seeing = visibility(viewed, model, pose, beliefs.depth)
         picture = predictor.predict(pose[None]) if predictor.sees else None
+        modes = (as_shown(modes[0], picture, believed, settings.confidence), *modes[1:])
         nats = posterior.nats_of_contacts(model, felt.rows, contacts, pose)
         agreed = residuals, nats, share, seeing, picture
         rules = settings.verdict, settings.confidence
