@@ -10,6 +10,7 @@ thing, of which a part is covered. Camera frame, metres.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -262,7 +263,7 @@ class Predictor:
         )
         return _View(u, v, expected, seen, state, past, fade, inside)
 
-    def _known(self) -> tuple[tuple[Array, ...], tuple[float, ...], tuple[float, ...]]:
+    def _known(self) -> tuple[tuple[NDArray[Any], ...], tuple[float, ...], tuple[float, ...]]:
         """What the kernels are told of the frame: images and plane, the camera, and the noise of its depth."""
         assert self.camera is not None
         assert self._depth is not None

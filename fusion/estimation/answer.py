@@ -71,7 +71,8 @@ class Estimate:
 
     covariance (6, 6) about the centroid, (turn, move): of the first mode when the verdict is `ok`; otherwise of all
     that may be the case, other modes and none of them included. Each mode has its own. confidence: probability that
-    the pose's ADD-S is below sure_within (m), see fusion.estimation.confidence.
+    the pose's ADD-S is below sure_within (m), see fusion.estimation.confidence; observed: what it was read from, empty
+    when nothing was sensed.
     """
 
     frame: int
@@ -91,6 +92,7 @@ class Estimate:
     contributions: tuple[Contribution, ...] = ()
     confidence: float = float("nan")
     sure_within: float = float("nan")
+    observed: dict[str, float] = field(default_factory=dict)
 
     @property
     def time_ms(self) -> float:

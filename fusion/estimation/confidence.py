@@ -13,7 +13,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fusion.estimation.answer import ContactResidual, Mode
 from scenes.evidence.align import Prior
@@ -53,6 +53,35 @@ class Regression:
     constant: float = 0.0
     # ADD-S over the root mean square of how far points of the surface are off: what slides along it counts less.
     nearest: float = 0.7
+
+
+@dataclass(frozen=True)
+class Feature:
+    """One thing that `observations` tells of an answer, named as its factor in `Regression`. sign: the one that its
+    factor must have, 0 for any; seen, felt: whether it has one when there is a picture, and by touch alone.
+    """
+
+    name: str
+    sign: int = 0
+    seen: bool = True
+    felt: bool = False
+
+
+# What `palpate fit-confidence` fits. A new one is a line here, a field of `Regression` and a value in `observations`.
+FEATURES = (
+    Feature("weight", +1, felt=True),
+    Feature("agree", +1),
+    Feature("past", -1),
+    Feature("hidden", -1),
+    Feature("behind_hand"),
+    Feature("outline", -1),
+    Feature("touch", +1),
+    Feature("outliers", -1),
+    Feature("contact_nats", -1, felt=True),
+    Feature("spread", -1),
+    Feature("anywhere"),
+    Feature("constant", felt=True),
+)
 
 
 @dataclass(frozen=True)
@@ -110,8 +139,12 @@ def observations(
     contacts: tuple[ContactResidual, ...],
     contact_nats: float,
     settings: ConfidenceSettings,
+    anywhere: bool = False,
 ) -> dict[str, float]:
-    """What the regression reads of an answer, by the names of its factors; see `Regression`."""
+    """What the regression reads of an answer, by the names of its factors; see `Regression` and `chances`.
+
+    There is "agree" when there is a picture that shows anything.
+    """
     s = settings
     weight = float(np.clip(modes[0].weight, 0.0, 1.0))
     odds = np.log(max(weight, 1e-12)) - np.log(max(1.0 - weight, 1e-12))
@@ -119,13 +152,14 @@ def observations(
     found = {
         "weight": float(np.clip(odds, -s.most_odds, s.most_odds)),
         "spread": float(np.log(np.clip(ratio, s.narrowest, s.widest))),
+        "anywhere": float(anywhere),
         "constant": 1.0,
     }
     if contacts:
         found["touch"] = 1.0
         found["outliers"] = float(np.mean([c.outlier for c in contacts]))
         found["contact_nats"] = min(contact_nats / len(contacts), s.most_nats)
-    if picture is not None:
+    if picture is not None and picture.count[0] > 0:
         found["agree"] = max(float(picture.agree[0]) - s.agreeing, 0.0)
         found["past"] = min(float(picture.past[0]), s.most_past)
         found["outline"] = min(float(picture.outline[0]), s.most_outline)
@@ -150,10 +184,8 @@ def chances(
     all. tolerance: None for the settings'. anywhere: there was no start.
     """
     s = settings or ConfidenceSettings()
-    seen = picture is not None and picture.count[0] > 0
-    factors = s.seen if seen else s.felt
-    read = observations(model, modes, picture if seen else None, contacts, contact_nats, s)
-    read["anywhere"] = float(anywhere)
+    read = observations(model, modes, picture, contacts, contact_nats, s, anywhere)
+    factors = s.seen if "agree" in read else s.felt
     score = sum(getattr(factors, name) * value for name, value in read.items())
     right = float(1.0 / (1.0 + np.exp(-np.clip(score, -40.0, 40.0))))
     limit = s.tolerance if tolerance is None else tolerance
@@ -163,24 +195,40 @@ def chances(
 def within(model: ObjectModel, pose: Array, covariance: Array, tolerance: float, nearest: float) -> float:
     """Probability that ADD-S is below tolerance (m) for an error drawn from a covariance (6, 6) about the centroid.
 
-    nearest: see `Regression`. The gamma distribution by Wilson and Hilferty (1931).
+    nearest: see `Regression`.
+    """
+    return float(below(*mean_square(model, pose, covariance), tolerance, nearest))
+
+
+def below(mean: ArrayLike, variance: ArrayLike, tolerance: float, nearest: float) -> Array:
+    """Probability (n,) that ADD-S is below tolerance (m) where the mean square of how far the surface's points are off
+    has mean (n,) (m^2) and variance (n,) (m^4): a gamma distribution, by Wilson and Hilferty (1931).
+
+    nearest: see `Regression`.
+    """
+    from scipy.special import ndtr
+
+    mean, variance = np.asarray(mean, dtype=np.float64), np.asarray(variance, dtype=np.float64)
+    usual = np.isfinite(mean) & (mean > 0.0) & (variance > 0.0)
+    mean, variance, sure = np.where(usual, mean, 1.0), np.where(usual, variance, 1.0), mean <= 0.0
+    root = np.sqrt(variance) / (3.0 * mean)
+    high = ((max(tolerance, 0.0) / nearest) ** 2 / mean) ** (1.0 / 3.0)
+    return np.where(usual, ndtr((high - 1.0 + root**2) / root), sure)
+
+
+def mean_square(model: ObjectModel, pose: Array, covariance: Array) -> tuple[float, float]:
+    """Mean (m^2) and variance (m^4) of the mean square of how far points of the surface are off, for an error drawn
+    from a covariance (6, 6) about the centroid of a pose (4, 4).
     """
     squares = _surface_squares(model, pose, covariance)
-    mean, variance = float(np.trace(squares)), 2.0 * float(np.sum(squares * squares.T))
-    if mean <= 0.0:
-        return 1.0
-    if not np.isfinite(mean) or variance <= 0.0:
-        return 0.0
-    root = math.sqrt(2.0 / 9.0 * variance / (2.0 * mean**2))
-    high = ((max(tolerance, 0.0) / nearest) ** 2 / mean) ** (1.0 / 3.0)
-    return 0.5 * (1.0 + math.erf((high - 1.0 + root**2) / (root * math.sqrt(2.0))))
+    return float(np.trace(squares)), 2.0 * float(np.sum(squares * squares.T))
 
 
 def spread_of(model: ObjectModel, pose: Array, covariance: Array) -> float:
     """Standard deviation (m) of where the object's surface is, all directions together, from a covariance (6, 6) about
     the centroid of a pose (4, 4); turns about the object's own axes move nothing.
     """
-    return float(np.sqrt(max(float(np.trace(_surface_squares(model, pose, covariance))), 0.0)))
+    return math.sqrt(max(mean_square(model, pose, covariance)[0], 0.0))
 
 
 def _surface_squares(model: ObjectModel, pose: Array, covariance: Array) -> Array:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import Asked, check_limits, sure_to_be_within
-from fusion.estimation.confidence import as_shown, whole_covariance, within
+from fusion.estimation.confidence import as_shown, observations, whole_covariance, within
 from fusion.estimation.moments import moments
 from fusion.estimation.proposals import search_stages, starts_of
 from fusion.estimation.propose import modes_anywhere, modes_near
@@ -172,6 +172,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         agreed = residuals, nats, share, seeing, picture
         rules = settings.verdict, settings.confidence
         right, sure, word, why = posterior.judged(model, modes, *agreed, *rules, believed is None)
+        observed = observations(model, modes, picture, residuals, nats, settings.confidence, believed is None)
         covariance = modes[0].covariance
         if word != "ok":
             covariance = whole_covariance(model, modes, right, believed, settings.confidence)
@@ -195,4 +196,5 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         contributions=posterior.contributions(model, rows, pose, covariance, believed),
         confidence=sure,
         sure_within=settings.confidence.tolerance,
+        observed=observed,
     )
