@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import Asked, check_limits, sure_to_be_within
-from fusion.estimation.confidence import observations, whole_covariance, within
+from fusion.estimation.confidence import as_shown, observations, room_about, whole_covariance, within
 from fusion.estimation.moments import moments
 from fusion.estimation.proposals import search_stages, starts_of
 from fusion.estimation.propose import modes_anywhere, modes_near
@@ -29,6 +29,7 @@ from scenes.evidence import table as tables
 from scenes.evidence.align import Prior
 from scenes.evidence.near_symmetries import near_symmetries
 from scenes.evidence.point_pairs import pair_table
+from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
@@ -102,7 +103,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         near = within(model, first.pose, first.covariance, how_sure.tolerance, how_sure.felt.nearest)
         return replace(nothing, confidence=first.weight * near, sure_within=how_sure.tolerance)
 
-    how, blur = settings.proposals, settings.proposals.blur(model)
+    how, blur, might_be = settings.proposals, settings.proposals.blur(model), looked.pixels.points
     with trace.stage("search", True, "") as stage:
         starts = starts_of(
             model, believed, looked.pixels.points, felt.contacts, rows, sight.costs, how, pool.rng, felt.patches
@@ -167,6 +168,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         share, rms = posterior.pixel_agreement(model, seen, pose)
         seeing = visibility(viewed, model, pose, beliefs.depth)
         picture = predictor.predict(pose[None]) if predictor.sees else None
+        modes = (as_shown(modes[0], picture, believed, settings.confidence), *modes[1:])
         nats = posterior.nats_of_contacts(model, felt.rows, contacts, pose)
         agreed = residuals, nats, share, seeing, picture
         rules = settings.verdict, settings.confidence
@@ -174,7 +176,8 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         observed = observations(model, modes, picture, residuals, nats, settings.confidence, believed is None)
         covariance = modes[0].covariance
         if word != "ok":
-            covariance = whole_covariance(model, modes, right, believed, settings.confidence)
+            room = room_about(se3.apply(pose, model.centroid[None])[0], might_be)
+            covariance = whole_covariance(model, modes, right, believed, settings.confidence, room)
         stage.note(len(rows), why)
 
     return Estimate(
