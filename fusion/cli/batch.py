@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion.cli.config import add_config, read_config, told
+from fusion.cli.config import add_config, estimate_settings, told
 from fusion.cli.options import (
     add_beliefs,
     add_object,
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     }
     asked |= {"trust_paths": args.trust_paths, "told": believed}
     if args.config is not None or args.sure_within is not None:
-        asked["settings"] = with_sure(read_config(args.config).estimate, args)
+        asked["settings"] = with_sure(estimate_settings(args.config), args)
     jobs = []
     for path in paths:
         name = path.relative_to(args.folder).as_posix()
