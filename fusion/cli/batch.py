@@ -26,6 +26,7 @@ from fusion.cli.options import (
     with_sure,
     write_json,
 )
+from scenes.words import counted
 
 if TYPE_CHECKING:
     from fusion.results.batch import Job, Outcome
@@ -136,4 +137,4 @@ def _show(outcomes: list[Outcome], summary: dict[str, Any]) -> None:
             say(f"{outcome.job.name}: failed: {outcome.rows[0]['error']}")
     kept = f", {summary['kept']} of them from an earlier run" if summary["kept"] else ""
     failed = f", {summary['failed']} failed" if summary["failed"] else ""
-    say(f"{summary['captures']} captures{kept}{failed}; {summary['frames']} frames")
+    say(f"{counted(summary['captures'], 'capture')}{kept}{failed}; {counted(summary['frames'], 'frame')}")
