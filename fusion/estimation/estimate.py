@@ -35,6 +35,7 @@ from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
 from scenes.recordings.validation import check_scale
 from scenes.threads import one_blas_thread
+from scenes.words import counted
 from touch.gels.localize import build_tables
 from vision.look.look import look_closer
 from vision.look.looked import Looked
@@ -113,7 +114,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         else:
             stages = search_stages(blur, how.wide if contacts else how.sifted)
             found = find_modes(model, rows, starts, stages, None, sight.costs, settings.plan, settings.modes)
-        gels = f", by {len(felt.patches)} gels too" if felt.patches and believed is None else ""
+        gels = f", by {counted(len(felt.patches), 'gel')} too" if felt.patches and believed is None else ""
         said = f"{found.looked_at} of {len(starts)} starts{gels}, blur {1e3 * blur:.1f} mm; {found.why}"
         stage.note(len(rows), said)
     wide = believed is None and predictor.sees
@@ -128,7 +129,9 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
                 again = find_modes(model, rows, likely, last, None, sight.costs, settings.plan, settings.modes)
                 likely = np.array([m.pose for m in again.modes])
             found = modes_anywhere(replace(pool, looked=looked), likely, seen, starts, stages, trace)
-            stage.note(len(rows), f"{len(looked.pixels)} object pixels around {len(likely)} poses; {found.why}")
+            stage.note(
+                len(rows), f"{len(looked.pixels)} object pixels around {counted(len(likely), 'pose')}; {found.why}"
+            )
     modes = found.modes
     rough = with_shared_errors(model, modes, viewed, beliefs.depth)
     spent, settled = trace.over_budget, is_within(model, rough, asked.tolerance, settings)

@@ -45,6 +45,7 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
 from scenes.threads import one_blas_thread
+from scenes.words import counted
 from touch.arrays.readings import readings_of
 from touch.contacts import Felt, feel
 from vision.look.looked import Looked
@@ -256,7 +257,7 @@ class Tracker:
         with trace.stage("feel", "touch" in self._senses, "touch not asked for") as stage:
             felt = self._feel(frame, looked)
             contacts, felt_rows = len(felt.reported_contacts), len(felt.reported_rows)
-            stage.note(felt_rows, f"{contacts} contacts, {felt_rows - contacts} empty points")
+            stage.note(felt_rows, f"{counted(contacts, 'contact')}, {counted(felt_rows - contacts, 'empty point')}")
         if not len(seen) and not contacts:
             return self._carry(frame, predicted, carried, trace, felt)
         with trace.stage("picture", viewed.depth is not None, "no depth image") as stage:
