@@ -71,7 +71,8 @@ class Estimate:
 
     covariance (6, 6) about the centroid, (turn, move): of the first mode when the verdict is `ok`; otherwise of all
     that may be the case, other modes and none of them included. Each mode has its own. confidence: probability that
-    the pose's ADD-S is below sure_within (m), see fusion.estimation.confidence.
+    the pose's ADD-S is below sure_within (m), see fusion.estimation.confidence. print_share: of all ways round that the
+    shape allows, the share that what is printed on the object gives this one; NaN where no print was read.
     """
 
     frame: int
@@ -91,6 +92,7 @@ class Estimate:
     contributions: tuple[Contribution, ...] = ()
     confidence: float = float("nan")
     sure_within: float = float("nan")
+    print_share: float = float("nan")
 
     @property
     def time_ms(self) -> float:
@@ -116,6 +118,7 @@ class Estimate:
             "unobservable": list(self.unobservable),
             "confidence": number(self.confidence),
             "sure_within_mm": number(1e3 * self.sure_within),
+            "print_share": number(self.print_share),
             "visible_fraction": number(self.visible_fraction),
             "time_ms": self.time_ms,
             "trace": [{"stage": s.name, "ran": s.ran, "why": s.why, "ms": s.ms, "rows": s.rows} for s in self.trace],
