@@ -7,8 +7,9 @@ The first frame is `fusion.estimation.estimate.estimate`. Later ones skip the se
 and the fingertips, so a few steps from the predicted pose find it, and one joint solution with the depth camera's and
 the robot's errors follows. Where a frame leaves several poses open they are all followed until frames decide
 (fusion.tracking.hypotheses), and now and then a frame is searched as if nothing were known, so that a track that began
-wrong finds out (fusion.tracking.state). Where all goes as expected a glance is enough (fusion.tracking.glancing). A frame may lack either sense, come late, or hold nothing. When an answer
-explains too little, the object is looked for with `estimate` again. Camera frame, metres, radians.
+wrong finds out (fusion.tracking.state). Where all goes as expected a glance is enough (fusion.tracking.glancing). A
+frame may lack either sense, come late, or hold nothing. When an answer explains too little, the object is looked for
+with `estimate` again. Camera frame, metres, radians.
 """
 
 from __future__ import annotations
