@@ -57,15 +57,16 @@ def contact_residuals(
     # a thin wall has two sides: the one that was touched is the one that the contact's normal leaves
     distance, gradient = model.field.seen_distance_and_gradient(local, inward, contacts.has_normal)
     normals = model.field.normals(local - distance[:, None] * gradient) @ pose[:3, :3].T
-    out = []
-    for i in range(len(contacts)):
-        angle = np.nan
-        if contacts.has_normal[i]:
-            n = contacts.normals[i]
-            angle = float(np.degrees(np.arctan2(np.linalg.norm(np.cross(n, normals[i])), n @ normals[i])))
-        limit = max(settings.outlier_sigmas * contacts.sigma_point[i], settings.outlier_distance)
-        out.append(ContactResidual(contacts.sensors[i], 1e3 * distance[i], angle, bool(abs(distance[i]) > limit)))
-    return tuple(out)
+    sensed = np.nan_to_num(contacts.normals)
+    across = np.linalg.norm(se3.cross(sensed, normals), axis=1)
+    turned = np.degrees(np.arctan2(across, np.einsum("ij,ij->i", sensed, normals)))
+    turned = np.where(contacts.has_normal, turned, np.nan)
+    limit = np.maximum(settings.outlier_sigmas * contacts.sigma_point, settings.outlier_distance)
+    outlier = np.abs(distance) > limit
+    return tuple(
+        ContactResidual(sensor, 1e3 * off, angle, bool(false))
+        for sensor, off, angle, false in zip(contacts.sensors, distance.tolist(), turned.tolist(), outlier)
+    )
 
 
 def nats_of_contacts(model: ObjectModel, felt: Evidence, count: int, pose: Array) -> float:

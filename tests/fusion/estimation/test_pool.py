@@ -100,8 +100,8 @@ class Rounds:
 @pytest.mark.parametrize(
     ("ends", "shown", "looked_at", "why"),
     [
-        ([0.0], 0.9, [], "convince"),
-        ([0.0], 0.2, [20], "convince"),
+        ([0.0], 0.9, [], "convincing"),
+        ([0.0], 0.2, [20], "convincing"),
         ([0.0, 0.0005], 0.0, [20], "in doubt"),
         ([0.0, 0.05, 0.0505], 0.0, [20, 76], "in doubt"),
         ([0.0, 0.05, 0.1, 0.15], 0.0, [20, 76, 224], "in doubt"),
