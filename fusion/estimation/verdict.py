@@ -217,8 +217,23 @@ def judged(
     if word == "ok" and contact_nats > settings.most_contradicted * max(len(residuals), 1):
         word, why = "lost", "the contacts, or their normals, contradict every pose"
     if word == "ok" and sure < confident.sure:
-        word, why = "ambiguous", f"only {sure:.0%} sure to be within {1e3 * confident.tolerance:.3g} mm"
+        word, why = "ambiguous", _unsure(model, modes[0], right, sure, confident)
     return right, sure, word, why
+
+
+def _unsure(model: ObjectModel, mode: Mode, right: float, sure: float, settings: ConfidenceSettings) -> str:
+    """Why an answer is not sure enough: another may be the right one, or this one is not known well enough; and then
+    whether it is its distance from the camera, of which a calibrated camera would tell more.
+    """
+    said = f"only {sure:.0%} sure to be within {1e3 * settings.tolerance:.3g} mm"
+    if right < settings.sure:
+        return f"{said}: what is sensed would show another pose nearly as well"
+    values, vectors = np.linalg.eigh(mode.covariance[3:, 3:])
+    centre = se3.apply(mode.pose, model.centroid[None])[0]
+    along = abs(float(vectors[:, -1] @ centre)) / max(float(np.linalg.norm(centre)), 1e-9)
+    worst = 1e3 * float(np.sqrt(max(values[-1], 0.0)))
+    where = "its distance" if along > np.cos(np.deg2rad(25.0)) else "its position"
+    return f"{said}: {where} is known to {worst:.1f} mm (1 sigma)"
 
 
 def no_answer(

@@ -177,9 +177,7 @@ def _apart(residuals: Sequence[ContactResidual]) -> float:
     return float(np.sqrt(np.mean([min(abs(r.residual_mm), _FALSE) ** 2 for r in residuals])))
 
 
-def _otherwise(
-    known: Known, share: float, sight: float, felt: float, surprise: float, settings: GlanceSettings
-) -> str:
+def _otherwise(known: Known, share: float, sight: float, felt: float, surprise: float, settings: GlanceSettings) -> str:
     """What asks for a look in full, in words; share, sight, felt: as in `Known`, now."""
     s = settings
     if np.isfinite(known.share) != np.isfinite(share) or share < known.share - s.fewer:

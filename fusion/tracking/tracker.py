@@ -7,8 +7,9 @@ The first frame is `fusion.estimation.estimate.estimate`. Later ones skip the se
 and the fingertips, so a few steps from the predicted pose find it, and one joint solution with the depth camera's and
 the robot's errors follows. Where a frame leaves several poses open they are all followed until frames decide
 (fusion.tracking.hypotheses), and now and then a frame is searched as if nothing were known, so that a track that began
-wrong finds out (fusion.tracking.state). Where all goes as expected a glance is enough (fusion.tracking.glancing). A frame may lack either sense, come late, or hold nothing. When an answer
-explains too little, the object is looked for with `estimate` again. Camera frame, metres, radians.
+wrong finds out (fusion.tracking.state). Where all goes as expected a glance is enough (fusion.tracking.glancing). A
+frame may lack either sense, come late, or hold nothing. When an answer explains too little, the object is looked for
+with `estimate` again. Camera frame, metres, radians.
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
 from scenes.threads import one_blas_thread
+from scenes.words import counted
 from touch.arrays.readings import readings_of
 from touch.contacts import Felt, feel
 from vision.look.looked import Looked
@@ -264,7 +266,7 @@ class Tracker:
         with trace.stage("feel", "touch" in self._senses, "touch not asked for") as stage:
             felt = self._feel(frame, looked)
             contacts, felt_rows = len(felt.reported_contacts), len(felt.reported_rows)
-            stage.note(felt_rows, f"{contacts} contacts, {felt_rows - contacts} empty points")
+            stage.note(felt_rows, f"{counted(contacts, 'contact')}, {counted(felt_rows - contacts, 'empty point')}")
         if not len(seen) and not contacts:
             return self._carry(frame, predicted, carried, trace, felt)
         with trace.stage("picture", viewed.depth is not None, "no depth image") as stage:
