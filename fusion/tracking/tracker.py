@@ -230,10 +230,13 @@ class Tracker:
 
     def _believed(self, answer: TrackedEstimate) -> TrackedEstimate:
         """The answer, which is not ok while no frame searched by itself speaks for it."""
-        if answer.verdict != "ok" or self._state.hypotheses[0].votes >= self.settings.hypotheses.believed:
+        how = self.settings.hypotheses
+        if answer.verdict == "lost" or self._state.hypotheses[0].votes >= how.believed:
             return answer
-        wide = whole_covariance(self.model, answer.modes, answer.confidence, None, self.settings.first.confidence)
-        return replace(answer, verdict="ambiguous", covariance=wide, notes=(_DOUBTED, *answer.notes))
+        sure = min(answer.confidence, how.unvoted)
+        wide = whole_covariance(self.model, answer.modes, sure, None, self.settings.first.confidence)
+        notes = (_DOUBTED, *answer.notes)
+        return replace(answer, verdict="ambiguous", covariance=wide, confidence=sure, notes=notes)
 
     def _estimated(self, frame: Frame, prior: Prior | None) -> Estimate:
         """The frame by itself."""
