@@ -174,6 +174,11 @@ class Predictor:
         """Whether there is an image to compare with."""
         return self._depth is not None
 
+    @property
+    def unknown_in_front(self) -> bool:
+        """Whether nobody has a model of what may hide the object."""
+        return self._pieces is not None
+
     def costs(self, candidates: Array, side: int | None = None) -> Array:
         """(n,) nats for poses (n, 4, 4) camera_from_object, up to a constant: lower is likelier. side: rays along the
         outline's box.
