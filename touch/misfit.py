@@ -28,10 +28,14 @@ class MisfitSettings:
     most_other: float = 30e-3
     # Lengths over which a misfit stays the same, as shares of the object's diameter.
     lengths: tuple[float, ...] = (0.05, 0.15)
-    # A residual of more than this many sigmas, sigma from their median, and of more than this (m), is trusted as much
-    # less: it may be false. Half of the contacts may fit a relative exactly, and the misfit be in the others alone.
+    # A residual of more than this many sigmas, sigma from their median, and of more than this (m), is wild: it is
+    # trusted as much less. Half of the contacts may fit a relative exactly, and the misfit be in the others alone.
     least_wild: float = 5e-3
     cut: float = 3.0
+    # A wild contact is false, and left out, where its neighbours would tell of a misfit and do not: they leave less
+    # than this share of the variance open, and predict less than this share of what is wild.
+    open_share: float = 0.7
+    shared: float = 0.5
     # Sizes tried of the misfit, and of the noise.
     steps: tuple[int, int] = (24, 16)
 
@@ -53,6 +57,9 @@ def log_odds_of_another(
     settings = settings or MisfitSettings()
     median = float(np.median(np.abs(residuals)))
     limit = max(settings.cut * 1.48 * median, settings.least_wild)
+    apart = np.sum((points[:, None] - points[None]) ** 2, axis=2)
+    true = ~_false(residuals, apart / (settings.lengths[-1] * diameter) ** 2, limit, median, settings)
+    points, normals, residuals, apart = points[true], normals[true], residuals[true], apart[np.ix_(true, true)]
     # a wild contact is as noisy as it is off: alone it tells nothing, many together do
     trust = np.minimum(1.0, limit / np.maximum(np.abs(residuals), limit))
     jacobian = np.concatenate([np.cross(normals, points) / diameter, -normals], axis=1) * trust[:, None]
@@ -62,7 +69,6 @@ def log_odds_of_another(
         return 0.0
     rest = free.T @ (trust * residuals)
     free = free * trust[:, None]
-    apart = np.sum((points[:, None] - points[None]) ** 2, axis=2)
     sizes = np.geomspace(0.1 * settings.mesh_sigma, settings.most_other, settings.steps[0])
     sigmas = np.geomspace(noise[0], max(noise[1], 1.001 * noise[0]), settings.steps[1])
     likelihood = np.stack(
@@ -74,6 +80,25 @@ def log_odds_of_another(
     told = np.logaddexp.reduce(np.logaddexp.reduce(likelihood, axis=2), axis=0)
     weighed = [np.logaddexp.reduce(told + w) - np.logaddexp.reduce(w) for w in (other, own)]
     return float(weighed[0] - weighed[1])
+
+
+def _false(residuals: Array, apart: Array, limit: float, median: float, settings: MisfitSettings) -> NDArray[np.bool_]:
+    """Which contacts (n,) are false: wild alone, among neighbours that are not. apart (n, n): squared distances, in
+    lengths of the misfit; limit and median (m): of wild residuals, and of their sizes.
+
+    What the others predict of each residual is its leave-one-out mean under a Gaussian process (Rasmussen and Williams
+    2006, eq. 5.12), of wild ones no more than the limit.
+    """
+    wild = np.abs(residuals) > limit
+    if not wild.any():
+        return wild
+    noise = max(1.48 * median, settings.least_noise)
+    inverse = np.linalg.inv(limit**2 * np.exp(-0.5 * apart) + noise**2 * np.eye(len(residuals)))
+    held = np.clip(residuals, -limit, limit)
+    left_open = 1.0 / np.diag(inverse)
+    predicted = held - (inverse @ held) * left_open
+    told = left_open < settings.open_share * (limit**2 + noise**2)
+    return np.asarray(wild & told & (predicted * np.sign(residuals) < settings.shared * limit), dtype=np.bool_)
 
 
 def _likelihood(free: Array, rest: Array, apart: Array, length: float, sizes: Array, sigmas: Array) -> Array:

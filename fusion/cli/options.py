@@ -390,15 +390,18 @@ def out_folder(args: argparse.Namespace, name: str) -> Path:
 
 def write_run(args, capture, model, frames, answers, errors) -> str:  # type: ignore[no-untyped-def]  # heavy imports
     """Write poses.csv, result.json, report.html and --json of a run with the arguments of `add_run`; says what."""
+    from fusion.advice.next_touch import next_touches
     from fusion.results.files import result_json, write_results
 
     out = out_folder(args, capture.name)
-    content = result_json(capture.name, model, frames, answers, errors)
+    touches = [next_touches(model, answer, frame) for frame, answer in zip(frames, answers)]
+    content = result_json(capture.name, model, answers, errors, touches)
     content["capture_path"] = str(capture.path.resolve())  # grasp and view read the recording again
     write_results(out, capture, answers, content)
     if not args.no_report:
         from fusion.results.report.page import write_report
 
-        write_report(out / "report.html", capture.name, frames, model, answers, None, content["errors"])
+        page = out / "report.html"
+        write_report(page, capture.name, frames, model, answers, None, content["errors"], touches=touches)
     write_json(args.json, content)
     return f"wrote {out / 'poses.csv'}, result.json" + ("" if args.no_report else ", report.html")

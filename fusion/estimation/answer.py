@@ -71,8 +71,9 @@ class Estimate:
 
     covariance (6, 6) about the centroid, (turn, move): of the first mode when the verdict is `ok`; otherwise of all
     that may be the case, other modes and none of them included. Each mode has its own. confidence: probability that
-    the pose's ADD-S is below sure_within (m), see fusion.estimation.confidence. print_share: of all ways round that the
-    shape allows, the share that what is printed on the object gives this one; NaN where no print was read.
+    the pose's ADD-S is below sure_within (m), see fusion.estimation.confidence; observed: what it was read from, empty
+    when nothing was sensed. print_share: of all ways round that the shape allows, the share that what is printed on the
+    object gives this one; NaN where no print was read.
     """
 
     frame: int
@@ -92,6 +93,7 @@ class Estimate:
     contributions: tuple[Contribution, ...] = ()
     confidence: float = float("nan")
     sure_within: float = float("nan")
+    observed: dict[str, float] = field(default_factory=dict)
     print_share: float = float("nan")
 
     @property

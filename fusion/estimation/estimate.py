@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import Asked, check_limits, sure_to_be_within
-from fusion.estimation.confidence import whole_covariance, within
+from fusion.estimation.confidence import as_shown, observations, room_about, whole_covariance, within
 from fusion.estimation.moments import moments
 from fusion.estimation.proposals import search_stages, starts_of
 from fusion.estimation.propose import modes_anywhere, modes_near
@@ -40,11 +40,13 @@ from scenes.evidence import table as tables
 from scenes.evidence.align import Prior
 from scenes.evidence.near_symmetries import near_symmetries
 from scenes.evidence.point_pairs import pair_table
+from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
 from scenes.recordings.validation import check_scale
 from scenes.threads import one_blas_thread
+from scenes.words import counted
 from touch.gels.localize import build_tables
 from vision.look.look import look_closer
 from vision.look.looked import Looked
@@ -115,7 +117,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         near = within(model, first.pose, first.covariance, how_sure.tolerance, how_sure.felt.nearest)
         return replace(nothing, confidence=first.weight * near, sure_within=how_sure.tolerance)
 
-    how, blur = settings.proposals, settings.proposals.blur(model)
+    how, blur, might_be = settings.proposals, settings.proposals.blur(model), looked.pixels.points
     with trace.stage("search", True, "") as stage:
         starts = starts_of(
             model, believed, looked.pixels.points, felt.contacts, rows, sight.costs, how, pool.rng, felt.patches
@@ -125,7 +127,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         else:
             stages = search_stages(blur, how.wide if contacts else how.sifted)
             found = find_modes(model, rows, starts, stages, None, sight.costs, settings.plan, settings.modes)
-        gels = f", by {len(felt.patches)} gels too" if felt.patches and believed is None else ""
+        gels = f", by {counted(len(felt.patches), 'gel')} too" if felt.patches and believed is None else ""
         said = f"{found.looked_at} of {len(starts)} starts{gels}, blur {1e3 * blur:.1f} mm; {found.why}"
         stage.note(len(rows), said)
     wide = believed is None and predictor.sees
@@ -140,7 +142,9 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
                 again = find_modes(model, rows, likely, last, None, sight.costs, settings.plan, settings.modes)
                 likely = np.array([m.pose for m in again.modes])
             found = modes_anywhere(replace(pool, looked=looked), likely, seen, starts, stages, trace)
-            stage.note(len(rows), f"{len(looked.pixels)} object pixels around {len(likely)} poses; {found.why}")
+            stage.note(
+                len(rows), f"{len(looked.pixels)} object pixels around {counted(len(likely), 'pose')}; {found.why}"
+            )
     why_not = why_no_print(sensed, settings.texture)
     facing, gains = Facing(why=why_not), np.zeros(0)
     with trace.stage("print", not why_not, why_not) as stage:
@@ -193,13 +197,16 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         share, rms = posterior.pixel_agreement(model, seen, pose)
         seeing = visibility(viewed, model, pose, beliefs.depth)
         picture = predictor.predict(pose[None]) if predictor.sees else None
+        modes = (as_shown(modes[0], picture, believed, settings.confidence), *modes[1:])
         nats = posterior.nats_of_contacts(model, felt.rows, contacts, pose)
         agreed = residuals, nats, share, seeing, picture
         rules = settings.verdict, settings.confidence
         right, sure, word, why = posterior.judged(model, modes, *agreed, *rules, believed is None)
+        observed = observations(model, modes, picture, residuals, nats, settings.confidence, believed is None)
         covariance = modes[0].covariance
         if word != "ok":
-            covariance = whole_covariance(model, modes, right, believed, settings.confidence)
+            room = room_about(se3.apply(pose, model.centroid[None])[0], might_be)
+            covariance = whole_covariance(model, modes, right, believed, settings.confidence, room)
         word, why = by_facing(model, facing, word, why, settings.texture)
         stage.note(len(rows), why)
 
@@ -227,5 +234,6 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         contributions=posterior.contributions(model, rows, pose, covariance, believed),
         confidence=sure,
         sure_within=settings.confidence.tolerance,
+        observed=observed,
         print_share=facing.share,
     )

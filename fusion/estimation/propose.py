@@ -19,6 +19,7 @@ from fusion.estimation.trace import Trace
 from scenes.evidence.modes import Mode
 from scenes.evidence.search import SearchStage
 from scenes.evidence.table import GATE_ABOVE, Evidence
+from scenes.words import counted
 
 Array = NDArray[np.float64]
 
@@ -49,7 +50,7 @@ class Competition:
                 self.modes = self.pool.compete(both, None if few else self.pool.settings.fitted_in_doubt)
                 self.convinced = self.pool.convinces(self.modes)
             stage.note(
-                len(poses), f"{len(self.modes)} modes are left, {'they convince' * self.convinced or 'in doubt'}"
+                len(poses), f"{counted(len(self.modes), 'mode')} left, {'convincing' if self.convinced else 'in doubt'}"
             )
 
     def by_touch(self, poses: Array) -> Array:
@@ -72,11 +73,13 @@ class Competition:
 
     def found(self, looked_at: int) -> Found:
         """What is left. looked_at: starts."""
-        words = "and convince" if self.convinced else "the best in doubt"
+        words = "convincing" if self.convinced else "the best in doubt"
         also: tuple[Array, ...] = ()
         if not self.convinced and self._felt is not None:
             also = (self.pool.compete(self._felt[None])[0].pose,)
-        return Found(self.modes, looked_at, f"{len(self.modes)} of {self.proposed} proposals are left, {words}", also)
+        return Found(
+            self.modes, looked_at, f"{len(self.modes)} of {counted(self.proposed, 'proposal')} left, {words}", also
+        )
 
 
 def poses_of(modes: tuple[Mode, ...]) -> Array:
@@ -119,14 +122,16 @@ def modes_near(
 
     for end, descending in zip([*ends, len(starts)], [*settings.descents[: len(ends)], settings.descents[-1]]):
         fresh, before = starts[begin:end], asked.modes
-        asked.enter(f"rows, {len(fresh)} starts", partial(searched, fresh))
+        asked.enter(f"rows, {counted(len(fresh), 'start')}", partial(searched, fresh))
         clear = plan.skipping and not begin and pool.convinces(asked.modes, settings.clearly_shown)
         asked.enter(
             "touch and descents", partial(felt, fresh, descending), "what all rows say is clearly seen" if clear else ""
         )
         if not begin:
             before = asked.modes
-            asked.enter(f"a walk{' and the hand' * (pool.held is not None)}", walked, asked.enough)
+            asked.enter(
+                f"a walk{' and the hand' * (pool.held is not None)}", walked, asked.enough if plan.skipping else ""
+            )
         begin = end
         # a walk from everywhere is a round, too
         if asked.convinced or (before and pool.is_same(asked.modes, before)):
@@ -153,7 +158,7 @@ def modes_anywhere(
         everywhere = np.concatenate([likely, felt, *(starts for _, starts in begun), pool.held_starts()])
         return walk(pool.model, everywhere, pool.costs, pool.rng, pool.proposals.walk_far)
 
-    sources = ["a walk", *[f"{len(pieces)} pieces"] * bool(pieces), *["the hand"] * (pool.held is not None)]
+    sources = ["a walk", *[counted(len(pieces), "piece")] * bool(pieces), *["the hand"] * (pool.held is not None)]
     # a picture that convinces may be that of another thing; one that touch agrees with is not
     agreed = asked.convinced and asked.contacts >= pool.settings.tying_contacts
     why_not = "seen and felt agree" if agreed else ""

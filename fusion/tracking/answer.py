@@ -16,8 +16,8 @@ from fusion.tracking.filter import Belief
 from fusion.tracking.hypotheses import HypothesisSettings
 from fusion.tracking.motion import HandMotionSettings
 from fusion.tracking.occluders import OccluderSettings
-from fusion.tracking.renewal import RenewalSettings
 from fusion.tracking.slip import WatchSettings
+from fusion.tracking.state import GlanceSettings, RenewalSettings
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
 from vision.look.warm import WarmLookSettings
@@ -61,6 +61,8 @@ class TrackSettings:
     lasting: float = 0.8
     # Share of the first estimate's variance that later frames do not average out.
     first_lasting: float = 0.6
+    # Which frames are only glanced at.
+    glance: GlanceSettings = field(default_factory=GlanceSettings)
     # Poses carried from frame to frame until the data decide, and how often frames are searched without a memory.
     hypotheses: HypothesisSettings = field(default_factory=HypothesisSettings)
     renewal: RenewalSettings = field(default_factory=RenewalSettings)

@@ -2,7 +2,7 @@
 
 Each hypothesis is refined in every frame and pays what the whole frame says of it (Reid, IEEE TAC 24(6), 1979: the
 score of a track is its log likelihood). Frames share most of their errors, so their costs are not simply added: a score
-forgets, and a frame counts by a part. New ones come from single frames (fusion.tracking.renewal); each time that a
+forgets, and a frame counts by a part. New ones come from single frames (fusion.tracking.state); each time that a
 frame, searched by itself, surely finds a hypothesis, that is a vote for it, which is not forgotten. Camera frame.
 """
 

@@ -28,8 +28,8 @@ class ContourSettings:
     """What an outline is worth. Tuned on the tuning family `d435`."""
 
     # Whether a colour image is asked, and a grey one, which is a depth camera's own. On cameras imitated from their
-    # optics a grey one takes up to a third of the error away; on recorded frames, whose colour camera is another than the
-    # depth camera, it moves two poses that are known by 0.3 mm: only when the caller says so.
+    # optics a grey one takes up to a third of the error away; on recorded frames, whose colour camera is another than
+    # the depth camera, it moves two poses that are known by 0.3 mm: only when the caller says so.
     used: bool = False
     own: bool = True
     # Times that the outline is drawn and read, anew only where the last time moved it by more than this (px); and
@@ -69,8 +69,8 @@ class ContourSettings:
     most_sigmas: float = 4.0
     shift_gain: float = 1.3
     # Share of how far errors that depth shares leave distance and tilt open, as it is weighed against the outline: both
-    # change an outline by as little as light and blur do. Of 1 the outline took recorded frames' depth from 1.24 to 1.82
-    # mm off the surface, of 0.3 to 1.34 mm at the same overlap with their masks; `d435` did not lose by it.
+    # change an outline by as little as light and blur do. Of 1 the outline took the depth of recorded frames from 1.24
+    # to 1.82 mm off the surface, of 0.3 it leaves it at that with the same overlap with masks; `d435` gains by it.
     distance_share: float = 0.3
     # A pose is not moved by more than this (chi-square of six degrees of freedom; 22.5 is passed once in a thousand).
     most_moved: float = 22.5

@@ -114,7 +114,7 @@ def test_the_depth_cameras_own_image_is_asked_without_being_told_to(held):
 
 
 def test_distance_stays_with_depth(held):
-    """What an outline seems to tell of distance is how fat it looks: fattened by two pixels it brings nothing nearer."""
+    """What an outline seems to tell of distance is how fat it looks: two pixels fatter it brings nothing nearer."""
     model = library.make("bottle")
     colour = np.array([206, 116, 58])
     own = (

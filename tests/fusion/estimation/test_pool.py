@@ -100,8 +100,8 @@ class Rounds:
 @pytest.mark.parametrize(
     ("ends", "shown", "looked_at", "why"),
     [
-        ([0.0], 0.9, [], "convince"),
-        ([0.0], 0.2, [20], "convince"),
+        ([0.0], 0.9, [], "convincing"),
+        ([0.0], 0.2, [20], "convincing"),
         ([0.0, 0.0005], 0.0, [20], "in doubt"),
         ([0.0, 0.05, 0.0505], 0.0, [20, 76], "in doubt"),
         ([0.0, 0.05, 0.1, 0.15], 0.0, [20, 76, 224], "in doubt"),
@@ -138,6 +138,7 @@ def test_a_joint_solution_that_the_picture_refuses_is_not_taken(drill):
 def picture(**shares):
     usual = {"seen": 0.9, "agree": 0.95, "past": 0.0, "hidden": 0.0, "behind_hand": 0.0, "outline": 0.0}
     values = usual | shares
+    values["seen"] = min(values["seen"], 0.95 * values["agree"])
     return Prediction(*(np.array([values[k]]) for k in values), np.array([200]))
 
 
