@@ -21,7 +21,7 @@ from fusion.estimation.propose import modes_anywhere, modes_near
 from fusion.estimation.ranking import rejudged
 from fusion.estimation.search import find_modes, worth_solving
 from fusion.estimation.settings import EstimateSettings
-from fusion.estimation.solve.outlined import outlined
+from fusion.estimation.solve.outlined import asks_for, outlined
 from fusion.estimation.steps.facing import (
     Facing,
     as_printed,
@@ -179,9 +179,10 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
             spread = moments(model, rows, first.pose, first.covariance, asked.seed, believed, settings=how_wide)
             modes = (replace(first, pose=spread.pose, covariance=spread.covariance), *modes[1:])
             stage.note(len(rows), f"{spread.effective:.0f} effective samples, directions widened: {spread.widened}")
-    coloured = settings.contour.used and viewed.rgb is not None and predictor.sees
+    coloured = viewed.rgb is not None and predictor.sees and asks_for(viewed.rgb, settings.contour)
+    no_image = "no image beside depth" if viewed.rgb is None else "a colour camera's image is not asked for"
     useless: tuple[str, ...] = ()
-    with trace.stage("outline", finish and coloured, why_not if coloured else "no colours beside depth") as stage:
+    with trace.stage("outline", finish and coloured, why_not if coloured else no_image) as stage:
         if finish and coloured:
             told = outlined(viewed, pool, best, modes[0], beliefs.mesh_sigma, settings)
             modes, felt = (told.mode, *modes[1:]), felt.corrected(told.solved.correct())
