@@ -294,7 +294,7 @@ class Pool:
         p = self.predictor.predict(pose)
         # what gives no reading neither agrees nor contradicts
         seen = p.agree[0] >= s.least_agree * (p.agree[0] + p.past[0]) and p.agree[0] >= shown
-        runs_on = s.most_runs_on if self.predictor.told_apart else s.most_runs_on_unknown
+        runs_on = s.most_runs_on_unknown if self.predictor.unknown_in_front else s.most_runs_on
         picture = seen and p.past[0] <= s.most_past and p.outline[0] <= runs_on
         contacts = int((self.felt.rows[:, GATE_ABOVE] > 0).sum())
         felt = float(costs(self.model, self.felt, pose)[0])

@@ -20,6 +20,7 @@ from scenes.evidence.align import Alignment
 from scenes.evidence.modes import Mode, distinct_modes
 from scenes.evidence.search import SETTLED, SearchStage, search
 from scenes.evidence.table import GATE_ABOVE, Evidence
+from scenes.words import counted
 
 Array = NDArray[np.float64]
 
@@ -87,7 +88,7 @@ class Competition:
         """
         if self.explained:
             return "the best explains what is seen"
-        return CONVINCED if self.convinced and self.pool.predictor.told_apart else ""
+        return CONVINCED if self.convinced and not self.pool.predictor.unknown_in_front else ""
 
     @property
     def explained(self) -> bool:
@@ -96,7 +97,7 @@ class Competition:
 
     @property
     def _words(self) -> str:
-        return f"{len(self.modes)} modes are left, {'they convince' * self.convinced or 'in doubt'}"
+        return f"{counted(len(self.modes), 'mode')} left, {'convincing' if self.convinced else 'in doubt'}"
 
     def by_touch(self, poses: Array) -> Array:
         """The same poses (n, 4, 4), of which the first is what touch alone says: it is solved with what is left while
@@ -118,11 +119,11 @@ class Competition:
 
     def found(self, looked_at: int) -> Found:
         """What is left. looked_at: starts."""
-        words = "and convince" if self.convinced else "the best in doubt"
+        words = "convincing" if self.convinced else "the best in doubt"
         also: tuple[Array, ...] = ()
         if not self.convinced and self._felt is not None:
             also = (self.pool.compete(self._felt[None])[0].pose,)
-        said = f"{len(self.modes)} of {self.proposed} proposals are left, {words}"
+        said = f"{len(self.modes)} of {counted(self.proposed, 'proposal')} left, {words}"
         return Found(self.modes, looked_at, said, also, not self.convinced)
 
 
@@ -166,15 +167,16 @@ def modes_near(
 
     for end, descending in zip([*ends, len(starts)], [*settings.descents[: len(ends)], settings.descents[-1]]):
         fresh, before = starts[begin:end], asked.modes
-        asked.enter(f"rows, {len(fresh)} starts", partial(searched, fresh))
+        asked.enter(f"rows, {counted(len(fresh), 'start')}", partial(searched, fresh))
         clear = plan.skipping and not begin and pool.convinces(asked.modes, settings.clearly_shown)
         asked.enter(
             "touch and descents", partial(felt, fresh, descending), "what all rows say is clearly seen" if clear else ""
         )
         if not begin:
-            if pool.predictor.told_apart:
+            told_apart = not pool.predictor.unknown_in_front
+            if told_apart:
                 asked.look_around()
-            before, known = asked.modes, pool.predictor.told_apart or asked.explained
+            before, known = asked.modes, plan.skipping and (told_apart or asked.explained)
             asked.enter(f"a walk{' and the hand' * (pool.held is not None)}", walked, asked.enough if known else "")
         begin = end
         # a walk from everywhere is a round, too
@@ -191,6 +193,7 @@ def modes_anywhere(
     seen: Evidence,
     starts_of: Callable[[], Array],
     passes: tuple[SearchStage, ...],
+    plan: PlanSettings,
     trace: Trace,
 ) -> Found:
     """Modes of a frame of which nothing is known. A few pairs of pixels propose first, and what looks like the best of
@@ -203,7 +206,7 @@ def modes_anywhere(
     few = len(pool.looked.pixels) < s.glanced_pixels
     asked.enter("pairs of pixels", lambda: pool.glanced(rows), "few pixels may be the object's" if few else "")
     asked.look_beside()
-    enough = asked.settled
+    enough = asked.settled if plan.skipping else ""
     starts = np.zeros((0, 4, 4)) if enough else starts_of()
     likely, felt = starts, starts
 
@@ -218,11 +221,11 @@ def modes_anywhere(
         felt = asked.by_touch(pool.proposed(starts, passes, seen, None, 0))
         return felt
 
-    asked.enter(f"rows, {len(starts)} starts", searched, enough)
+    asked.enter(f"rows, {counted(len(starts), 'start')}", searched, enough)
     asked.enter("touch", felt_alone, enough or ("" if asked.contacts else "nothing is felt"))
     if not enough:
         asked.look_beside()
-        enough = asked.settled
+        enough = asked.settled if plan.skipping else ""
     pieces = pool.looked.pieces
     begun: list[tuple[Evidence, Array]] = []
 
@@ -231,7 +234,7 @@ def modes_anywhere(
         everywhere = np.concatenate([likely, felt, *(own for _, own in begun), pool.held_starts()])
         return walk(pool.model, pool.sifted(everywhere), pool.walking, pool.rng, pool.proposals.walk_far)
 
-    sources = ["a walk", *[f"{len(pieces)} pieces"] * bool(pieces), *["the hand"] * (pool.held is not None)]
+    sources = ["a walk", *[counted(len(pieces), "piece")] * bool(pieces), *["the hand"] * (pool.held is not None)]
     asked.enter(", ".join(sources), walked, enough)
     why_not = enough
     if not why_not and not begun:

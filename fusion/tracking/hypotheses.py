@@ -2,7 +2,7 @@
 
 Each hypothesis is refined in every frame and pays what the whole frame says of it (Reid, IEEE TAC 24(6), 1979: the
 score of a track is its log likelihood). Frames share most of their errors, so their costs are not simply added: a score
-forgets, and a frame counts by a part. New ones come from single frames (fusion.tracking.renewal); each time that a
+forgets, and a frame counts by a part. New ones come from single frames (fusion.tracking.state); each time that a
 frame, searched by itself, surely finds a hypothesis, that is a vote for it, which is not forgotten. Camera frame.
 """
 
@@ -44,6 +44,8 @@ class HypothesisSettings:
     # Votes (no unit) without which a leader is not believed, however well it explains every frame: a track that has
     # begun wrong explains itself, and a search that is just sure enough gives 0.6.
     believed: float = 0.5
+    # Probability at most that such a leader is right: of four sequences of `lab` that stayed so, two were.
+    unvoted: float = 0.6
     # A search that is not sure, but this likely (a probability, no unit), gives this part of a vote to what it finds,
     # and takes none from the others: where each frame leaves several poses open, the same one again is worth something.
     likely: float = 0.75

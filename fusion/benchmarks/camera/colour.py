@@ -56,7 +56,7 @@ class Pair:
 def answers(frame: Frame, model: ObjectModel, use: Sequence[str], seed: int) -> tuple[Estimate, Estimate]:
     """The frame's answers without colours of the outline and with them."""
     plain = EstimateSettings()
-    without, colour = (replace(plain, contour=replace(plain.contour, used=used)) for used in (False, True))
+    without, colour = (replace(plain, contour=replace(plain.contour, used=used, own=used)) for used in (False, True))
     before = estimate(frame, model, use=use, seed=seed, settings=without)
     return before, estimate(frame, model, use=use, seed=seed, settings=colour)
 

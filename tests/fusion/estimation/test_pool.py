@@ -74,7 +74,7 @@ class Rounds:
     def __init__(self, model, ends, shown=0.0):
         self.model, self.ends, self.shown, self.looked_at = model, iter(ends), shown, []
         self.settings, self.modes, self.prior = PoolSettings(), ModeSettings(), SimpleNamespace(pose=np.eye(4))
-        self.predictor = SimpleNamespace(sees=True, told_apart=True)
+        self.predictor = SimpleNamespace(sees=True, unknown_in_front=False)
         self.sight = SimpleNamespace(costs=None)
         self.felt, self.held, self.rng, self.walking = tables.empty(), None, None, None
         self.proposals = ProposalSettings()
@@ -112,8 +112,8 @@ class Rounds:
 @pytest.mark.parametrize(
     ("ends", "shown", "looked_at", "why"),
     [
-        ([0.0], 0.9, [], "convince"),
-        ([0.0], 0.2, [20], "convince"),
+        ([0.0], 0.9, [], "convincing"),
+        ([0.0], 0.2, [20], "convincing"),
         ([0.0, 0.0005], 0.0, [20], "in doubt"),
         ([0.0, 0.05, 0.0505], 0.0, [20, 76], "in doubt"),
         ([0.0, 0.05, 0.1, 0.15], 0.0, [20, 76, 224], "in doubt"),
@@ -150,6 +150,7 @@ def test_a_joint_solution_that_the_picture_refuses_is_not_taken(drill):
 def picture(**shares):
     usual = {"seen": 0.9, "agree": 0.95, "past": 0.0, "hidden": 0.0, "behind_hand": 0.0, "outline": 0.0}
     values = usual | shares
+    values["seen"] = min(values["seen"], 0.95 * values["agree"])
     return Prediction(*(np.array([values[k]]) for k in values), np.array([200]))
 
 
