@@ -66,7 +66,8 @@ class PoolSettings:
     # its outline that runs on, are at most these, what agrees is at least this share of what is read and not hidden,
     # and of the whole; the first mode holds this share, and touch costs at most so many nats a contact.
     most_past: float = 0.05
-    # Where nobody knows what hides the object, a surface that runs on over its outline is most often another thing's.
+    # The second share of the outline is for where nobody knows what hides the object: a surface that runs on is there
+    # most often another thing's.
     most_runs_on: float = 0.3
     most_runs_on_unknown: float = 0.1
     least_agree: float = 0.8

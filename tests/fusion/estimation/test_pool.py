@@ -91,6 +91,9 @@ class Rounds:
     def sifted(self, candidates):
         return candidates
 
+    def glanced(self, rows):
+        return np.zeros((0, 4, 4))
+
     def costs(self, candidates):
         return np.full(len(candidates), np.inf)
 
