@@ -124,7 +124,7 @@ class Competition:
         if not self.convinced and self._felt is not None:
             also = (self.pool.compete(self._felt[None])[0].pose,)
         said = f"{len(self.modes)} of {counted(self.proposed, 'proposal')} left, {words}"
-        return Found(self.modes, looked_at, said, also, not self.convinced)
+        return Found(self.modes, looked_at, said, also)
 
 
 def poses_of(modes: tuple[Mode, ...]) -> Array:

@@ -85,15 +85,13 @@ class PlanSettings:
 @dataclass(frozen=True)
 class Found:
     """Modes of a search after refinement with all rows; starts looked at; why no more were, or what was doubted. also:
-    poses (4, 4) that are solved with them, however unlikely they seem before calibration is solved for. in_doubt: the
-    same holds for all modes, because the best does not explain what was sensed.
+    poses (4, 4) that are solved with them, however unlikely they seem before calibration is solved for.
     """
 
     modes: tuple[Mode, ...]
     looked_at: int
     why: str
     also: tuple[Array, ...] = ()
-    in_doubt: bool = False
 
 
 def find_modes(
@@ -200,8 +198,7 @@ def valley_steps(
 def worth_solving(found: Found, settings: PlanSettings, most: int) -> list[Array]:
     """Poses (4, 4), at most so many, that the joint solution could still put first: modes, best first, and `also`."""
     modes = found.modes
-    every = found.in_doubt or not settings.skipping
-    worth = [m.pose for m in modes if m.weight >= settings.negligible or m is modes[0] or every]
+    worth = [m.pose for m in modes if m.weight >= settings.negligible or m is modes[0] or not settings.skipping]
     return [*worth[: max(1, most - len(found.also))], *found.also][:most]
 
 
