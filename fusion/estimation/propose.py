@@ -208,18 +208,17 @@ def modes_anywhere(
     asked.look_beside()
     enough = asked.settled if plan.skipping else ""
     starts = np.zeros((0, 4, 4)) if enough else starts_of()
-    likely, felt = starts, starts
+    # where a walk begins; touch alone says more than the starts that it comes from
+    begun = [] if asked.contacts else [starts]
 
     def searched() -> Array:
         rank, apart = pool.sight.costs, s.passes_apart * pool.apart
-        nonlocal likely
-        likely = search(pool.model, rows, starts, passes, rank=rank, apart=apart, settled=SETTLED).poses
-        return likely
+        begun.append(search(pool.model, rows, starts, passes, rank=rank, apart=apart, settled=SETTLED).poses)
+        return begun[-1]
 
     def felt_alone() -> Array:
-        nonlocal felt
-        felt = asked.by_touch(pool.proposed(starts, passes, seen, None, 0))
-        return felt
+        begun.append(asked.by_touch(pool.proposed(starts, passes, seen, None, 0)))
+        return begun[-1]
 
     asked.enter(f"rows, {counted(len(starts), 'start')}", searched, enough)
     asked.enter("touch", felt_alone, enough or ("" if asked.contacts else "nothing is felt"))
@@ -227,21 +226,22 @@ def modes_anywhere(
         asked.look_beside()
         enough = asked.settled if plan.skipping else ""
     pieces = pool.looked.pieces
-    begun: list[tuple[Evidence, Array]] = []
+    of_pieces: list[tuple[Evidence, Array]] = []
 
     def walked() -> Array:
-        begun.extend(pool.piece_starts())
-        everywhere = np.concatenate([likely, felt, *(own for _, own in begun), pool.held_starts()])
+        of_pieces.extend(pool.piece_starts())
+        own = [starts for _, starts in of_pieces]
+        everywhere = np.concatenate([poses_of(asked.modes), *begun, *own, pool.held_starts()])
         return walk(pool.model, pool.sifted(everywhere), pool.walking, pool.rng, pool.proposals.walk_far)
 
     sources = ["a walk", *[counted(len(pieces), "piece")] * bool(pieces), *["the hand"] * (pool.held is not None)]
     asked.enter(", ".join(sources), walked, enough)
     why_not = enough
-    if not why_not and not begun:
+    if not why_not and not of_pieces:
         why_not = "no piece stands alone"
     elif not why_not and asked.modes and pool.convinces(asked.modes, s.clearly_shown):
         why_not = "the best is clearly seen"
-    asked.enter("each piece alone", lambda: pool.of_pieces(tuple(begun)), why_not)
+    asked.enter("each piece alone", lambda: pool.of_pieces(tuple(of_pieces)), why_not)
     if not asked.convinced:
         asked.look_around()
     return asked.found(len(starts))
