@@ -103,7 +103,7 @@ class PoolSettings:
     turned_rows: int = 80
     promising: float = 15.0
     # Poses that a walk begins at, of all that are proposed: the best by this many rays along each side of an outline.
-    sifted: int = 240
+    sifted: int = 400
     sifting_side: int = 7
 
 

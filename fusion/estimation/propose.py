@@ -232,7 +232,7 @@ def modes_anywhere(
         of_pieces.extend(pool.piece_starts())
         own = [starts for _, starts in of_pieces]
         everywhere = np.concatenate([poses_of(asked.modes), *begun, *own, pool.held_starts()])
-        return walk(pool.model, pool.sifted(everywhere), pool.walking, pool.rng, pool.proposals.walk_far)
+        return walk(pool.model, pool.sifted(everywhere), pool.costs, pool.rng, pool.proposals.walk_far)
 
     sources = ["a walk", *[counted(len(pieces), "piece")] * bool(pieces), *["the hand"] * (pool.held is not None)]
     asked.enter(", ".join(sources), walked, enough)
