@@ -327,7 +327,7 @@ class Tracker:
             stage.note(len(seen) + len(felt.reported_rows), found.otherwise or "nothing is otherwise than expected")
             if found.otherwise or not len(seen):
                 return None
-            belief, watched = self._updated(frame, predicted, found.measured, False)
+            belief, watched = self._updated(frame, predicted, found.measured, False, felt)
             said = as_judged(self.model, known, carried, belief, found, s)
             if watched.slip:
                 said = replace(said, why=f"slips in the hand ({watched.by}); {said.why}")
