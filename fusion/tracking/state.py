@@ -90,23 +90,35 @@ class RenewalSettings:
     longest: int = 60
     # Frames from one search to the next, at least, when answers come and go about the limit of what is called ok.
     hurried: int = 10
+    # The longest wait, for so many frames after a start, while no search has spoken for the track, or the last one
+    # found what its frame prefers to it.
+    doubting: int = 5
+    doubtful: int = 30
 
 
 @dataclass
 class Renewal:
-    """due: frame index of the next search; wait: frames from one to the next; last: frame index of the last."""
+    """due: frame index of the next search; wait: frames from one to the next; last, begun: frame index of the last, and
+    of the start.
+    """
 
     due: int = 0
     wait: int = 1
     last: int = 0
+    begun: int = 0
 
     def restart(self, index: int, settings: RenewalSettings) -> None:
         """A track has begun in this frame."""
         self.due, self.wait, self.last = index + settings.soonest, settings.soonest, index
+        self.begun = index
 
-    def found(self, index: int, agrees: bool | None, settings: RenewalSettings) -> None:
-        """A search in this frame agrees with the track, contradicts it, or tells nothing (None)."""
-        self.wait = settings.soonest if agrees is False else min(2 * self.wait, settings.longest)
+    def found(self, index: int, agrees: bool | None, settings: RenewalSettings, believed: bool = True) -> None:
+        """A search in this frame agrees with the track, contradicts it, or tells nothing (None); believed: whether one
+        has ever spoken for it.
+        """
+        doubtful = not believed and index - self.begun < settings.doubtful
+        longest = settings.doubting if doubtful else settings.longest
+        self.wait = settings.soonest if agrees is False else min(2 * self.wait, longest)
         self.due, self.last = index + self.wait, index
 
     def hurry(self, index: int, settings: RenewalSettings) -> None:
