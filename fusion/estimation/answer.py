@@ -94,9 +94,9 @@ class Estimate:
     contributions: tuple[Contribution, ...] = ()
     confidence: float = float("nan")
     sure_within: float = float("nan")
-    searched: Array | None = None
     observed: dict[str, float] = field(default_factory=dict)
     print_share: float = float("nan")
+    searched: Array | None = None
 
     @property
     def time_ms(self) -> float:

@@ -226,7 +226,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         contributions=posterior.contributions(model, rows, pose, covariance, believed),
         confidence=sure,
         sure_within=settings.confidence.tolerance,
-        searched=searched,
         observed=observed,
         print_share=facing.share,
+        searched=searched,
     )

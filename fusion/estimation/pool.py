@@ -66,8 +66,7 @@ class PoolSettings:
     # its outline that runs on, are at most these, what agrees is at least this share of what is read and not hidden,
     # and of the whole; the first mode holds this share, and touch costs at most so many nats a contact.
     most_past: float = 0.05
-    # The second share of the outline is for where nobody knows what hides the object: a surface that runs on is there
-    # most often another thing's.
+    # Where nobody knows what hides the object, what runs on over its outline is most often another thing: shares.
     most_runs_on: float = 0.3
     most_runs_on_unknown: float = 0.1
     least_agree: float = 0.8
@@ -295,7 +294,7 @@ class Pool:
         p = self.predictor.predict(pose)
         # what gives no reading neither agrees nor contradicts
         seen = p.agree[0] >= s.least_agree * (p.agree[0] + p.past[0]) and p.agree[0] >= shown
-        runs_on = s.most_runs_on_unknown if self.predictor.unknown_in_front else s.most_runs_on
+        runs_on = s.most_runs_on if self.predictor.told_apart else s.most_runs_on_unknown
         picture = seen and p.past[0] <= s.most_past and p.outline[0] <= runs_on
         contacts = int((self.felt.rows[:, GATE_ABOVE] > 0).sum())
         felt = float(costs(self.model, self.felt, pose)[0])

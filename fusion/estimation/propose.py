@@ -88,7 +88,7 @@ class Competition:
         """
         if self.explained:
             return "the best explains what is seen"
-        return CONVINCED if self.convinced and not self.pool.predictor.unknown_in_front else ""
+        return CONVINCED if self.convinced and self.pool.predictor.told_apart else ""
 
     @property
     def explained(self) -> bool:
@@ -173,10 +173,9 @@ def modes_near(
             "touch and descents", partial(felt, fresh, descending), "what all rows say is clearly seen" if clear else ""
         )
         if not begin:
-            told_apart = not pool.predictor.unknown_in_front
-            if told_apart:
+            if pool.predictor.told_apart:
                 asked.look_around()
-            before, known = asked.modes, plan.skipping and (told_apart or asked.explained)
+            before, known = asked.modes, plan.skipping and (pool.predictor.told_apart or asked.explained)
             asked.enter(f"a walk{' and the hand' * (pool.held is not None)}", walked, asked.enough if known else "")
         begin = end
         # a walk from everywhere is a round, too

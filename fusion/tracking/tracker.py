@@ -205,7 +205,12 @@ class Tracker:
             vote = 0.0
         carried = (leader, *state.hypotheses[1:])
         state.hypotheses, agrees = several.voted(self.model, carried, modes, vote, against, s.hypotheses)
-        state.renewal.found(frame.index, agrees if vote and against else None, s.renewal)
+        if not agrees and better < -s.hypotheses.missed:  # what the search has found is what the frame prefers, too
+            first = state.hypotheses[0]
+            doubted = replace(first, votes=max(0.0, first.votes - s.hypotheses.part))
+            state.hypotheses = doubted, *state.hypotheses[1:]
+        believed = state.hypotheses[0].votes >= s.hypotheses.believed and (agrees or better > 0.0)
+        state.renewal.found(frame.index, agrees if vote and against else None, s.renewal, believed)
         where = "agrees" if agrees else "finds it elsewhere"
         why = f"{where}, {_sure(alone):.0%} sure; {better:+.0f} nats for the track; {vote:.1f} votes"
         if same and vote and better < -s.anchor:
@@ -327,7 +332,7 @@ class Tracker:
             stage.note(len(seen) + len(felt.reported_rows), found.otherwise or "nothing is otherwise than expected")
             if found.otherwise or not len(seen):
                 return None
-            belief, watched = self._updated(frame, predicted, found.measured, False)
+            belief, watched = self._updated(frame, predicted, found.measured, False, felt)
             said = as_judged(self.model, known, carried, belief, found, s)
             if watched.slip:
                 said = replace(said, why=f"slips in the hand ({watched.by}); {said.why}")

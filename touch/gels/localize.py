@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from scenes.errors import InputError
 from scenes.evidence import table as tables
-from scenes.evidence.align import AlignSettings, Prior, align, costs
+from scenes.evidence.align import AlignSettings, Prior, costs
 from scenes.evidence.modes import ModeSettings, distinct_modes
 from scenes.evidence.point_pairs import pair_table
 from scenes.evidence.search import SearchStage, search, starts_of_prior

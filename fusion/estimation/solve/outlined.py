@@ -3,8 +3,8 @@
 The joint solution leaves a Gaussian of the pose, all else marginalised; the lines across the outline add theirs to it
 and are read anew where it leads. What else was sensed weighs as its model says. How wrong it may be beyond its model
 (pulls that scatter more than they should) is part of the covariance, but no weight: estimated from a few patches of an
-image, it is too uncertain to be one. Distance and tilt are mostly left to depth: what an outline seems to tell of them is
-how fat it looks. So the covariance follows the gain that was used, optimal or not (Joseph form).
+image, it is too uncertain to be one. Distance and tilt are mostly left to depth: what an outline seems to tell of them
+is how fat it looks. So the covariance follows the gain that was used, optimal or not (Joseph form).
 """
 
 from __future__ import annotations

@@ -132,7 +132,7 @@ class Rounds:
     def __init__(self, model, ends, shown=0.0):
         self.model, self.ends, self.shown, self.looked_at = model, iter(ends), shown, []
         self.settings, self.modes, self.prior = PoolSettings(), ModeSettings(), SimpleNamespace(pose=np.eye(4))
-        self.predictor = SimpleNamespace(sees=True, unknown_in_front=False)
+        self.predictor = SimpleNamespace(sees=True, told_apart=True)
         self.sight = SimpleNamespace(costs=None)
         self.felt, self.held, self.rng, self.walking = tables.empty(), None, None, None
         self.proposals = ProposalSettings()
