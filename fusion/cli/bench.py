@@ -25,8 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--family",
-        metavar="NAME",
-        help="frames of one family, or all, tuning or report (docs/evaluation.md), where accuracy is measured:"
+        metavar="A,B",
+        help="frames of these families, or all, tuning or report (docs/evaluation.md), where accuracy is measured:"
         " search, occlusion, calibration, vision, faults, tracking, colour, peers",
     )
     parser.add_argument(
