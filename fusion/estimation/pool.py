@@ -51,11 +51,16 @@ class PoolSettings:
     least_pixels: int = 25
     # Rays along each side of an outline while hundreds of poses walk: half as many in all as where answers are ranked.
     walking_side: int = 12
+    # Of the places that a walk near a prior may begin at, so many are, by touch, prior and what is seen past, likely
+    # enough to be drawn into a picture: that takes fifty times as long.
+    walking_from: int = 320
     # A pose that costs so many nats more than the best after a fit is not fitted again.
     hopeless: float = 40.0
-    # Steps of a fit, and where it ends (rad, m): pixels change sides before a tenth of their noise.
-    fit: AlignSettings = field(
-        default_factory=lambda: AlignSettings(iterations=15, tolerance_angle=2e-4, tolerance_distance=2e-5)
+    # Steps of a fit in each round, and where it ends (rad, m): first where the pixels inside its outline would be
+    # others, then before a tenth of their noise.
+    fits: tuple[AlignSettings, ...] = (
+        AlignSettings(iterations=10, tolerance_angle=1e-3, tolerance_distance=1e-4),
+        AlignSettings(iterations=15, tolerance_angle=2e-4, tolerance_distance=2e-5),
     )
     # An answer convinces, and no more is searched, when the shares of its predicted pixels that are seen past, and of
     # its outline that runs on, are at most these, what agrees is at least this share of what is read and not hidden,
@@ -96,6 +101,8 @@ class Pool:
     modes: ModeSettings
     settings: PoolSettings
     held: Held | None = None
+    # Hessian of every pose, by its bytes, in which a fit has ended
+    ended: dict[bytes, Array] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def apart(self) -> float:
@@ -116,6 +123,11 @@ class Pool:
     def walking(self, candidates: Array) -> Array:
         """Costs (n,) by few rays, as a walk over hundreds of poses (n, 4, 4) needs them."""
         return self.costs(candidates, self.settings.walking_side)
+
+    def likeliest(self, candidates: Array) -> Array:
+        """Of poses (n, 4, 4) those that are worth a picture, best first."""
+        quick = costs(self.model, self.felt, candidates, self.prior) + self.sight.costs(candidates)
+        return candidates[np.argsort(quick, kind="stable")[: self.settings.walking_from]]
 
     def proposed(
         self, starts: Array, stages: tuple[SearchStage, ...], seen: Evidence, start: Array | None, descents: int
@@ -166,8 +178,8 @@ class Pool:
 
         side: rays along each side of the outline's box.
         """
-        pixels = self.predictor.seen_pixels(pose, side)
-        free = tables.stack(self.free, self.predictor.empty_rows(pose))
+        pixels, empty = self.predictor.seen_and_empty(pose, side)
+        free = tables.stack(self.free, empty)
         if len(pixels) < self.settings.least_pixels:
             return free
         mine = replace(self.looked, pixels=pixels, told_apart=True)
@@ -179,15 +191,21 @@ class Pool:
         most: so many are fitted; default settings.fitted.
         """
         s = self.settings
-        order = np.argsort(self.costs(candidates), kind="stable")
+        first = self.costs(candidates)
+        order = np.argsort(first, kind="stable")
         best, _ = leaders(self.model, candidates[order], self.apart)
-        poses = candidates[order[best[: most or s.fitted]]]
-        tried = Alignment(poses, np.full(len(poses), np.inf), np.zeros((len(poses), 6, 6)), np.zeros(len(poses), int))
-        for side in s.sides:
-            tried = self._fitted(tried, side)
+        chosen = order[best[: most or s.fitted]]
+        tried = Alignment(candidates[chosen], first[chosen], np.zeros((len(chosen), 6, 6)), np.ones(len(chosen), int))
+        for k, pose in enumerate(tried.poses):
+            if pose.tobytes() in self.ended:  # it is where a fit ended: another would lead nowhere else
+                tried.hessians[k], tried.iterations[k] = self.ended[pose.tobytes()], 0
+        for side, fit in zip(s.sides, s.fits):
+            tried = self._fitted(tried, side, fit)
             order = np.argsort(tried.costs, kind="stable")
             order = order[leaders(self.model, tried.poses[order], self.apart)[0]]
             tried = tried.take(order[tried.costs[order] <= tried.costs[order[0]] + s.hopeless])
+        for pose, hessian in zip(tried.poses, tried.hessians):
+            self.ended[pose.tobytes()] = hessian
         return distinct_modes(self.model, tried, self.modes)
 
     def is_same(self, modes: tuple[Mode, ...], before: tuple[Mode, ...]) -> bool:
@@ -212,22 +230,22 @@ class Pool:
         felt = float(costs(self.model, self.felt, pose)[0])
         return bool(picture and felt <= s.contact_nats * max(contacts, 1))
 
-    def _fitted(self, tried: Alignment, side: int) -> Alignment:
-        """Each pose fitted to the pixels that it predicts, its steps counted; where it was if that is likelier. What
-        took no step in the round before is not fitted again. Costs: the pool's, inf for what was never fitted. side:
-        rays along each side of an outline.
+    def _fitted(self, tried: Alignment, side: int, fit: AlignSettings) -> Alignment:
+        """Each pose that took steps before, fitted to the pixels that it predicts; where it was if that is likelier.
+        Costs: the pool's. side: rays along each side of an outline.
         """
         poses, hessians, steps = tried.poses.copy(), tried.hessians.copy(), np.zeros_like(tried.iterations)
-        fresh = np.isinf(tried.costs)
-        for k in np.flatnonzero(fresh | (tried.iterations > 0)):
+        moving = np.flatnonzero(tried.iterations > 0)
+        for k in moving:
             rows = tables.stack(self.evidence(tried.poses[k], side), self.felt)
             if len(rows):
-                found = align(self.model, rows, tried.poses[k : k + 1], self.prior, self.settings.fit)
+                found = align(self.model, rows, tried.poses[k : k + 1], self.prior, fit)
                 poses[k], hessians[k], steps[k] = found.poses[0], found.hessians[0], found.iterations[0]
-        costs = self.costs(np.concatenate([poses, tried.poses]))
-        after, before = costs[: len(poses)], costs[len(poses) :]
-        worse = after > before
-        poses[worse], steps[worse] = tried.poses[worse], 0
+        after = tried.costs.copy()
+        after[moving] = self.costs(poses[moving])
+        worse = after > tried.costs
+        poses[worse] = tried.poses[worse]
         # one that was never fitted has no Hessian of its own
-        hessians[worse & ~fresh] = tried.hessians[worse & ~fresh]
-        return Alignment(poses, np.minimum(after, before), hessians, steps)
+        worse &= tried.hessians.any(axis=(1, 2))
+        hessians[worse] = tried.hessians[worse]
+        return Alignment(poses, np.minimum(after, tried.costs), hessians, steps)

@@ -107,14 +107,15 @@ def modes_near(
     begin = 0
 
     def searched(fresh: Array) -> Array:
-        found = find_modes(pool.model, rows, fresh, stages, prior, pool.sight.costs, whole, pool.modes)
+        rank, few = pool.sight.costs, plan.refining_rows
+        found = find_modes(pool.model, rows, fresh, stages, prior, rank, whole, pool.modes, few)
         return poses_of(found.modes)
 
     def felt(fresh: Array, descending: int) -> Array:
         return asked.by_touch(pool.proposed(fresh, stages, seen, prior.pose, descending))
 
     def walked() -> Array:
-        everywhere = np.concatenate([starts, pool.held_starts()])
+        everywhere = pool.likeliest(np.concatenate([starts, pool.held_starts()]))
         return walk(pool.model, everywhere, pool.walking, pool.rng, pool.proposals.walk)
 
     for end, descending in zip([*ends, len(starts)], [*settings.descents[: len(ends)], settings.descents[-1]]):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fusion import estimate
+from fusion.estimation.asked import Asked
 from fusion.estimation.confidence import ConfidenceSettings, chances, spread_of, whole_covariance, within
 from fusion.estimation.pool import Pool, PoolSettings
 from fusion.estimation.proposals import ProposalSettings, search_stages
@@ -15,6 +16,7 @@ from fusion.estimation.ranking import guarded
 from fusion.estimation.search import Found, PlanSettings
 from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.solve.joint import JointResult
+from fusion.estimation.steps.sense import look_once, sense
 from fusion.estimation.trace import Trace
 from fusion.truth.errors import Judge
 from scenes.evidence import table as tables
@@ -27,6 +29,12 @@ from scenes.synthesis.settings import SynthesisSettings
 from vision.predicted import Prediction
 
 SETTINGS = SynthesisSettings(rgb=False)
+
+
+def pool_of(frame, model):
+    asked = Asked.of(frame, None, ("vision", "touch"), None, 0, EstimateSettings(), None)
+    trace = Trace()
+    return sense(frame, model, asked, trace, look_once(frame, model, asked, trace)).pool
 
 
 def add_s(model, answer, frame):
@@ -84,6 +92,9 @@ class Rounds:
         self.looked_at.append(len(starts))
         return np.zeros((0, 4, 4))
 
+    def likeliest(self, candidates):
+        return candidates
+
     def compete(self, candidates, most=None):
         return tuple(Mode(pose, 1.0 / len(candidates), 0.0, np.eye(6)) for pose in candidates[:1])
 
@@ -116,6 +127,32 @@ def test_rounds_of_fresh_starts_end_where_nothing_new_comes(drill, monkeypatch, 
     assert pool.looked_at == looked_at
     assert found.looked_at == (sum(looked_at) or 20)
     assert why in found.why
+
+
+def test_a_fit_is_not_done_again_where_one_ended(lab_frame, drill):
+    pool = pool_of(lab_frame, drill)
+    truth = lab_frame.camera_from_object_truth
+    near = poses.perturb(truth, np.array([0.05, 0.0, 0.0, 0.004, 0.0, 0.0]), drill.centroid)
+    first = pool.compete(near[None])
+    calls = []
+    pool = replace(pool, predictor=pool.predictor)  # what a fit ended in goes along
+    fitted = Pool.evidence
+    object.__setattr__(pool, "evidence", lambda *args: calls.append(args) or fitted(pool, *args))
+    again = pool.compete(np.array([mode.pose for mode in first]))
+    assert not calls
+    np.testing.assert_array_equal(again[0].pose, first[0].pose)
+    assert again[0].cost == pytest.approx(first[0].cost)
+    np.testing.assert_allclose(again[0].covariance, first[0].covariance)
+
+
+def test_walks_begin_where_touch_and_sight_find_it_likely(lab_frame, drill):
+    pool = pool_of(lab_frame, drill)
+    truth, settings = lab_frame.camera_from_object_truth, pool.settings
+    rng = np.random.default_rng(0)
+    drawn = poses.perturb(truth, rng.normal(size=(settings.walking_from + 40, 6)) * 0.05, drill.centroid)
+    kept = pool.likeliest(np.concatenate([drawn, truth[None]]))
+    assert len(kept) == settings.walking_from
+    assert any(np.array_equal(pose, truth) for pose in kept[:20])
 
 
 def result(pose, scale=0.0):

@@ -211,3 +211,13 @@ def test_check_pose_refuses(spoil, message):
     pose = poses.make_pose(poses.exp_rotation([0.1, 0.2, 0.3]), [0.0, 1.0, 2.0])
     with pytest.raises(InputError, match=f"start: .*{message}"):
         poses.check_pose(spoil(pose), "start")
+
+
+@given(seeds)
+def test_what_rounding_bent_is_straightened(seed):
+    rng = np.random.default_rng(seed)
+    exact = poses.random_rotations(5, rng)
+    bent = exact + 1e-8 * rng.normal(size=exact.shape)
+    found = poses.straightened(bent)
+    assert np.abs(np.swapaxes(found, 1, 2) @ found - np.eye(3)).max() < 1e-14
+    np.testing.assert_allclose(found, poses.project_to_rotation(bent), atol=1e-14)
