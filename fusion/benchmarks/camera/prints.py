@@ -141,8 +141,14 @@ def run(settings: BenchSettings, trials: int) -> tuple[Table, list[Claim]]:
     found: list[Answered] = []
     for name, level, trial in settings.progress(cells, len(cells), "prints"):
         found += answered(name, level, trial, settings.seed)
-    columns = [Column("object"), Column("start"), Column("frames", 0), Column("right face without"), Column("with")]
-    columns += [Column("told"), Column("right where told"), Column("ADD-S mm without"), Column("with")]
+    columns = [
+        Column("object"),
+        Column("start"),
+        Column("frames", 0),
+        Column("right face without"),
+        Column("right face with"),
+    ]
+    columns += [Column("told"), Column("right where told"), Column("ADD-S mm without"), Column("ADD-S mm with")]
     columns += [Column("processor ms more", 1)]
     note = (
         f"Hidden up to {LEVELS[-1]:.0%}, `lab` errors, pictures of another light, blur and grain; starts 16 degrees and"
