@@ -176,9 +176,9 @@ class Predictor:
         return self._depth is not None
 
     @property
-    def unknown_in_front(self) -> bool:
-        """Whether nobody has a model of what may hide the object."""
-        return self._pieces is not None
+    def told_apart(self) -> bool:
+        """Whether somebody says what hides the object: a mask, or the hand's model."""
+        return self._pieces is None
 
     @property
     def reach(self) -> int:
