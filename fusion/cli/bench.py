@@ -32,9 +32,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--motions", metavar="A,B", type=names_list, help="motions of the sequences of `tracking` (default: all nine)"
     )
-    parser.add_argument("--frames", metavar="N", type=positive, help="frames of each sequence of `tracking` (default: 45)")
     parser.add_argument(
-        "--methods", metavar="A,B", type=names_list, help="methods that follow the sequences of `tracking` (default: all)"
+        "--frames", metavar="N", type=positive, help="frames of each sequence of `tracking` (default: 45)"
+    )
+    parser.add_argument(
+        "--methods",
+        metavar="A,B",
+        type=names_list,
+        help="methods that follow the sequences of `tracking` (default: all)",
     )
     parser.add_argument(
         "--data",
