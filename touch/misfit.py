@@ -26,6 +26,10 @@ class MisfitSettings:
     # How far another object of the same kind is off at least, and at most (m); equal weight per factor.
     least_other: float = 0.5e-3
     most_other: float = 30e-3
+    # One that is plainly another is off by this at least (m): recorded contacts leave half a millimetre over, smoothly,
+    # on the right tool. Evidence against these is not diluted by those that nothing tells from a mesh's own errors
+    # (tuned on draws of nine tools).
+    plainly: float = 2e-3
     # Lengths over which a misfit stays the same, as shares of the object's diameter.
     lengths: tuple[float, ...] = (0.05, 0.15)
     # A residual of more than this many sigmas, sigma from their median, and of more than this (m), is wild: it is
@@ -47,8 +51,9 @@ def log_odds_of_another(
     diameter: float,
     noise: tuple[float, float],
     settings: MisfitSettings | None = None,
-) -> float:
-    """Log Bayes factor (nats) that contacts were made on another object rather than on this one.
+) -> tuple[float, float]:
+    """Log Bayes factors (nats) that contacts were made on another object rather than on this one: on any other, and on
+    one that is plainly another.
 
     points (n, 3) of the contacts relative to the object's centroid, outward normals (n, 3) of its surface there,
     residuals (n,) signed distances at the fitted pose; diameter (m); noise: least and most sigma (m) of a contact. What
@@ -66,7 +71,7 @@ def log_odds_of_another(
     left, values, _ = np.linalg.svd(jacobian, full_matrices=True)
     free = left[:, int((values > 1e-6 * values[0]).sum()) :]
     if free.shape[1] < 1:
-        return 0.0
+        return 0.0, 0.0
     rest = free.T @ (trust * residuals)
     free = free * trust[:, None]
     sizes = np.geomspace(0.1 * settings.mesh_sigma, settings.most_other, settings.steps[0])
@@ -76,10 +81,10 @@ def log_odds_of_another(
     )
     # equal weight per factor of the noise and of another's misfit; a half Gaussian on that of the own mesh
     own = np.log(sizes) - 0.5 * (sizes / settings.mesh_sigma) ** 2
-    other = np.where(sizes >= settings.least_other, 0.0, -np.inf)
+    others = [np.where(sizes >= least, 0.0, -np.inf) for least in (settings.least_other, settings.plainly)]
     told = np.logaddexp.reduce(np.logaddexp.reduce(likelihood, axis=2), axis=0)
-    weighed = [np.logaddexp.reduce(told + w) - np.logaddexp.reduce(w) for w in (other, own)]
-    return float(weighed[0] - weighed[1])
+    here, *other = (float(np.logaddexp.reduce(told + w) - np.logaddexp.reduce(w)) for w in (own, *others))
+    return other[0] - here, other[1] - here
 
 
 def _false(residuals: Array, apart: Array, limit: float, median: float, settings: MisfitSettings) -> NDArray[np.bool_]:
