@@ -176,6 +176,11 @@ class Predictor:
         return self._depth is not None
 
     @property
+    def told_apart(self) -> bool:
+        """Whether somebody says what hides the object: a mask, or the hand's model."""
+        return self._pieces is None
+
+    @property
     def reach(self) -> int:
         """Pixels beyond an outline that a smeared edge, or what a mask has too much, may still reach."""
         return max(self._belief.edge_pixels, 0 if self._mask is None else self.settings.mask_margin + 1)

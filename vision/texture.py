@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
+from vision.contour.lines import is_grey
 from vision.predicted import Predictor
 
 Array = NDArray[np.float64]
@@ -183,7 +184,7 @@ def see_print(
     rows = np.clip(row + shifts[:, :1], 0, part.shape[0] - 1)
     columns = np.clip(column + shifts[:, 1:], 0, part.shape[1] - 1)
     colours, beside = (part[v, u].astype(np.float64) / 255.0 for v, u in ((row, column), (rows, columns)))
-    if (frame.rgb[..., 0] == frame.rgb[..., 1]).all() and (frame.rgb[..., 0] == frame.rgb[..., 2]).all():
+    if is_grey(frame.rgb[::4, ::4]):
         colours, beside = colours[:, :1], beside[..., :1]
     size = around * float(np.median(points[:, 2])) / camera.fx
     patches = len(points) * min(pixels.area / s.apart**2, 1.0)

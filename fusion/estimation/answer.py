@@ -73,7 +73,8 @@ class Estimate:
     that may be the case, other modes and none of them included. Each mode has its own. confidence: probability that
     the pose's ADD-S is below sure_within (m), see fusion.estimation.confidence; observed: what it was read from, empty
     when nothing was sensed. print_share: of all ways round that the shape allows, the share that what is printed on the
-    object gives this one; NaN where no print was read.
+    object gives this one; NaN where no print was read. searched: where the search ended, from which the pose was
+    solved with all that the senses share; None where nothing was searched.
     """
 
     frame: int
@@ -95,6 +96,7 @@ class Estimate:
     sure_within: float = float("nan")
     observed: dict[str, float] = field(default_factory=dict)
     print_share: float = float("nan")
+    searched: Array | None = None
 
     @property
     def time_ms(self) -> float:

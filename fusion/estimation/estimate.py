@@ -21,7 +21,7 @@ from fusion.estimation.propose import modes_anywhere, modes_near
 from fusion.estimation.ranking import rejudged
 from fusion.estimation.search import find_modes, worth_solving
 from fusion.estimation.settings import EstimateSettings
-from fusion.estimation.solve.outlined import outlined
+from fusion.estimation.solve.outlined import asks_for, outlined
 from fusion.estimation.steps.facing import (
     Facing,
     as_printed,
@@ -48,7 +48,6 @@ from scenes.recordings.validation import check_scale
 from scenes.threads import one_blas_thread
 from scenes.words import counted
 from touch.gels.localize import build_tables
-from vision.look.look import look_closer
 from vision.look.looked import Looked
 from vision.plausibility import doubts
 from vision.visibility import visibility
@@ -119,32 +118,23 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
 
     how, blur, might_be = settings.proposals, settings.proposals.blur(model), looked.pixels.points
     with trace.stage("search", True, "") as stage:
-        starts = starts_of(
-            model, believed, looked.pixels.points, felt.contacts, rows, sight.costs, how, pool.rng, felt.patches
-        )
+        starts: list[Array] = []
+
+        def begun() -> Array:
+            pixels, contacts = looked.pixels.points, felt.contacts
+            starts.append(starts_of(model, believed, pixels, contacts, rows, sight.costs, how, pool.rng, felt.patches))
+            return starts[0]
+
+        wide = search_stages(blur, how.wide if contacts else how.sifted)
         if believed is not None:
-            found = modes_near(pool, rows, seen, starts, search_stages(blur, how.near), settings.plan, trace)
+            found = modes_near(pool, rows, seen, begun(), search_stages(blur, how.near), settings.plan, trace)
+        elif predictor.sees:
+            found = modes_anywhere(pool, rows, seen, begun, wide, trace)
         else:
-            stages = search_stages(blur, how.wide if contacts else how.sifted)
-            found = find_modes(model, rows, starts, stages, None, sight.costs, settings.plan, settings.modes)
+            found = find_modes(model, rows, begun(), wide, None, sight.costs, settings.plan, settings.modes)
         gels = f", by {counted(len(felt.patches), 'gel')} too" if felt.patches and believed is None else ""
-        said = f"{found.looked_at} of {len(starts)} starts{gels}, blur {1e3 * blur:.1f} mm; {found.why}"
-        stage.note(len(rows), said)
-    wide = believed is None and predictor.sees
-    with trace.stage("look again", wide, "the region was narrow") as stage:
-        if wide:
-            likely = np.array([m.pose for m in found.modes if m.weight > settings.plan.negligible])
-            if looked.region is not None:
-                looked = look_closer(viewed, model, looked, likely, beliefs, settings.look)
-                seen = looked.rows(beliefs.depth, settings.look.rows)
-                rows = tables.stack(seen, felt.rows)
-                last = search_stages(blur, how.near)[-1:]
-                again = find_modes(model, rows, likely, last, None, sight.costs, settings.plan, settings.modes)
-                likely = np.array([m.pose for m in again.modes])
-            found = modes_anywhere(replace(pool, looked=looked), likely, seen, starts, stages, trace)
-            stage.note(
-                len(rows), f"{len(looked.pixels)} object pixels around {counted(len(likely), 'pose')}; {found.why}"
-            )
+        tried = f"{found.looked_at} of {len(starts[0])} starts{gels}" if starts else "pairs of pixels"
+        stage.note(len(rows), f"{tried}, blur {1e3 * blur:.1f} mm; {found.why}")
     why_not = why_no_print(sensed, settings.texture)
     facing, gains = Facing(why=why_not), np.zeros(0)
     with trace.stage("print", not why_not, why_not) as stage:
@@ -161,6 +151,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
     why_not = "the time budget is spent" if spent else "the rows alone are within the tolerance"
     finish = not (spent or settled)
     modes = modes if finish else rough
+    searched = modes[0].pose
     with trace.stage("solve together", finish, why_not) as stage:
         if finish:
             worth = worth_solving(found, settings.plan, settings.joint.modes)
@@ -168,6 +159,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
             in_all = solved.costs - by_print(gains, len(worth))
             modes = rejudged(model, solved.results, in_all, settings)
             first_of = int(np.argmin(in_all))
+            searched = worth[first_of]
             best, seen = solved.results[first_of], solved.shown[first_of]
             rows = tables.stack(seen, felt.rows)
             felt = felt.corrected(best.correct())
@@ -179,9 +171,10 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
             spread = moments(model, rows, first.pose, first.covariance, asked.seed, believed, settings=how_wide)
             modes = (replace(first, pose=spread.pose, covariance=spread.covariance), *modes[1:])
             stage.note(len(rows), f"{spread.effective:.0f} effective samples, directions widened: {spread.widened}")
-    coloured = settings.contour.used and viewed.rgb is not None and predictor.sees
+    coloured = viewed.rgb is not None and predictor.sees and asks_for(viewed.rgb, settings.contour)
+    no_image = "no image beside depth" if viewed.rgb is None else "a colour camera's image is not asked for"
     useless: tuple[str, ...] = ()
-    with trace.stage("outline", finish and coloured, why_not if coloured else "no colours beside depth") as stage:
+    with trace.stage("outline", finish and coloured, why_not if coloured else no_image) as stage:
         if finish and coloured:
             told = outlined(viewed, pool, best, modes[0], beliefs.mesh_sigma, settings)
             modes, felt = (told.mode, *modes[1:]), felt.corrected(told.solved.correct())
@@ -235,4 +228,5 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         sure_within=settings.confidence.tolerance,
         observed=observed,
         print_share=facing.share,
+        searched=searched,
     )

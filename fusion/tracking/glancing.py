@@ -63,11 +63,13 @@ def may_glance(frame: Frame, state: TrackState, carried: Hypotheses, settings: T
     s, known = settings.glance, state.known
     if known is None or frame.depth is None or frame.camera is None:
         return False
-    if not 0 < frame.index - state.index <= s.gap or frame.index - known.index >= s.every:
+    share = float(weights(carried, settings.hypotheses)[0])
+    every = s.every if share >= s.alone else s.every_open
+    if not 0 < frame.index - state.index <= s.gap or frame.index - known.index >= every:
         return False
     if frame.index >= state.renewal.due or carried[0].age < s.settled:
         return False
-    return bool(weights(carried, settings.hypotheses)[0] >= s.leads)
+    return share >= s.leads and all(h.age >= s.young for h in carried)
 
 
 def glance(

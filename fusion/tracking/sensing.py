@@ -108,7 +108,7 @@ def pool_near(
         return None
     part = cropped(frame, box)
     contacts = len(felt.reported_contacts)
-    unknown = pieces and contacts > 0 and not looked.told_apart
+    unknown = pieces and not looked.told_apart and (contacts > 0 or len(candidates) > 1)
     labels = surfaces(part, looked.plane, beliefs, settings.look)[1] if unknown else None
     hand = looked.seen_hand
     predictor = Predictor(part, model, beliefs.depth, hand, settings.prediction, looked.plane, labels)

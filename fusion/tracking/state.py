@@ -32,8 +32,12 @@ class GlanceSettings:
     every: int = 6
     settled: int = 5
     gap: int = 2
-    # Share of the posterior (no unit) that the leader must hold.
-    leads: float = 0.98
+    # Share of the posterior (no unit) that the leader must hold; where it holds less than the second share others are
+    # looked at in full every so many frames. One that is younger than so many frames is always.
+    leads: float = 0.8
+    alone: float = 0.98
+    every_open: int = 3
+    young: int = 4
     # Steps of the fit.
     steps: int = 10
     # Pixels of a look near the object, as a share of those of a look in full.
@@ -90,23 +94,35 @@ class RenewalSettings:
     longest: int = 60
     # Frames from one search to the next, at least, when answers come and go about the limit of what is called ok.
     hurried: int = 10
+    # The longest wait, for so many frames after a start, while no search has spoken for the track, or the last one
+    # found what its frame prefers to it.
+    doubting: int = 5
+    doubtful: int = 30
 
 
 @dataclass
 class Renewal:
-    """due: frame index of the next search; wait: frames from one to the next; last: frame index of the last."""
+    """due: frame index of the next search; wait: frames from one to the next; last, begun: frame index of the last, and
+    of the start.
+    """
 
     due: int = 0
     wait: int = 1
     last: int = 0
+    begun: int = 0
 
     def restart(self, index: int, settings: RenewalSettings) -> None:
         """A track has begun in this frame."""
         self.due, self.wait, self.last = index + settings.soonest, settings.soonest, index
+        self.begun = index
 
-    def found(self, index: int, agrees: bool | None, settings: RenewalSettings) -> None:
-        """A search in this frame agrees with the track, contradicts it, or tells nothing (None)."""
-        self.wait = settings.soonest if agrees is False else min(2 * self.wait, settings.longest)
+    def found(self, index: int, agrees: bool | None, settings: RenewalSettings, believed: bool = True) -> None:
+        """A search in this frame agrees with the track, contradicts it, or tells nothing (None); believed: whether one
+        has ever spoken for it.
+        """
+        doubtful = not believed and index - self.begun < settings.doubtful
+        longest = settings.doubting if doubtful else settings.longest
+        self.wait = settings.soonest if agrees is False else min(2 * self.wait, longest)
         self.due, self.last = index + self.wait, index
 
     def hurry(self, index: int, settings: RenewalSettings) -> None:

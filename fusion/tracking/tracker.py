@@ -50,6 +50,7 @@ from scenes.threads import one_blas_thread
 from scenes.words import counted
 from touch.arrays.readings import readings_of
 from touch.contacts import Felt, feel
+from touch.gels.slip import in_palm
 from vision.look.looked import Looked
 from vision.look.warm import Looker
 from vision.tracking.by_vision import ConstantVelocity
@@ -154,10 +155,11 @@ class Tracker:
         near = self._near(answer.modes[0])
         state.right = min(1.0, _sure(answer) / near) if near > 1e-9 else 0.0
         state.sure = answer.verdict == "ok"
-        state.hand = HandState.of(frame, self._feel(frame).reported_contacts)
+        felt = self._feel(frame)
+        state.hand = HandState.of(frame, felt.reported_contacts)
         self._velocity.restart(frame.index, answer.pose)
         self._watch.let_go()
-        self._watch.feel(readings_of(self._felt_frame(frame)))
+        self._skins(frame, felt)
 
     def _near(self, mode: Mode) -> float:
         """Probability that the object is within the tolerance of a mode, if that is the right one."""
@@ -203,7 +205,12 @@ class Tracker:
             vote = 0.0
         carried = (leader, *state.hypotheses[1:])
         state.hypotheses, agrees = several.voted(self.model, carried, modes, vote, against, s.hypotheses)
-        state.renewal.found(frame.index, agrees if vote and against else None, s.renewal)
+        if not agrees and better < -s.hypotheses.missed:  # what the search has found is what the frame prefers, too
+            first = state.hypotheses[0]
+            doubted = replace(first, votes=max(0.0, first.votes - s.hypotheses.part))
+            state.hypotheses = doubted, *state.hypotheses[1:]
+        believed = state.hypotheses[0].votes >= s.hypotheses.believed and (agrees or better > 0.0)
+        state.renewal.found(frame.index, agrees if vote and against else None, s.renewal, believed)
         where = "agrees" if agrees else "finds it elsewhere"
         why = f"{where}, {_sure(alone):.0%} sure; {better:+.0f} nats for the track; {vote:.1f} votes"
         if same and vote and better < -s.anchor:
@@ -230,10 +237,13 @@ class Tracker:
 
     def _believed(self, answer: TrackedEstimate) -> TrackedEstimate:
         """The answer, which is not ok while no frame searched by itself speaks for it."""
-        if answer.verdict != "ok" or self._state.hypotheses[0].votes >= self.settings.hypotheses.believed:
+        how = self.settings.hypotheses
+        if answer.verdict == "lost" or self._state.hypotheses[0].votes >= how.believed:
             return answer
-        wide = whole_covariance(self.model, answer.modes, answer.confidence, None, self.settings.first.confidence)
-        return replace(answer, verdict="ambiguous", covariance=wide, notes=(_DOUBTED, *answer.notes))
+        sure = min(answer.confidence, how.unvoted)
+        wide = whole_covariance(self.model, answer.modes, sure, None, self.settings.first.confidence)
+        notes = (_DOUBTED, *answer.notes)
+        return replace(answer, verdict="ambiguous", covariance=wide, confidence=sure, notes=notes)
 
     def _estimated(self, frame: Frame, prior: Prior | None) -> Estimate:
         """The frame by itself."""
@@ -287,7 +297,7 @@ class Tracker:
             off = 1e3 * _shift(felt.correction, self._middle(solved.pose))
             stage.note(len(found.seen) + felt_rows, f"calibration off by {off:.1f} mm")
         with trace.stage("judge", True, "") as stage:
-            belief, watched = self._updated(frame, predicted, measured, found.switched)
+            belief, watched = self._updated(frame, predicted, measured, found.switched, felt)
             leap = se3.difference(measured.pose, predicted.pose, self.model.centroid)
             said = judge(
                 self.model, found.hypotheses, belief, replace(sensed, felt=felt, seen=found.seen), self._state.usual,
@@ -322,7 +332,7 @@ class Tracker:
             stage.note(len(seen) + len(felt.reported_rows), found.otherwise or "nothing is otherwise than expected")
             if found.otherwise or not len(seen):
                 return None
-            belief, watched = self._updated(frame, predicted, found.measured, False)
+            belief, watched = self._updated(frame, predicted, found.measured, False, felt)
             said = as_judged(self.model, known, carried, belief, found, s)
             if watched.slip:
                 said = replace(said, why=f"slips in the hand ({watched.by}); {said.why}")
@@ -342,6 +352,11 @@ class Tracker:
         if looked.hand is not None:
             return felt.corrected(looked.hand.correct())
         return felt if self._looker.correction is None else felt.corrected(self._looker.correction)
+
+    def _skins(self, frame: Frame, felt: Felt) -> Watched:
+        """Whether what presses arrays and gels has moved over them."""
+        patches = in_palm(frame, felt.reported_patches) if felt.reported_patches else []
+        return self._watch.feel(readings_of(self._felt_frame(frame)), patches)
 
     def _solve(self, frame: Frame, leader: Array, prior: Prior, found: Refined, sensed: Sensed) -> JointResult:
         s, rigs = self.settings, self._state.rigs
@@ -378,7 +393,7 @@ class Tracker:
         return Measurement.of(pose, solved.independent, shared, s.noise, s.lasting)
 
     def _updated(
-        self, frame: Frame, predicted: Belief, measured: Measurement, switched: bool
+        self, frame: Frame, predicted: Belief, measured: Measurement, switched: bool, felt: Felt
     ) -> tuple[Belief, Watched]:
         """The belief after the frame, and whether the object slips."""
         model, state = self.model, self._state
@@ -387,7 +402,7 @@ class Tracker:
         alone = Belief(measured.pose, measured.own, measured.shared)
         belief = alone if switched else update(model, predicted, measured)
         late = frame.index < state.index
-        watched = Watched() if late else self._watch.feel(readings_of(self._felt_frame(frame)))
+        watched = Watched() if late else self._skins(frame, felt)
         if switched:
             self._watch.restart()
         elif state.hand is not None:

@@ -18,8 +18,9 @@ from scenes.geometry.surface import Surface
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
 from vision.look.hand import HandView, camera_from_hand, fit_hand, view_hand
-from vision.look.look import LookSettings, look
+from vision.look.look import LookSettings, large_plane, look
 from vision.look.looked import Looked, no_pixels, nothing_seen
+from vision.look.mask import on_plane
 from vision.look.pixels import Pixels, Region, read_pixels
 
 Array = NDArray[np.float64]
@@ -49,7 +50,7 @@ class WarmLookSettings:
 
 
 class Looker:
-    """Segments one frame after another; remembers the hand's mesh and how far the calibration is off."""
+    """Segments one frame after another; remembers the hand's mesh, how far the calibration is off, and the table."""
 
     def __init__(
         self,
@@ -67,6 +68,7 @@ class Looker:
         self.first = replace(first, slack=s.slack, most_others=s.free_rays, rows=rows)
         self.beliefs = beliefs or Beliefs()
         self.correction: Array | None = None
+        self.plane: Array | None = None
         self._surface: Surface | None = None
         self._vertices = np.zeros((0, 3))
         self._joints: tuple[tuple[str, float], ...] = ()
@@ -88,6 +90,11 @@ class Looker:
         pixels = read_pixels(frame.depth, frame.camera, box, int(many * self.settings.most))
         near = np.linalg.norm(pixels.points - centre, axis=1) < region.radius
         near[near] = self._near_surface(pixels.points[near], predicted)
+        bare = frame.mask is None and hand_view is None and self.first.tidy
+        if share is None:  # where nothing else tells what is not the object's
+            self.plane = large_plane(frame, self.model, self.beliefs, self.first) if bare else None
+        if self.plane is not None:
+            near[near] = ~on_plane(pixels.points[near], self.plane, self.beliefs.depth, self.first.mask)
         if frame.mask is not None:
             near &= frame.mask[pixels.uv[:, 1], pixels.uv[:, 0]]
         mine = pixels.take(near).thinned(int(many * self.settings.most_near))
@@ -98,8 +105,9 @@ class Looker:
         told_apart = frame.mask is not None or hand_view is not None
         dropped = {"hand pixels": int(of_hand.sum())} if hand_view is not None else {}
         return Looked(
-            mine.take(~of_hand), mine.take(of_hand), others, region, hand_view, dropped, told_apart=told_apart
-        )
+            mine.take(~of_hand), mine.take(of_hand), others, region, hand_view, dropped, told_apart=told_apart,
+            plane=self.plane,
+        )  # fmt: skip
 
     def _near_surface(self, points: Array, predicted: Array) -> NDArray[np.bool_]:
         local = se3.apply(se3.inverse(predicted), points)
