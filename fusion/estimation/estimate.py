@@ -191,7 +191,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         trace=trace.stages,
         contacts=residuals,
         pixel_rms_mm=1e3 * rms,
-        notes=(why, *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility), *useless),
+        notes=(why, *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility), *useless, *felt.untold),
         dropped=looked.dropped,
         start=believed.pose if believed is not None else None,
         contributions=posterior.contributions(model, rows, pose, covariance, believed),
