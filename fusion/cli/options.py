@@ -88,7 +88,7 @@ def add_beliefs(parser: argparse.ArgumentParser) -> None:
 
 
 def add_sure(parser: argparse.ArgumentParser) -> None:
-    """--sure-within and --outline."""
+    """--sure-within, --outline and --print."""
     parser.add_argument(
         "--sure-within",
         metavar="MM",
@@ -100,16 +100,24 @@ def add_sure(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="let the object's outline in the image (colour, grey, infra-red) move the answer, where it can be read",
     )
+    parser.add_argument(
+        "--print",
+        dest="printed",
+        action="store_true",
+        help="the way round counts that what is printed on the mesh tells: without knowing it no answer is ok",
+    )
 
 
 def with_sure(settings: EstimateSettings, args: argparse.Namespace) -> EstimateSettings:
-    """The settings with what --sure-within and --outline say."""
+    """The settings with what --sure-within, --outline and --print say."""
     from dataclasses import replace
 
     from fusion.estimation.asked import sure_to_be_within
 
     if args.outline:
         settings = replace(settings, contour=replace(settings.contour, used=True))
+    if args.printed:
+        settings = replace(settings, texture=replace(settings.texture, counts=True))
     return sure_to_be_within(settings, None if args.sure_within is None else 1e-3 * args.sure_within)
 
 

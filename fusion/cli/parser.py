@@ -20,6 +20,7 @@ from fusion.cli import (
     doctor,
     estimate,
     evaluate,
+    fit_confidence,
     grasp,
     identify,
     localize,
@@ -34,7 +35,7 @@ from scenes.errors import InputError, unknown
 
 COMMANDS = (
     *(demo, synth, validate, estimate, track, compare, evaluate, localize, identify),
-    *(grasp, model, batch, view, convert, calibrate_gel, bench, completion, doctor),
+    *(grasp, model, batch, view, convert, calibrate_gel, bench, fit_confidence, completion, doctor),
 )
 
 

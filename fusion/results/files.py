@@ -156,6 +156,7 @@ def answer_of(entry: dict[str, Any]) -> Estimate:
         notes=tuple(map(str, entry.get("notes", []))),
         confidence=_number(entry.get("confidence")),
         sure_within=1e-3 * _number(entry.get("sure_within_mm")),
+        print_share=_number(entry.get("print_share")),
     )
 
 

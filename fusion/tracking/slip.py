@@ -1,8 +1,9 @@
 """Has the object moved in the hand? What a track's poses say, and what the patterns on the fingertips say.
 
 Three tests beside one another: against an object that goes along with the fingers, against one that keeps its place in
-the palm, and, where fingertips have taxel arrays, whether their pressure patterns have moved over the skin. The first
-two need frames that tell the pose well; a pattern moves by less than a pose can be known to, whatever the camera sees.
+the palm, and, where fingertips have taxel arrays or gels, whether their patterns and patches have moved over the skin.
+The first two need frames that tell the pose well; a pattern moves by less than a pose can be known to, whatever the
+camera sees.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from fusion.tracking.motion import InHand
 from scenes.geometry.objects import ObjectModel
 from touch.arrays.readings import Reading
 from touch.arrays.slip import PatternSettings, PatternWatch
+from touch.gels.patches import Patch
+from touch.gels.slip import PatchSlipSettings, PatchWatch
 
 Array = NDArray[np.float64]
 
@@ -28,6 +31,7 @@ class WatchSettings:
 
     poses: TrackSlipSettings = field(default_factory=TrackSlipSettings)
     patterns: PatternSettings = field(default_factory=PatternSettings)
+    patches: PatchSlipSettings = field(default_factory=PatchSlipSettings)
 
 
 @dataclass(frozen=True)
@@ -51,9 +55,10 @@ class SlipWatch:
         self._fingers = SlipTest(model, length, settings.poses)
         self._palm = SlipTest(model, length, settings.poses)
         self._patterns = PatternWatch(settings.patterns)
-        # a slip that the patterns have said goes on for as long as one that the poses have
+        self._patches = PatchWatch(settings.patches)
+        # a slip that the skins have said goes on for as long as one that the poses have
         self._lasts = settings.poses.lasts
-        self._quiet = self._lasts + 1
+        self._quiet, self._said = self._lasts + 1, ""
 
     def restart(self) -> None:
         """Forget where the poses had the object in the hand. Patterns do not depend on what is believed of it."""
@@ -64,7 +69,8 @@ class SlipWatch:
         """Forget the patterns, too."""
         self.restart()
         self._patterns.restart()
-        self._quiet = self._lasts + 1
+        self._patches.restart()
+        self._quiet, self._said = self._lasts + 1, ""
 
     def predict(self, motion: Array, expected: InHand, drift: Array) -> None:
         """Move with the hand by motion (4, 4), and as the fingers do; drift (6, 6): of a wrong calibration."""
@@ -76,15 +82,18 @@ class SlipWatch:
         for test in (self._fingers, self._palm):
             test.predict(motion, np.zeros(6), np.zeros((6, 6)))
 
-    def feel(self, readings: Sequence[Reading]) -> Watched:
-        """What the arrays of the next frame say."""
-        change = self._patterns.step(readings)
-        self._quiet = 0 if change.slipped else self._quiet + 1
+    def feel(self, readings: Sequence[Reading], patches: Sequence[Patch] = ()) -> Watched:
+        """What the arrays and the gels of the next frame say; patches in the palm's frame."""
+        pattern, patch = self._patterns.step(readings), self._patches.step(patches)
+        said = ("the fingertips' patterns have moved",) * pattern.slipped
+        said += ("what presses the gels has moved over them",) * patch.slipped
+        self._quiet = 0 if said else self._quiet + 1
+        self._said = " and ".join(said) or self._said
         slip = self._quiet <= self._lasts
-        return Watched(slip, slip, change.statistic, "the fingertips' patterns have moved" if slip else "")
+        return Watched(slip, slip, max(pattern.statistic, patch.statistic), self._said if slip else "")
 
     def step(self, measured: Measurement, belief: Belief, pixel: Array | None, felt: Watched) -> Watched:
-        """What a frame's own answer says, and what its arrays said; belief: the tracker's own, to start from."""
+        """What a frame's own answer says, and what its skins said; belief: the tracker's own, to start from."""
         slip = self._fingers.step(measured, belief, pixel)
         moved = self._palm.step(measured, belief, pixel) or slip
         by = " and ".join(word for word in ("its poses do not go with the hand" if slip else "", felt.by) if word)

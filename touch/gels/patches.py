@@ -44,7 +44,8 @@ class PatchSettings:
 class Patch:
     """points (n, 3) m of the object's surface and its outward normals (n, 3); sigma (n,) m and sigma_normal (n,) rad of
     the gel's own error; silent (m, 3) m places of skin that felt nothing; measured: heights are measured, not an
-    outline's. frame_from_sensor (4, 4). All in one frame.
+    outline's; pressed: the whole indentation it is from, in the sensor's own pixels. frame_from_sensor (4, 4). All in
+    one frame.
     """
 
     sensor: str
@@ -55,6 +56,7 @@ class Patch:
     silent: Array
     frame_from_sensor: Array
     measured: bool = True
+    pressed: Indentation | None = None
 
     def __len__(self) -> int:
         return len(self.points)
@@ -83,6 +85,7 @@ class Patch:
             se3.apply(target_from_source, self.silent),
             target_from_source @ self.frame_from_sensor,
             self.measured,
+            self.pressed,
         )
 
 
@@ -110,6 +113,7 @@ def patch_of(sensor: str, pressed: Indentation, settings: PatchSettings | None =
         _places(gel, np.zeros_like(pressed.depth), su, sv),
         np.eye(4),
         pressed.measured,
+        pressed,
     )
 
 
