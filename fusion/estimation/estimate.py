@@ -222,6 +222,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
             why,
             *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility),
             *useless,
+            *felt.untold,
         ),
         dropped=looked.dropped,
         start=start.pose if start is not None else None,
