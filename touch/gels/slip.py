@@ -47,6 +47,9 @@ class PatchSlipSettings:
     # How far a held object may creep (m) and turn (rad) on soft skin without slipping, standard deviations.
     creep: float = 0.00008
     twist: float = float(np.deg2rad(1.5))
+    # The same of heights that an outline and its own colours tell: they flicker from image to image.
+    outline_creep: float = 0.0004
+    outline_twist: float = float(np.deg2rad(6.0))
     # A press that is deeper or lighter rolls and spreads over the skin by so many times the difference, and turns by
     # that over half a patch's width (m).
     spread: float = 1.0
@@ -61,13 +64,15 @@ class PatchSlipSettings:
 @dataclass(frozen=True)
 class PatchMotion:
     """shift (3,): x and y (m) in the sensor's plane and turn (rad) about its z of what presses, from one image to the
-    next; covariance (3, 3); left: RMS (m) of the heights that it leaves; deeper: how much deeper (m) it presses.
+    next; covariance (3, 3); left: RMS (m) of the heights that it leaves; deeper: how much deeper (m) it presses;
+    measured: by heights that both images tell.
     """
 
     shift: Array
     covariance: Array
     left: float
     deeper: float
+    measured: bool = True
 
 
 @dataclass(frozen=True)
@@ -135,7 +140,10 @@ def carried(before: Patch, after: Patch) -> Array:
 def sigmas_off(motion: PatchMotion, palm: Array, settings: PatchSlipSettings) -> float:
     """How many sigmas a motion is from the nearest of what a held object's may be: 0 to `palm` (3,)."""
     spread = settings.spread * motion.deeper
-    held = [np.hypot(settings.creep, spread)] * 2 + [np.hypot(settings.twist, spread / settings.half)]
+    creep, twist = settings.creep, settings.twist
+    if not motion.measured:
+        creep, twist = settings.outline_creep, settings.outline_twist
+    held = [np.hypot(creep, spread)] * 2 + [np.hypot(twist, spread / settings.half)]
     wide = motion.covariance + np.diag(np.square(held))
     half = np.linalg.inv(np.linalg.cholesky(wide))
     off, way = half @ motion.shift, half @ palm
@@ -190,7 +198,8 @@ def patch_motion(
     metres = np.array([pixel * before.gel.spacing, pixel * before.gel.spacing, 1.0])
     deepest = (np.percentile(p.depth[p.touched], 90.0) for p in (before, after))
     deeper = float(abs(np.subtract(*deepest)))
-    return PatchMotion(found * metres, covariance * metres * metres[:, None], float(left), deeper)
+    both = before.measured and after.measured
+    return PatchMotion(found * metres, covariance * metres * metres[:, None], float(left), deeper, both)
 
 
 def _shrunk(pressed: Indentation, pixel: float) -> tuple[Image, Image, Image]:
