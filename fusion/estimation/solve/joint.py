@@ -117,7 +117,6 @@ def settle(
 def answered(settled: Settled) -> JointResult:
     """A solution with its covariances."""
     system, here, unknown, free = settled.system, settled.pose, settled.unknown, settled.free
-    problem = system.problem
     whole = settled.normal + np.diag(system.width)
     gain = _marginal(whole[:free, :free])
     covariance = gain
