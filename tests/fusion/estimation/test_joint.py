@@ -283,7 +283,7 @@ def test_a_surface_that_is_off_smoothly_speaks_of_the_mesh(drill, rng):
     found = []
     for one in (problem, off):
         system = System(one, pose, 1.0, 0.22)
-        system.vision(pose, np.zeros(system.size))
+        system.terms(pose, np.zeros(system.size))
         found.append(system.mesh_variance())
     believed = problem.beliefs.mesh_sigma**2
     assert found[0] < believed < found[1]
