@@ -86,6 +86,8 @@ def estimate(
     # built or read once per object, not part of a frame's time
     model.field  # noqa: B018
     near_symmetries(model)
+    if model.texture is not None:
+        model.texture.levels  # noqa: B018
     if asked.prior is None:
         pair_table(model)
     if asked.prior is None and frame.gels:
@@ -220,6 +222,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
             why,
             *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility),
             *useless,
+            *felt.untold,
         ),
         dropped=looked.dropped,
         start=start.pose if start is not None else None,

@@ -228,8 +228,8 @@ class Pool:
 
         side: rays along each side of the outline's box.
         """
-        pixels = self.predictor.seen_pixels(pose, side)
-        free = tables.stack(self.free, self.predictor.empty_rows(pose))
+        pixels, empty = self.predictor.seen_and_empty(pose, side)
+        free = tables.stack(self.free, empty)
         if len(pixels) < self.settings.least_pixels:
             return free
         mine = replace(self.looked, pixels=pixels, told_apart=True)
@@ -322,8 +322,10 @@ class Pool:
             if len(rows):
                 found = align(self.model, rows, tried.poses[k : k + 1], self.prior, self.settings.fit)
                 poses[k], hessians[k], steps[k] = found.poses[0], found.hessians[0], found.iterations[0]
-        costs = self.costs(np.concatenate([poses, tried.poses]))
-        after, before = costs[: len(poses)], costs[len(poses) :]
+        # what was fitted before has its costs
+        costs = self.costs(np.concatenate([poses, tried.poses[fresh]]))
+        after, before = costs[: len(poses)], tried.costs.copy()
+        before[fresh] = costs[len(poses) :]
         worse = after > before
         poses[worse], steps[worse] = tried.poses[worse], 0
         # one that was never fitted has no Hessian of its own

@@ -155,7 +155,8 @@ def modes_near(
     begin = 0
 
     def searched(fresh: Array) -> Array:
-        found = find_modes(pool.model, rows, fresh, stages, prior, pool.sight.costs, whole, pool.modes)
+        rank, few = pool.sight.costs, plan.refining_rows
+        found = find_modes(pool.model, rows, fresh, stages, prior, rank, whole, pool.modes, few)
         return poses_of(found.modes)
 
     def felt(fresh: Array, descending: int) -> Array:

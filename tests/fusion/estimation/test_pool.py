@@ -230,9 +230,20 @@ def sure(model, sigma, **shares):
 def test_confidence_falls_with_spread_and_contradictions(drill):
     good = sure(drill, 0.0005)
     assert good > ConfidenceSettings().sure
-    assert sure(drill, 0.005) < good
-    assert sure(drill, 0.0005, past=0.5, agree=0.4) < 0.5 * good
-    assert sure(drill, 0.0005, agree=0.3, outline=0.5) < 0.9 * good
+    # what is within the tolerance is no less than what is seen at the depth predicted
+    worse = [
+        [sure(drill, spread) for spread in (0.0005, 0.002, 0.005, 0.01)],
+        [sure(drill, 0.0005, agree=0.95 - past, seen=0.9 - past, past=past) for past in (0.0, 0.05, 0.1, 0.2, 0.3)],
+        [sure(drill, 0.0005, agree=0.6, seen=0.5, past=0.1, outline=outline) for outline in (0.0, 0.05, 0.1, 0.15)],
+    ]
+    for falling in worse:
+        assert np.all(np.diff(falling) <= 0)
+        assert falling[-1] < falling[0]
+    assert sure(drill, 0.0005, past=0.5, agree=0.4, seen=0.35) < 0.1 * good
+    assert sure(drill, 0.0005, past=0.2, agree=0.3, seen=0.25, outline=0.5) < 0.1 * good
+    assert sure(drill, 0.0005, agree=0.3, seen=0.25, outline=0.5) < 0.9 * good
+    # hidden is not contradicted
+    assert sure(drill, 0.0005, agree=0.3, seen=0.28, hidden=0.7) > 0.5 * good
     for extreme in (0.0, 1e-9, 1e3):
         assert 0.0 <= sure(drill, extreme) <= 1.0
 
