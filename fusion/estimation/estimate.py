@@ -131,7 +131,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         if believed is not None:
             found = modes_near(pool, rows, seen, begun(), search_stages(blur, how.near), settings.plan, trace)
         elif predictor.sees:
-            found = modes_anywhere(pool, rows, seen, begun, wide, trace)
+            found = modes_anywhere(pool, rows, seen, begun, wide, settings.plan, trace)
         else:
             found = find_modes(model, rows, begun(), wide, None, sight.costs, settings.plan, settings.modes)
         gels = f", by {counted(len(felt.patches), 'gel')} too" if felt.patches and believed is None else ""
@@ -222,6 +222,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
             why,
             *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility),
             *useless,
+            *felt.untold,
         ),
         dropped=looked.dropped,
         start=start.pose if start is not None else None,
