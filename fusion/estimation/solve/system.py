@@ -201,12 +201,7 @@ class System:
         spread = moved.T @ moved * ((groups - 1.0) / groups)
         inverse = np.linalg.solve(whole, np.eye(free)[:, :6])
         said = misfit * (inverse.T @ own @ inverse)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(said), 1e-300))
-        lower = np.linalg.cholesky(said * scale * scale[:, None] + 1e-6 * np.eye(6)) / scale[:, None]
-        white = np.linalg.solve(lower, np.linalg.solve(lower, spread).T)
-        values, vectors = np.linalg.eigh(0.5 * (white + white.T))
-        root = lower @ vectors * np.sqrt(np.maximum(values - 1.0, 0.0))
-        return np.asarray(root @ root.T, dtype=np.float64)
+        return exceeding(spread, said)
 
     def believed(self, pose: Array) -> Array:
         """(6, 6) what the prior tells of the pose."""
@@ -235,3 +230,19 @@ def _blocks(uv: Array, count: float, least: float) -> NDArray[np.int64]:
     side = max(least, float(np.sqrt(np.prod(np.ptp(uv, axis=0) + 1.0) / count)))
     block = np.floor((uv - uv.min(axis=0)) / side).astype(np.int64)
     return np.asarray(np.unique(block, axis=0, return_inverse=True)[1].ravel(), dtype=np.int64)
+
+
+def exceeding(spread: Array, said: Array) -> Array:
+    """(6, 6) what a covariance `spread` (6, 6) has beyond another, `said`: along the directions in which they differ.
+
+    `said` is what large numbers leave of one another, and may be singular: what is below a millionth of it counts as
+    that.
+    """
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(said), 1e-300))
+    squares, axes = np.linalg.eigh(said * scale * scale[:, None])
+    width = np.sqrt(np.maximum(squares, 1e-6))
+    lower, upper = axes * width / scale[:, None], axes / width * scale[:, None]
+    white = upper.T @ spread @ upper
+    values, vectors = np.linalg.eigh(0.5 * (white + white.T))
+    root = lower @ vectors * np.sqrt(np.maximum(values - 1.0, 0.0))
+    return np.asarray(root @ root.T, dtype=np.float64)

@@ -13,7 +13,7 @@ from fusion.estimation.solve.kernels import mark_near
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import solve_modes
 from fusion.estimation.solve.settings import JointSettings
-from fusion.estimation.solve.system import FIXED, POSE, SCALE, XI, System
+from fusion.estimation.solve.system import FIXED, POSE, SCALE, XI, System, exceeding
 from scenes.evidence import table as evidence
 from scenes.evidence.align import Prior
 from scenes.evidence.row_kernels import loss_floor
@@ -290,3 +290,18 @@ def test_a_surface_that_is_off_smoothly_speaks_of_the_mesh(drill, rng):
     # what is believed stays where nothing is seen
     blind = System(replace(problem, seen=evidence.empty()), pose, 1.0, 0.22)
     assert blind.mesh_variance() == pytest.approx(believed)
+
+
+def test_what_exceeds_is_what_another_covariance_lacks(rng):
+    axes = np.linalg.qr(rng.normal(size=(6, 6)))[0]
+    said = (axes * [1.0, 4.0, 9.0, 1.0, 1.0, 1.0]) @ axes.T
+    more = (axes * [3.0, 0.0, 9.0, 1.0, 2.0, 0.5]) @ axes.T
+    expected = (axes * [2.0, 0.0, 0.0, 0.0, 1.0, 0.0]) @ axes.T
+    np.testing.assert_allclose(exceeding(more, said), expected, atol=1e-9)
+    # a direction of which nothing is left but rounding, on either side of zero
+    for rest in (1e-9, 0.0, -1e-5):
+        worn = (axes * [1.0, 4.0, 9.0, 1.0, 1.0, rest]) @ axes.T
+        found = exceeding(more, worn)
+        assert np.isfinite(found).all()
+        assert axes[:, 5] @ found @ axes[:, 5] == pytest.approx(0.5, rel=1e-3)
+    assert np.isfinite(exceeding(np.zeros((6, 6)), np.zeros((6, 6)))).all()
