@@ -25,8 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--family",
-        metavar="NAME",
-        help="frames of one family, or all, tuning or report (docs/evaluation.md), where accuracy is measured:"
+        metavar="A,B",
+        help="frames of these families, or all, tuning or report (docs/evaluation.md), where accuracy is measured:"
         " search, occlusion, calibration, vision, faults, tracking, colour, peers",
     )
     parser.add_argument(
@@ -45,7 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--data",
         metavar="DIR",
         type=Path,
-        help="recorded captures for `real`, in DIR or its part real (default: PALPATE_DATA, ../shared/data)",
+        help="recorded captures for `real`, in DIR or its part real (default: PALPATE_DATA, ../shared/data); for `gel`"
+        " recorded grasps alone, in DIR or its part digit",
     )
     parser.add_argument("--bop", metavar="DIR", type=Path, help="a BOP data set, split or scene for `real`")
     parser.add_argument(

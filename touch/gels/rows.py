@@ -60,22 +60,21 @@ def unspoken(frame: Frame, contacts: Contacts, patches: Sequence[Patch]) -> list
 def patch_rows(patches: Sequence[Patch], settings: GelRowSettings | None = None) -> Evidence:
     """ON rows with normals where skins are touched, OUTSIDE rows where they are not; the patches' frame."""
     settings = settings or GelRowSettings()
-    parts = [tables.empty()]
-    for patch in patches:
-        if len(patch):
-            parts.append(
-                tables.make(
-                    patch.points,
-                    np.hypot(settings.place_sigma, patch.sigma),
-                    TOUCH,
-                    normals=patch.normals,
-                    sigma_normal=np.hypot(settings.turn_sigma, patch.sigma_normal),
-                    weight=min(1.0, settings.shared / len(patch)),
-                    gate_above=settings.gate,
-                    gate_below=settings.gate,
-                    from_outside=True,
-                )
-            )
+    parts = [
+        tables.make(
+            patch.points,
+            np.hypot(settings.place_sigma, patch.sigma),
+            TOUCH,
+            normals=patch.normals,
+            sigma_normal=np.hypot(settings.turn_sigma, patch.sigma_normal),
+            weight=min(1.0, settings.shared / len(patch)),
+            gate_above=settings.gate,
+            gate_below=settings.gate,
+            from_outside=True,
+        )
+        for patch in patches
+        if len(patch)
+    ]
     return tables.stack(*parts, silent_rows(patches, settings))
 
 

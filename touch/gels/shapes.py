@@ -5,9 +5,9 @@ away what a gel feels best: how its points lie to one another (tenths of a milli
 n points to the surface are one Gaussian of covariance C = J S J^T + K: S (6, 6) the error of the sensor's pose and J
 (n, 6) how it moves the points along their normals, K the skin's own error, of which a part is common to the whole patch
 (a gain, a wrong depth) and the rest changes over a length along the skin. Neither depends on the object's pose: C is
-factorised once. A patch that lies on something else must not pull for ever: C is taken times the scale, 1 or more, under
-which the distances are most likely, so that beyond q = r^T C^-1 r = n the cost q / 2 goes on as n (1 + ln(q / n)) / 2.
-Frame of the patches, metres, radians.
+factorised once. A patch that lies on something else must not pull for ever: C is taken times the scale, 1 or more,
+under which the distances are most likely, so that beyond q = r^T C^-1 r = n the cost q / 2 goes on as
+n (1 + ln(q / n)) / 2. Frame of the patches, metres, radians.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class ShapeSettings:
     # changes: the width of what the integration smears and of a skin's bridge.
     common: float = 0.5
     length: float = 0.002
-    # Error (m) of each point for itself: grain, skin that bridges from what it lies on, and the mesh's own roughness. Of
-    # simulated presses the rotation error is the same from 0.15 to 0.6 mm and a third larger at 1.5 mm; below, the
+    # Error (m) of each point for itself: grain, skin that bridges from what it lies on, and the mesh's own roughness.
+    # Of simulated presses the rotation error is the same from 0.15 to 0.6 mm and a third larger at 1.5 mm; below, the
     # minima of rough meshes are sharper than they are true.
     grain: float = 0.0006
     # Steps, and the first step's damping as a share of the Hessian's diagonal (Marquardt 1963).

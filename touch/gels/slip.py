@@ -1,8 +1,8 @@
 """Slip: the shape that presses a gel moves over the skin otherwise than an object that the hand holds.
 
 From one image to the next the indentation is moved, turned, scaled and lifted until it fits best (least squares on its
-gradients; Lucas and Kanade 1981, with gain and offset as by Hager and Belhumeur, PAMI 1998): a deeper press is a gain or
-an offset, no motion. The equations tell their own uncertainty, so that a plane or a cylinder, whose shape does not
+gradients; Lucas and Kanade 1981, with gain and offset as by Hager and Belhumeur, PAMI 1998): a deeper press is a gain
+or an offset, no motion. The equations tell their own uncertainty, so that a plane or a cylinder, whose shape does not
 change along itself, says nothing in that direction. An object that goes along with the finger keeps its place on the
 skin; one that keeps its place in the palm moves over the skin as the finger's joints say; what is held by several
 fingers is somewhere between. Only what is far from all of these is a slip. Sensor frame, metres, radians.
@@ -38,6 +38,8 @@ class PatchSlipSettings:
     # Longest motion (share of the image's shorter side) and turn (rad) that a fit may find.
     farthest: float = 0.25
     most_turn: float = float(np.deg2rad(30.0))
+    # Share of what the nearest fit leaves, below which one that begins where the phases agree is believed.
+    clearly: float = 0.8
     # Least share of both touched areas together that both have: of less, another thing is touched.
     overlap: float = 0.35
     # Error (m) of a height that images of one sensor do not share.
@@ -45,22 +47,32 @@ class PatchSlipSettings:
     # How far a held object may creep (m) and turn (rad) on soft skin without slipping, standard deviations.
     creep: float = 0.00008
     twist: float = float(np.deg2rad(1.5))
+    # The same of heights that an outline and its own colours tell: they flicker from image to image.
+    outline_creep: float = 0.0004
+    outline_twist: float = float(np.deg2rad(6.0))
+    # A press that is deeper or lighter rolls and spreads over the skin by so many times the difference, and turns by
+    # that over half a patch's width (m).
+    spread: float = 1.0
+    half: float = 0.004
     # Sigmas of noise and creep together, from which one patch has slipped, and two have.
     alone: float = 3.5
     together: float = 2.8
     # Frames ago that a patch is compared with: a slip lasts a tenth of a second and more, soft skin creeps in minutes.
-    memory: int = 3
+    memory: int = 4
 
 
 @dataclass(frozen=True)
 class PatchMotion:
     """shift (3,): x and y (m) in the sensor's plane and turn (rad) about its z of what presses, from one image to the
-    next; covariance (3, 3); left: RMS (m) of the heights that it leaves.
+    next; covariance (3, 3); left: RMS (m) of the heights that it leaves; deeper: how much deeper (m) it presses;
+    measured: by heights that both images tell.
     """
 
     shift: Array
     covariance: Array
     left: float
+    deeper: float
+    measured: bool = True
 
 
 @dataclass(frozen=True)
@@ -127,7 +139,12 @@ def carried(before: Patch, after: Patch) -> Array:
 
 def sigmas_off(motion: PatchMotion, palm: Array, settings: PatchSlipSettings) -> float:
     """How many sigmas a motion is from the nearest of what a held object's may be: 0 to `palm` (3,)."""
-    wide = motion.covariance + np.diag(np.square([settings.creep, settings.creep, settings.twist]))
+    spread = settings.spread * motion.deeper
+    creep, twist = settings.creep, settings.twist
+    if not motion.measured:
+        creep, twist = settings.outline_creep, settings.outline_twist
+    held = [np.hypot(creep, spread)] * 2 + [np.hypot(twist, spread / settings.half)]
+    wide = motion.covariance + np.diag(np.square(held))
     half = np.linalg.inv(np.linalg.cholesky(wide))
     off, way = half @ motion.shift, half @ palm
     length = float(way @ way)
@@ -160,9 +177,9 @@ def patch_motion(
     for start in starts:
         found, left, hessian = start, np.inf, np.zeros((3, 3))
         for blur in s.blurs:
-            a, b = (cv2.GaussianBlur(z, (0, 0), blur) for z in (old, new))
+            a, b = (np.asarray(cv2.GaussianBlur(z, (0, 0), blur), dtype=np.float32) for z in (old, new))
             found, left, hessian = _fit(a, b, had_moved, has_moved > 0.5, middle, found, s)
-        if best is None or left < best[1]:
+        if best is None or left < s.clearly * best[1]:
             best = found, left, hessian
     assert best is not None
     found, left, hessian = best
@@ -179,7 +196,10 @@ def patch_motion(
     information = hessian * scale * scale[:, None] / (together * (left**2 + s.noise**2)) + weak
     covariance = np.linalg.inv(information) * scale * scale[:, None]
     metres = np.array([pixel * before.gel.spacing, pixel * before.gel.spacing, 1.0])
-    return PatchMotion(found * metres, covariance * metres * metres[:, None], float(left))
+    deepest = (np.percentile(p.depth[p.touched], 90.0) for p in (before, after))
+    deeper = float(abs(np.subtract(*deepest)))
+    both = before.measured and after.measured
+    return PatchMotion(found * metres, covariance * metres * metres[:, None], float(left), deeper, both)
 
 
 def _shrunk(pressed: Indentation, pixel: float) -> tuple[Image, Image, Image]:
@@ -228,7 +248,7 @@ def _fit(
         v, u = np.nonzero(asked)
         if len(u) < 20:
             break
-        down, across = np.gradient(moved)
+        down, across = np.gradient(moved, axis=0), np.gradient(moved, axis=1)
         gx, gy, here = across[v, u].astype(np.float64), down[v, u].astype(np.float64), moved[v, u].astype(np.float64)
         x, y = u - middle[0] - found[0], v - middle[1] - found[1]
         # what is moved by +1 pixel is lower by its gradient

@@ -1,5 +1,5 @@
 """What gels are worth: one, two and three presses against point contacts at the same places, with and without a start
-and a camera; single-press localization; calibration; time; recorded grasps where there are some.
+and a camera; single-press localization; calibration; time; slip; recorded grasps where there are some.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fusion.benchmarks.gels.presses import BALL, Press, calibrated_digit, place, presses
 from fusion.benchmarks.gels.recorded import add_recorded
+from fusion.benchmarks.gels.slip import add_slides, add_tracks
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Quantile, Rate, Report, Table, own_seed
 from fusion.truth.metrics import pose_error
 from scenes.evidence.align import Prior
@@ -57,13 +58,18 @@ class Score:
 
 
 def run(settings: BenchSettings) -> Report:
-    """All tables."""
+    """All tables; of recorded grasps alone where their folder is named."""
     trials = settings.count(12, 2)
-    report = Report("gel", "Gel sensors against point contacts", f"{trials} trials an object and cell", settings.seed)
-    add_presses(report, settings, trials)
-    add_calibration(report, settings)
-    add_vision(report, settings)
+    done = f"{trials} trials an object and cell" if settings.data is None else "recorded grasps"
+    report = Report("gel", "Gel sensors against point contacts", done, settings.seed)
+    if settings.data is None:
+        add_presses(report, settings, trials)
+        add_calibration(report, settings)
+        add_slides(report, settings)
+        add_vision(report, settings)
     add_recorded(report, settings)
+    if settings.data is None:
+        add_tracks(report, settings)
     return report
 
 

@@ -1,7 +1,7 @@
 """Recorded grasps of three DIGITs (the layout of scenes.formats.gels.digit_grasps), from raw images and no start.
 
-Read from PALPATE_DATA/digit, else from ../shared/data/digit beside the project; never part of it. Every grasp there has
-its object, unturned, at one place.
+Read from a folder that is named, else from PALPATE_DATA/digit, else from ../shared/data/digit beside the project; never
+part of it. Every grasp there has its object, unturned, at one place.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Report, Table
 from fusion.truth.metrics import pose_error
+from scenes.errors import CaptureError
 from scenes.evidence.symmetry_detection import DetectionSettings, detect_symmetries
 from scenes.formats.gels import digit_grasps
 from scenes.geometry import poses
@@ -32,10 +33,16 @@ NEAR = 0.010, float(np.deg2rad(10.0))
 
 
 def add_recorded(report: Report, settings: BenchSettings) -> None:
-    """A row a grasp; nothing where the recordings are not."""
-    root = Path(os.environ.get("PALPATE_DATA") or ROOT.parent / "shared" / "data") / "digit"
+    """A row a grasp; nothing where the recordings are not. Raises CaptureError when a named folder has none."""
+    usual = Path(os.environ.get("PALPATE_DATA") or ROOT.parent / "shared" / "data")
+    root = (settings.data or usual) / "digit"
+    if settings.data is not None and not root.is_dir():
+        root = settings.data
     found = digit_grasps.grasps_in(root) if root.is_dir() else []
     if not found:
+        if settings.data is not None:
+            what = f"{digit_grasps.POSES} and {digit_grasps.IMAGE.format(0)}"
+            raise CaptureError(f"{settings.data}: expected folders of grasps ({what}), there or in digit, found none")
         return
     table = Table(
         "Recorded grasps: three DIGITs, raw images, no start",

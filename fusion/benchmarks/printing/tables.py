@@ -42,7 +42,7 @@ class BenchSettings:
     progress(items, total, what) yields the items and may draw a bar; show(table) is told of a table that is complete
     while others are still to come; family: of frames, "all", "tuning" or "report", None = the benchmark's own choice;
     motions, frames, methods: of sequences, None = all, the benchmark's own number; data, bop: folders of recordings of
-    `real`, None = where they usually are, none.
+    `real` (data: of `gel`, too), None = where they usually are, none.
     """
 
     # As the docstring says; objects: only these; folder: where recordings are kept.

@@ -48,7 +48,7 @@ def recorded(
             kept = Path(scratch if folder is None else folder) / label
             try:
                 if not (kept / "capture.json").is_file():
-                    drawn = family.seeds[seed + 1000 * attempt]
+                    drawn = family.seeds[(seed + 1000 * attempt) % len(family.seeds)]
                     arguments = {"touch": family.touch, "scene": family.scene, **how}
                     synthesize(
                         kept, true_model(name), hand_of(family), frames, occlusion, noise=family.preset(), seed=drawn,

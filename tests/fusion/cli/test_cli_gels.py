@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from commands import refused, run
 
-from fusion.benchmarks.gels import bench
+from fusion.benchmarks.gels import bench, slip
 from fusion.benchmarks.printing.tables import BenchSettings, Report
 from scenes.files import images
 from scenes.recordings.captures import read_capture
@@ -108,3 +108,15 @@ def test_the_benchmark_fills_its_tables(monkeypatch):
     bench.add_calibration(report, BenchSettings(trials=2, seed=1))
     assert [len(table.rows) for table in report.tables] == [3, 3, 1]
     assert all(np.isfinite(claim.value) for claim in report.claims)
+
+
+def test_slides_fill_their_table(monkeypatch):
+    monkeypatch.setattr(slip, "OBJECTS", ("hammer",))
+    report = Report("gel", "t", "one", 1)
+    slip.add_slides(report, BenchSettings(trials=1, seed=1))
+    assert [len(table.rows) for table in report.tables] == [1]
+    assert all(np.isfinite(claim.value) for claim in report.claims)
+
+
+def test_recorded_grasps_are_asked_for_by_their_folder(tmp_path, capsys):
+    assert "expected folders of grasps" in refused(capsys, "bench", "gel", "--data", tmp_path)

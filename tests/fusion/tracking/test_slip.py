@@ -10,11 +10,14 @@ from fusion.tracking.filter import Belief, Measurement
 from fusion.tracking.slip import SlipWatch, Watched
 from fusion.tracking.tracker import Tracker
 from scenes.geometry import poses as se3
+from scenes.robot.gels import Gel
 from scenes.synthesis import library
 from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
 from touch.arrays.readings import Reading
 from touch.arrays.slip import PatternSettings, PatternWatch
+from touch.gels.heights import indentation_of
+from touch.gels.patches import patch_of
 
 FLAT = grasps.pad(8, 3, 0.0032, None)
 LAYER = grasps.LAYER
@@ -106,3 +109,23 @@ def test_a_track_says_what_the_arrays_feel():
     assert any("patterns" in note for note in answers[6].notes)
     bare = Tracker(model)
     assert not any(bare.step(replace(frame, tactile={})).slip for frame in (*frames[:6], *moved))
+
+
+def test_patches_and_poses_are_watched_together():
+    """An oval that moves over a gel by 0.4 mm a frame, while the pose stays."""
+    side, pitch = 120, 0.0001
+    gel = Gel(side, side, np.zeros((side, side)), pitch)
+    v, u = np.indices((side, side))
+
+    def patch(x):
+        away = (u * pitch - 0.006 - x) ** 2 / 0.002**2 + (v * pitch - 0.006) ** 2 / 0.001**2
+        return patch_of("g", indentation_of(np.rint(800 * np.exp(-0.5 * away)).astype(np.uint16), gel))
+
+    watch = SlipWatch(library.make("mug"), 40.0)
+    still = [watch.feel([], [patch(0.0)]) for _ in range(6)]
+    slid = [watch.feel([], [patch(0.0004 * i)]) for i in range(1, 5)]
+    assert not any(one.slip for one in still)
+    assert slid[-1].slip
+    assert "gels" in slid[-1].by
+    watch.let_go()
+    assert not watch.feel([], [patch(0.0)]).slip
