@@ -69,7 +69,7 @@ def may_glance(frame: Frame, state: TrackState, carried: Hypotheses, settings: T
         return False
     if frame.index >= state.renewal.due or carried[0].age < s.settled:
         return False
-    return share >= s.leads and all(h.age >= s.young for h in carried)
+    return share >= s.leads
 
 
 def glance(

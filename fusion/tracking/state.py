@@ -32,12 +32,11 @@ class GlanceSettings:
     every: int = 6
     settled: int = 5
     gap: int = 2
-    # Share of the posterior (no unit) that the leader must hold; where it holds less than the second share others are
-    # looked at in full every so many frames. One that is younger than so many frames is always.
+    # Share of the posterior (no unit) that the leader must hold; where it holds less than the second share, frames are
+    # looked at in full every so many.
     leads: float = 0.8
     alone: float = 0.98
     every_open: int = 3
-    young: int = 4
     # Steps of the fit.
     steps: int = 10
     # Pixels of a look near the object, as a share of those of a look in full.
