@@ -7,7 +7,8 @@ OUT ?= out
 # no bytecode for a gigabyte of packages, only for those that a run imports: two seconds less at every start
 IMPORTED := numpy scipy numba llvmlite trimesh open3d dash flask werkzeug plotly ipywidgets nbformat cv2 rich
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
-SOURCES := scenes vision touch fusion tests
+ROOMS := scenes vision touch fusion
+SOURCES := $(ROOMS) tests
 
 .DEFAULT_GOAL := help
 .PHONY: help install install-test demo test test-slow lint bench docs gallery clean
@@ -34,6 +35,7 @@ $(VENV)/installed: pyproject.toml
 	@echo "installing palpate into $(VENV)"
 	@$(PIP) install --no-compile --editable .
 	@cd $(VENV)/lib/python3*/site-packages && ../../../bin/python -m compileall -q -j 0 $(IMPORTED) >/dev/null 2>&1 || true
+	@$(BIN)/python -m compileall -q -j 0 $(ROOMS) >/dev/null 2>&1 || true
 	@touch $@
 
 $(VENV)/installed-test: $(VENV)/installed

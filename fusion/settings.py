@@ -25,6 +25,7 @@ from scenes.evidence.point_pairs import PairSettings
 from scenes.evidence.symmetry_detection import DetectionSettings
 from scenes.geometry.distance_field import FieldSettings
 from scenes.geometry.mesh_repair import RepairSettings
+from scenes.geometry.texture import TextureSettings
 from scenes.recordings.beliefs import Beliefs
 from scenes.robot.tactile import SoftLayer
 from scenes.synthesis.grasping.grasps import GraspSearchSettings
@@ -62,6 +63,8 @@ class ObjectSettings:
     symmetries: DetectionSettings = field(default_factory=DetectionSettings)
     near_symmetries: NearSettings = field(default_factory=NearSettings)
     pairs: PairSettings = field(default_factory=PairSettings)
+    # What is printed on it.
+    texture: TextureSettings = field(default_factory=TextureSettings)
 
 
 @dataclass(frozen=True)

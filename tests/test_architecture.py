@@ -23,7 +23,7 @@ BELOW = {
 FLOORS = {
     "scenes": (
         {"errors"},
-        {"threads", "cache", "own", "_open3d"},
+        {"threads", "cache", "own", "_open3d", "_numba", "words"},
         {"files"},
         {"geometry"},
         {"robot"},

@@ -39,7 +39,7 @@ class TouchSettings:
 
     # A contact is as likely a false one at this many sigmas.
     contact_gate: float = 4.0
-    # Points on the hand used as "the object is not in here", their sigma (m) and gate (sigmas).
+    # Points on the hand used as "the object is not in here" (0: none), their sigma (m) and gate (sigmas).
     hand_points: int = 150
     hand_sigma: float = 0.003
     hand_gate: float = 4.0
@@ -120,7 +120,7 @@ def feel(
         parts.append(
             tables.outside(centres, settings.hand_sigma, TOUCH, radius=frame.no_contact.radius, gate=settings.hand_gate)
         )
-    if with_hand and len(reported):
+    if with_hand and len(reported) and settings.hand_points:
         parts.append(_hand_rows(frame, region, settings))
     table = tables.stack(*parts)
     pressed = tuple(patch for patch in patches if len(patch))

@@ -26,12 +26,20 @@ class MisfitSettings:
     # How far another object of the same kind is off at least, and at most (m); equal weight per factor.
     least_other: float = 0.5e-3
     most_other: float = 30e-3
+    # One that is plainly another is off by this at least (m): recorded contacts leave half a millimetre over, smoothly,
+    # on the right tool. Evidence against these is not diluted by those that nothing tells from a mesh's own errors
+    # (tuned on draws of nine tools).
+    plainly: float = 2e-3
     # Lengths over which a misfit stays the same, as shares of the object's diameter.
     lengths: tuple[float, ...] = (0.05, 0.15)
-    # A residual of more than this many sigmas, sigma from their median, and of more than this (m), is trusted as much
-    # less: it may be false. Half of the contacts may fit a relative exactly, and the misfit be in the others alone.
+    # A residual of more than this many sigmas, sigma from their median, and of more than this (m), is wild: it is
+    # trusted as much less. Half of the contacts may fit a relative exactly, and the misfit be in the others alone.
     least_wild: float = 5e-3
     cut: float = 3.0
+    # A wild contact is false, and left out, where its neighbours would tell of a misfit and do not: they leave less
+    # than this share of the variance open, and predict less than this share of what is wild.
+    open_share: float = 0.7
+    shared: float = 0.5
     # Sizes tried of the misfit, and of the noise.
     steps: tuple[int, int] = (24, 16)
 
@@ -43,8 +51,9 @@ def log_odds_of_another(
     diameter: float,
     noise: tuple[float, float],
     settings: MisfitSettings | None = None,
-) -> float:
-    """Log Bayes factor (nats) that contacts were made on another object rather than on this one.
+) -> tuple[float, float]:
+    """Log Bayes factors (nats) that contacts were made on another object rather than on this one: on any other, and on
+    one that is plainly another.
 
     points (n, 3) of the contacts relative to the object's centroid, outward normals (n, 3) of its surface there,
     residuals (n,) signed distances at the fitted pose; diameter (m); noise: least and most sigma (m) of a contact. What
@@ -53,16 +62,18 @@ def log_odds_of_another(
     settings = settings or MisfitSettings()
     median = float(np.median(np.abs(residuals)))
     limit = max(settings.cut * 1.48 * median, settings.least_wild)
+    apart = np.sum((points[:, None] - points[None]) ** 2, axis=2)
+    true = ~_false(residuals, apart / (settings.lengths[-1] * diameter) ** 2, limit, median, settings)
+    points, normals, residuals, apart = points[true], normals[true], residuals[true], apart[np.ix_(true, true)]
     # a wild contact is as noisy as it is off: alone it tells nothing, many together do
     trust = np.minimum(1.0, limit / np.maximum(np.abs(residuals), limit))
     jacobian = np.concatenate([np.cross(normals, points) / diameter, -normals], axis=1) * trust[:, None]
     left, values, _ = np.linalg.svd(jacobian, full_matrices=True)
     free = left[:, int((values > 1e-6 * values[0]).sum()) :]
     if free.shape[1] < 1:
-        return 0.0
+        return 0.0, 0.0
     rest = free.T @ (trust * residuals)
     free = free * trust[:, None]
-    apart = np.sum((points[:, None] - points[None]) ** 2, axis=2)
     sizes = np.geomspace(0.1 * settings.mesh_sigma, settings.most_other, settings.steps[0])
     sigmas = np.geomspace(noise[0], max(noise[1], 1.001 * noise[0]), settings.steps[1])
     likelihood = np.stack(
@@ -70,10 +81,29 @@ def log_odds_of_another(
     )
     # equal weight per factor of the noise and of another's misfit; a half Gaussian on that of the own mesh
     own = np.log(sizes) - 0.5 * (sizes / settings.mesh_sigma) ** 2
-    other = np.where(sizes >= settings.least_other, 0.0, -np.inf)
+    others = [np.where(sizes >= least, 0.0, -np.inf) for least in (settings.least_other, settings.plainly)]
     told = np.logaddexp.reduce(np.logaddexp.reduce(likelihood, axis=2), axis=0)
-    weighed = [np.logaddexp.reduce(told + w) - np.logaddexp.reduce(w) for w in (other, own)]
-    return float(weighed[0] - weighed[1])
+    here, *other = (float(np.logaddexp.reduce(told + w) - np.logaddexp.reduce(w)) for w in (own, *others))
+    return other[0] - here, other[1] - here
+
+
+def _false(residuals: Array, apart: Array, limit: float, median: float, settings: MisfitSettings) -> NDArray[np.bool_]:
+    """Which contacts (n,) are false: wild alone, among neighbours that are not. apart (n, n): squared distances, in
+    lengths of the misfit; limit and median (m): of wild residuals, and of their sizes.
+
+    What the others predict of each residual is its leave-one-out mean under a Gaussian process (Rasmussen and Williams
+    2006, eq. 5.12), of wild ones no more than the limit.
+    """
+    wild = np.abs(residuals) > limit
+    if not wild.any():
+        return wild
+    noise = max(1.48 * median, settings.least_noise)
+    inverse = np.linalg.inv(limit**2 * np.exp(-0.5 * apart) + noise**2 * np.eye(len(residuals)))
+    held = np.clip(residuals, -limit, limit)
+    left_open = 1.0 / np.diag(inverse)
+    predicted = held - (inverse @ held) * left_open
+    told = left_open < settings.open_share * (limit**2 + noise**2)
+    return np.asarray(wild & told & (predicted * np.sign(residuals) < settings.shared * limit), dtype=np.bool_)
 
 
 def _likelihood(free: Array, rest: Array, apart: Array, length: float, sizes: Array, sigmas: Array) -> Array:

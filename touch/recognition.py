@@ -3,7 +3,8 @@
 Every candidate is searched for in batches; those that fit far worse than the best are given up early. Two likelihoods
 are told: the published one, 1/G normalised, and the marginal likelihood over the pose (Laplace, all modes) and over the
 unknown scale of the noise, in which contacts that err alike count once. What the best candidate leaves over is judged,
-too: a smooth misfit speaks for none of them (touch.misfit). Contacts' frame, metres.
+too: a smooth misfit speaks for none of them (touch.misfit), and only a decisive lack of it lets an answer be `ok`.
+Contacts' frame, metres.
 """
 
 from __future__ import annotations
@@ -65,9 +66,12 @@ class RecognitionSettings:
     most_independent: float = 25.0
     # Share of the likelihood at which the answer is sure.
     sure: float = 0.99
-    # Share of touched things that are none of the candidates, before anything is felt; and fewer independent contacts
-    # than these cannot tell: twice what a pose can fit.
+    # Share of touched things that are none of the candidates, before anything is felt.
     strangers: float = 0.005
+    # Nats by which what the best leaves over must speak for it and against all that is plainly another object,
+    # candidate or not: decisive is a hundred to one (Jeffreys 1961). Fewer independent contacts than these cannot tell:
+    # twice what a pose can fit.
+    decisive: float = 4.6
     least_independent: float = 12.0
     misfit: MisfitSettings = field(default_factory=MisfitSettings)
 
@@ -146,12 +150,14 @@ def identify(
     inverse = 1.0 / np.maximum(index, 1e-9)
     order = np.argsort(-likelihood, kind="stable")
     best = int(order[0])
-    none = _none(models[best], contacts, poses[best], settings)
+    another, plainly = _another(models[best], contacts, poses[best], settings)
+    prior = np.log(settings.strangers) - np.log1p(-settings.strangers)
+    none = float(0.5 * (1.0 + np.tanh(0.5 * (another + prior))))
     likelihood = likelihood * (1.0 - none)
     # the width of a mode alone never decides: it knows only how many poses would do, not which object it is
     sure = min(fit_share[best], likelihood[best]) >= settings.sure
     # when nearly half of the contacts are elsewhere, they may as well be the true ones
-    sure = sure and independent >= settings.least_independent
+    sure = sure and independent >= settings.least_independent and plainly <= -settings.decisive
     sure = sure and _elsewhere(models[best], contacts, poses[best], settings) <= settings.most_elsewhere
     verdict = "ok" if sure else "ambiguous"
     if index.min() > settings.largest_noise:
@@ -266,8 +272,8 @@ def _elsewhere(model: ObjectModel, contacts: Contacts, pose: Array, settings: Re
     return float((size > 4 * sigma).mean())
 
 
-def _none(model: ObjectModel, contacts: Contacts, pose: Array, settings: RecognitionSettings) -> float:
-    """Probability that the contacts were made on none of the candidates, from what the best of them leaves over."""
+def _another(model: ObjectModel, contacts: Contacts, pose: Array, settings: RecognitionSettings) -> tuple[float, float]:
+    """Log Bayes factors that contacts were made on another object, any and plainly, from what the best leaves over."""
     some = _evenly(contacts, settings.most_contacts)
     local = se3.apply(se3.inverse(pose), some.points)
     distance, gradient = model.field.distance_and_gradient(local)
@@ -276,11 +282,9 @@ def _none(model: ObjectModel, contacts: Contacts, pose: Array, settings: Recogni
     if contacts.sigma_known:
         sigma = float(np.sqrt(np.mean(contacts.sigma_point**2)))
         least, most = max(least, 0.8 * sigma), max(least, min(most, 1.5 * sigma))
-    told = log_odds_of_another(
+    return log_odds_of_another(
         local - model.centroid, normals, distance, model.diameter, (least, most), settings.misfit
     )
-    odds = told + np.log(settings.strangers) - np.log1p(-settings.strangers)
-    return float(0.5 * (1.0 + np.tanh(0.5 * odds)))
 
 
 def _independent(model: ObjectModel, contacts: Contacts, pose: Array, settings: RecognitionSettings) -> float:

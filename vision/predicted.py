@@ -10,6 +10,7 @@ thing, of which a part is covered. Camera frame, metres.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -174,6 +175,16 @@ class Predictor:
         """Whether there is an image to compare with."""
         return self._depth is not None
 
+    @property
+    def told_apart(self) -> bool:
+        """Whether somebody says what hides the object: a mask, or the hand's model."""
+        return self._pieces is None
+
+    @property
+    def reach(self) -> int:
+        """Pixels beyond an outline that a smeared edge, or what a mask has too much, may still reach."""
+        return max(self._belief.edge_pixels, 0 if self._mask is None else self.settings.mask_margin + 1)
+
     def costs(self, candidates: Array, side: int | None = None) -> Array:
         """(n,) nats for poses (n, 4, 4) camera_from_object, up to a constant: lower is likelier. side: rays along the
         outline's box.
@@ -193,7 +204,8 @@ class Predictor:
         view = self._view(candidates, side)
         s, sums = self.settings, np.zeros((len(candidates), kernels.SUMS))
         flat = view.seen.ravel(), view.state.ravel(), view.past.ravel(), view.fade.ravel()
-        kernels.sum_up(side, s.smooth, s.smooth_share, *flat, sums)
+        limits = s.smooth, s.smooth_share, self.reach, s.plane_margin, s.plane_sigmas
+        kernels.sum_up(view.u, view.v, *self._known(), limits, *flat, sums)
         # where nothing is read little is known: surfaces that give no reading are the object's or not
         total = np.maximum(sums[:, kernels.HITS] - s.unread * sums[:, kernels.UNREAD], 1.0)
         # what the image's border hides is hidden, too: the corner of an object tells little of it
@@ -224,28 +236,24 @@ class Predictor:
         """The predicted pixels of poses (n, 4, 4), side^2 rays each, and what each of them is."""
         assert self.camera is not None
         assert self._depth is not None
-        s, c, count = self.settings, self.camera, len(candidates)
-        camera = float(c.fx), float(c.fy), float(c.cx), float(c.cy), c.width, c.height
+        s, count = self.settings, len(candidates)
         u, v = np.zeros((2, count, side), dtype=np.int64)
         rays, index = np.zeros((count * side**2, 6), np.float32), np.zeros(count * side**2, dtype=np.int64)
         inside = np.zeros(count)
         rotations, translations = (np.ascontiguousarray(candidates[:, :3, k]) for k in (slice(3), 3))
         middle = self.model.surface.middle
-        k = kernels.outline_rays(self._points, rotations, translations, camera, middle, u, v, rays, index, inside)
+        k = kernels.outline_rays(
+            self._points, rotations, translations, self._known()[1], middle, u, v, rays, index, inside
+        )
         met = self.model.surface.cast_local(rays[:k])
         expected, seen, past, fade = np.zeros((4, count, side**2))
         state = np.zeros((count, side**2), dtype=np.uint8)
-        mask = np.zeros((0, 0), dtype=bool) if self._mask is None else self._mask
-        plane = np.zeros(4) if self._plane is None else self._plane
-        m = self._belief
         kernels.compare_pixels(
             met,
             index[:k],
             u,
             v,
-            (self._depth, mask, *self._hand, plane),
-            camera,
-            (m.axial_floor, m.axial_growth, m.axial_from, m.bias_sigma, m.scale_sigma),
+            *self._known(),
             (
                 s.tolerance,
                 s.fading,
@@ -259,6 +267,19 @@ class Predictor:
             *(values.ravel() for values in (expected, seen, state, past, fade)),
         )
         return _View(u, v, expected, seen, state, past, fade, inside)
+
+    def _known(self) -> tuple[tuple[NDArray[Any], ...], tuple[float, ...], tuple[float, ...]]:
+        """What the kernels are told of the frame: images and plane, the camera, and the noise of its depth."""
+        assert self.camera is not None
+        assert self._depth is not None
+        c, m = self.camera, self._belief
+        mask = np.zeros((0, 0), dtype=bool) if self._mask is None else self._mask
+        plane = np.zeros(4) if self._plane is None else self._plane
+        return (
+            (self._depth, mask, *self._hand, plane),
+            (float(c.fx), float(c.fy), float(c.cx), float(c.cy), c.width, c.height),
+            (m.axial_floor, m.axial_growth, m.axial_from, m.bias_sigma, m.scale_sigma),
+        )
 
     def seen_pixels(self, pose: Array, side: int | None = None, inner: int = 1) -> Pixels:
         """The pixels that show the object at pose (4, 4): inside its outline by `inner` rays, where edges smear no

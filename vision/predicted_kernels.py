@@ -99,13 +99,11 @@ def compare_pixels(met, index, u, v, image, camera, noise, limits, expected, see
     past; fade: how well one at the predicted depth agrees.
     """
     depth, mask, hand_low, hand_high, plane = image
-    fx, fy, cx, cy, _, _ = camera
     floor, growth, least_from, bias, scale = noise
     tolerance_sigmas, fading, beside_share, reach, step, hand_margin, plane_margin, plane_sigmas = limits
     height, width = depth.shape
     side = u.shape[1]
     has_hand, has_mask = hand_low.shape[0] > 0, mask.shape[0] > 0
-    has_plane = plane[0] != 0.0 or plane[1] != 0.0 or plane[2] != 0.0
     for k in range(index.shape[0]):
         place = index[k]
         n = place // (side * side)
@@ -131,11 +129,7 @@ def compare_pixels(met, index, u, v, image, camera, noise, limits, expected, see
         if has_hand:
             low, high = hand_low[row // step, column // step], hand_high[row // step, column // step]
             by_hand = low - hand_margin < reading < high + hand_margin
-        is_plane = False
-        if has_plane:
-            away = plane[0] * (column - cx) / fx + plane[1] * (row - cy) / fy + plane[2]
-            room = plane_margin + plane_sigmas * (floor + growth * (reading - least_from) * (reading - least_from))
-            is_plane = abs(reading * away + plane[3]) < room
+        is_plane = _on_plane(plane, camera, noise, column, row, reading, plane_margin, plane_sigmas)
         # nothing is under the table or behind the wall; what is at its depth is the table, and hides the object at most
         is_past = off > tolerance or (is_plane and off < -tolerance)
         if is_past:
@@ -168,12 +162,17 @@ def _beside(depth, row, column, reach, nearer, height, width):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def sum_up(side, smooth, smooth_share, seen, state, past, fade, out):
+def sum_up(u, v, image, camera, noise, limits, seen, state, past, fade, out):
     """What the rays (n side^2,) of each pose add up to: fills out (n, SUMS); see the columns' names.
 
-    The surface runs on across the outline where the pixel beyond it is within smooth (m) and smooth_share (of depth) of
-    where the two pixels before it lead.
+    The surface runs on across the outline where two pixels beyond it are within smooth (m) and smooth_share (of depth)
+    of where the two rays before it lead: the next ray's, and one so far on that no smeared edge reaches it. What is
+    the table's, or outside of the mask, is another thing for sure.
+    u, v (n, side), image, camera, noise: as of compare_pixels. limits: smooth (m), its share of depth, reach of an edge
+    (px), margin (m) and sigmas of the plane.
     """
+    smooth, smooth_share, reach, plane_margin, plane_sigmas = limits
+    side = u.shape[1]
     for n in range(out.shape[0]):
         begin = n * side * side
         edges = running = 0
@@ -207,7 +206,37 @@ def sum_up(side, smooth, smooth_share, seen, state, past, fade, out):
                         continue
                     if not bits & NEAR or not state[back] & NEAR or not state[beyond] & READ:
                         continue
-                    lead = 2.0 * seen[k] - seen[back]
-                    if abs(seen[beyond] - lead) < smooth + smooth_share * seen[k]:
-                        running += 1
+                    slope = seen[k] - seen[back]
+                    room = smooth + smooth_share * seen[k]
+                    if abs(seen[beyond] - seen[k] - slope) >= room:
+                        continue
+                    step = abs(u[n, i + di] - u[n, i]) if di else abs(v[n, j + dj] - v[n, j])
+                    column, row = u[n, i + di] + di * reach, v[n, j + dj] + dj * reach
+                    lead = seen[k] + slope * (1.0 + reach / max(step, 1))
+                    running += _leads_to(image, camera, noise, column, row, lead, room, plane_margin, plane_sigmas)
         out[n, OUTLINE] = running / max(edges, 1)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _leads_to(image, camera, noise, column, row, lead, room, plane_margin, plane_sigmas):
+    """Whether a pixel is read within `room` (m) of depth `lead` (m), and may be of the object."""
+    depth, mask, _, _, plane = image
+    if not (0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]):
+        return False
+    reading = np.float64(depth[row, column])
+    if not 0.0 < reading < FARTHEST_READING or abs(reading - lead) >= room:
+        return False
+    if mask.shape[0] > 0 and not mask[row, column]:
+        return False
+    return not _on_plane(plane, camera, noise, column, row, reading, plane_margin, plane_sigmas)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _on_plane(plane, camera, noise, column, row, reading, margin, sigmas):
+    """Whether a reading (m) of a pixel is the table's or wall's; plane (4,), zeros for none."""
+    if plane[0] == 0.0 and plane[1] == 0.0 and plane[2] == 0.0:
+        return False
+    fx, fy, cx, cy, _, _ = camera
+    away = plane[0] * (column - cx) / fx + plane[1] * (row - cy) / fy + plane[2]
+    room = margin + sigmas * (noise[0] + noise[1] * (reading - noise[2]) * (reading - noise[2]))
+    return abs(reading * away + plane[3]) < room

@@ -146,10 +146,13 @@ def seen_starts(
     """
     settings = settings or StartSettings()
     few = thin(rows, settings.rows)
-    kept = []
+    # drawn after the pairs, so that these are the same without
+    pairs = pair_starts(model, points, rng, settings)
+    even = pixel_starts(model, points, settings.even, rng) if settings.even else np.zeros((0, 4, 4))
+    kept = [np.zeros((0, 4, 4))]
     for candidates, (share, low, high), keep in (
-        (pair_starts(model, points, rng, settings), settings.blur_pairs, settings.keep_pairs),
-        (pixel_starts(model, points, settings.even, rng), settings.blur_even, settings.keep_even),
+        (pairs, settings.blur_pairs, settings.keep_pairs),
+        (even, settings.blur_even, settings.keep_even),
     ):
         if not len(candidates):
             continue

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate, Mode
-from scenes.evidence.align import AlignSettings, terms
+from scenes.evidence.align import terms_of_each
 from scenes.evidence.table import TOUCH, make
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -185,9 +185,7 @@ def _within(
         sigma_normal=settings.sigma_normal,
         from_outside=True,
     )
-    fine = AlignSettings()
-    one_each = (rows.take([n]) for n in range(len(points)))
-    information = np.array([terms(model, row, answer.pose, settings=fine)[2] for row in one_each])
+    information = terms_of_each(model, rows, answer.pose)
     here = answer.modes[0].covariance
     scale = np.sqrt(np.maximum(np.diag(here), 1e-30))
     before = here / scale / scale[:, None]

@@ -144,9 +144,12 @@ def collect(cells: Sequence[Cell], settings: BenchSettings) -> list[Answer]:
     return sorted(found, key=lambda a: (order[a.family], a.level, a.start, a.method, a.add_s, a.share))
 
 
-def parallel(work: Callable[[C], list[T]], cells: Sequence[C]) -> Iterator[list[T]]:
-    """What `work`, a function of a module, makes of each cell, as they are done; one thread a process."""
-    workers = thread_count()
+def parallel(work: Callable[[C], list[T]], cells: Sequence[C], workers: int | None = None) -> Iterator[list[T]]:
+    """What `work`, a function of a module, makes of each cell, as they are done; one thread a process.
+
+    workers: processes, None for as many as threads are allowed.
+    """
+    workers = thread_count() if workers is None else workers
     if workers == 1 or len(cells) == 1:
         yield from map(work, cells)
         return

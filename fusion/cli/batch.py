@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion.cli.config import add_config, read_config, told
+from fusion.cli.config import add_config, estimate_settings, told
 from fusion.cli.options import (
     add_beliefs,
     add_object,
@@ -26,6 +26,7 @@ from fusion.cli.options import (
     with_sure,
     write_json,
 )
+from scenes.words import counted
 
 if TYPE_CHECKING:
     from fusion.results.batch import Job, Outcome
@@ -74,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     }
     asked |= {"trust_paths": args.trust_paths, "told": believed}
     if args.config is not None or args.sure_within is not None:
-        asked["settings"] = with_sure(read_config(args.config).estimate, args)
+        asked["settings"] = with_sure(estimate_settings(args.config), args)
     jobs = []
     for path in paths:
         name = path.relative_to(args.folder).as_posix()
@@ -136,4 +137,4 @@ def _show(outcomes: list[Outcome], summary: dict[str, Any]) -> None:
             say(f"{outcome.job.name}: failed: {outcome.rows[0]['error']}")
     kept = f", {summary['kept']} of them from an earlier run" if summary["kept"] else ""
     failed = f", {summary['failed']} failed" if summary["failed"] else ""
-    say(f"{summary['captures']} captures{kept}{failed}; {summary['frames']} frames")
+    say(f"{counted(summary['captures'], 'capture')}{kept}{failed}; {counted(summary['frames'], 'frame')}")

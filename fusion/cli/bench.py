@@ -32,6 +32,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--motions", metavar="A,B", type=names_list, help="motions of the sequences of `tracking` (default: all nine)"
     )
+    parser.add_argument("--frames", metavar="N", type=positive, help="frames of each sequence of `tracking` (default: 45)")
+    parser.add_argument(
+        "--methods", metavar="A,B", type=names_list, help="methods that follow the sequences of `tracking` (default: all)"
+    )
     parser.add_argument(
         "--data",
         metavar="DIR",
@@ -75,7 +79,8 @@ def run(args: argparse.Namespace) -> int:
         shown.append(table)
 
     settings = BenchSettings(args.trials, args.seed, args.quick, progress, args.objects, args.out, show, args.family)
-    settings = replace(settings, motions=args.motions, data=args.data, bop=args.bop)
+    settings = replace(settings, motions=args.motions, frames=args.frames, methods=args.methods)
+    settings = replace(settings, data=args.data, bop=args.bop)
     if args.family is not None:
         from fusion.benchmarks.families.table import chosen
 

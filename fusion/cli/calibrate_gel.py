@@ -69,7 +69,8 @@ def run(args: argparse.Namespace) -> int:
     content = found.to_json()
     replace_file(args.out, (json.dumps(content) + "\n").encode())
     write_json(args.json, {"calibration": str(args.out), "presses": found.presses, "misfit": found.misfit})
-    say(f"{found.presses} presses of a {args.ball:g} mm ball; {100 * found.misfit:.0f} % of their slopes unexplained")
+    pressed = f"{found.presses} press{'' if found.presses == 1 else 'es'} of a {args.ball:g} mm ball"
+    say(f"{pressed}; {100 * found.misfit:.0f} % of their slopes unexplained")
     say(f"wrote {args.out}")
     return 0
 

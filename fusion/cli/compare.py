@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fusion.cli.config import add_config, read_config, told
+from fusion.cli.config import add_config, estimate_settings, told
 from fusion.cli.options import (
     add_beliefs,
     add_object,
@@ -68,13 +68,13 @@ def run(args: argparse.Namespace) -> int:
     if args.plot is not None:
         check_suffix(args.plot)
         check_target(args.plot)
-    config = read_config(args.config)
+    settings = estimate_settings(args.config)
     prepare = frame_setter(args.prior, args.seed, told(args))
     captures = [read_capture(path, args.trust_paths) for path in args.captures]
     model = load_object(args.object, args.unit) if args.object else None
     total = len(methods) * sum(map(len, captures))
     announce_compiling()
-    found_rows = compare(captures, methods, args.seed, model, prepare, config.estimate)
+    found_rows = compare(captures, methods, args.seed, model, prepare, settings)
     rows = list(progress(found_rows, total, "comparing"))
     summaries = summarise(rows)
     groups = list(dict.fromkeys(row.group for row in rows))

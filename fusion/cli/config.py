@@ -112,6 +112,13 @@ def read_config(path: Path | None) -> CommandConfig:
     return merged(settings, {name: value for name, value in content.items() if name != "estimate"}, str(path))
 
 
+def estimate_settings(path: Path | None) -> EstimateSettings:
+    """Those of one frame, as `read_config` has them; without a file nothing else is loaded."""
+    from fusion.estimation.settings import EstimateSettings
+
+    return EstimateSettings() if path is None else read_config(path).estimate
+
+
 def to_toml(settings: Any) -> str:
     """The settings as a file that `read_config` reads back: plain values of a table first, then its parts."""
     return "\n".join(_lines(settings, "")).lstrip("\n") + "\n"

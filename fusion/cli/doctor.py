@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 
 from fusion.cli.options import kernels_compiled, say, write_json
+from scenes.words import counted
 
 GOOD, NOTE, BAD = "good", "note", "BAD "
 
@@ -108,7 +109,7 @@ def _cache() -> list[Row]:
             pass
         files = [path for path in folder.iterdir() if path.is_file()]
         size = sum(path.stat().st_size for path in files) / 1e6
-        return f"{folder}: {len(files)} files, {size:.0f} MB (PALPATE_CACHE moves it)"
+        return f"{folder}: {counted(len(files), 'file')}, {size:.0f} MB (PALPATE_CACHE moves it)"
 
     return [_attempt("cache of lattices", look, NOTE)]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from fusion.cli.config import add_config, read_config, told
+from fusion.cli.config import add_config, estimate_settings, told
 from fusion.cli.options import (
     add_beliefs,
     add_run,
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     from scenes.recordings.captures import read_capture
 
     senses = tuple(sorted(check_senses(args.use), reverse=True))
-    config = read_config(args.config)
+    settings = with_sure(estimate_settings(args.config), args)
     prepare = frame_setter(args.prior, args.seed, told(args))
     capture = read_capture(args.capture, args.trust_paths)
     out_folder(args, capture.name)  # before the work, not after it
@@ -64,26 +64,13 @@ def run(args: argparse.Namespace) -> int:
     announce_compiling()
     shown = progress(capture, len(capture), "estimating")
     limits = args.tolerance, args.budget_ms
-    settings = with_sure(config.estimate, args)
     for frame, answer in estimates(shown, model, prepare, senses, args.seed, *limits, settings):
         frames.append(frame)
         answers.append(answer)
         errors.append(frame_errors(judge, frame, answer))
         rows.append(_row(answer, errors[-1], judge.agreement(frame, answer.pose)))
     written = write_run(args, capture, model, frames, answers, errors)
-    heads = (
-        "frame",
-        "verdict",
-        "sure",
-        "ADD-S mm",
-        "rot °",
-        "trans mm",
-        "cloud mm",
-        "contacts mm",
-        "time ms",
-        "not known",
-    )
-    show_table(heads, rows)
+    show_table(HEADS, rows)
     for line in (*_poses(answers), *_remarks(answers)):
         say(line)
     say(written)

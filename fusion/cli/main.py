@@ -35,7 +35,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         from fusion.cli.options import check_target, set_volume
         from fusion.cli.parser import build_parser
 
-        args = build_parser().parse_args(argv)
+        given = sys.argv[1:] if argv is None else argv
+        args = build_parser(given).parse_args(given)
         set_volume(args.verbose, args.quiet)
         check_target(args.json)
         code = int(args.run(args))

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from fusion.cli.options import add_trust, check_target, number, positive_number, say, show_table, write_json
+from scenes.words import counted
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,8 +59,9 @@ def run(args: argparse.Namespace) -> int:
     content = {**model_json(made, errors, settings), "captures": [capture.name for capture in captures]}
     write_json(args.json, content)
     source = {"hand": "the hand", "truth": "the ground truth", "world": "an object at rest", "file": "a file"}
+    made_of = f"{counted(content['faces'], 'triangle')} from {counted(made.views, 'view')}"
     say(
-        f"{args.output}: {content['faces']} triangles from {made.views} views, poses of {source[made.source]};"
+        f"{args.output}: {made_of}, poses of {source[made.source]};"
         f" {100 * content['observed_share']:.0f} % of the vertices were seen, {content['diameter_mm']:.0f} mm across"
     )
     if errors:

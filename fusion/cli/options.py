@@ -88,7 +88,7 @@ def add_beliefs(parser: argparse.ArgumentParser) -> None:
 
 
 def add_sure(parser: argparse.ArgumentParser) -> None:
-    """--sure-within and --outline."""
+    """--sure-within, --outline and --print."""
     parser.add_argument(
         "--sure-within",
         metavar="MM",
@@ -100,16 +100,24 @@ def add_sure(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="let the object's outline in the image (colour, grey, infra-red) move the answer, where it can be read",
     )
+    parser.add_argument(
+        "--print",
+        dest="printed",
+        action="store_true",
+        help="the way round counts that what is printed on the mesh tells: without knowing it no answer is ok",
+    )
 
 
 def with_sure(settings: EstimateSettings, args: argparse.Namespace) -> EstimateSettings:
-    """The settings with what --sure-within and --outline say."""
+    """The settings with what --sure-within, --outline and --print say."""
     from dataclasses import replace
 
     from fusion.estimation.asked import sure_to_be_within
 
     if args.outline:
         settings = replace(settings, contour=replace(settings.contour, used=True))
+    if args.printed:
+        settings = replace(settings, texture=replace(settings.texture, counts=True))
     return sure_to_be_within(settings, None if args.sure_within is None else 1e-3 * args.sure_within)
 
 
@@ -382,15 +390,18 @@ def out_folder(args: argparse.Namespace, name: str) -> Path:
 
 def write_run(args, capture, model, frames, answers, errors) -> str:  # type: ignore[no-untyped-def]  # heavy imports
     """Write poses.csv, result.json, report.html and --json of a run with the arguments of `add_run`; says what."""
+    from fusion.advice.next_touch import next_touches
     from fusion.results.files import result_json, write_results
 
     out = out_folder(args, capture.name)
-    content = result_json(capture.name, model, frames, answers, errors)
+    touches = [next_touches(model, answer, frame) for frame, answer in zip(frames, answers)]
+    content = result_json(capture.name, model, answers, errors, touches)
     content["capture_path"] = str(capture.path.resolve())  # grasp and view read the recording again
     write_results(out, capture, answers, content)
     if not args.no_report:
         from fusion.results.report.page import write_report
 
-        write_report(out / "report.html", capture.name, frames, model, answers, None, content["errors"])
+        page = out / "report.html"
+        write_report(page, capture.name, frames, model, answers, None, content["errors"], touches=touches)
     write_json(args.json, content)
     return f"wrote {out / 'poses.csv'}, result.json" + ("" if args.no_report else ", report.html")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import re
 import sys
+from collections.abc import Sequence
+from types import ModuleType
 from typing import NoReturn
 
 from fusion.cli import (
@@ -18,6 +20,7 @@ from fusion.cli import (
     doctor,
     estimate,
     evaluate,
+    fit_confidence,
     grasp,
     identify,
     localize,
@@ -32,7 +35,7 @@ from scenes.errors import InputError, unknown
 
 COMMANDS = (
     *(demo, synth, validate, estimate, track, compare, evaluate, localize, identify),
-    *(grasp, model, batch, view, convert, calibrate_gel, bench, completion, doctor),
+    *(grasp, model, batch, view, convert, calibrate_gel, bench, fit_confidence, completion, doctor),
 )
 
 
@@ -57,8 +60,14 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """The parser of all commands."""
+def _name(module: ModuleType) -> str:
+    return module.__name__.rpartition(".")[2].replace("_", "-")
+
+
+def build_parser(argv: Sequence[str] | None = None) -> argparse.ArgumentParser:
+    """The parser of all commands, or one to read argv with: other commands have no arguments then, which saves time."""
+    said = next((word for word in argv or () if not word.startswith("-")), None)
+    known = [_name(module) for module in COMMANDS if module is not completion]  # whose script needs all
     parser = Parser(
         prog="palpate",
         description="Where is the object in the hand? 6-DOF pose from a half-blind RGB-D camera and touch.",
@@ -67,10 +76,11 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="versions of palpate and of what it stands on")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for module in COMMANDS:
-        name = module.__name__.rpartition(".")[2].replace("_", "-")
+        name = _name(module)
         summary = (module.__doc__ or "").strip().splitlines()[0]
         command = commands.add_parser(name, help=summary, description=summary)
-        module.add_arguments(command)
-        add_common(command)
+        if said == name or said not in known:
+            module.add_arguments(command)
+            add_common(command)
         command.set_defaults(run=module.run, parser=parser)
     return parser

@@ -8,6 +8,7 @@ from pathlib import Path
 from fusion.cli.options import add_object, check_folder, names, positive, say, share, write_json
 from fusion.results.runs import load_object
 from scenes.synthesis.staging.pieces import PIECES
+from scenes.words import counted
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -72,7 +73,8 @@ def run(args: argparse.Namespace) -> int:
     write_json(args.json, {"capture": str(capture.path), "frames": len(capture), "contacts": contacts, **asked})
     felt = f"{min(contacts)}" if min(contacts) == max(contacts) else f"{min(contacts)} to {max(contacts)}"
     hidden = f"{100 * args.occlusion:.0f} % hidden"
-    say(f"{capture.path}: {len(capture)} frame{'s'[: len(capture) > 1]} of {model.name}, {hidden}, {felt} contacts")
+    felt += " contact" if felt == "1" else " contacts"
+    say(f"{capture.path}: {counted(len(capture), 'frame')} of {model.name}, {hidden}, {felt}")
     return 0
 
 

@@ -30,6 +30,7 @@ from fusion.cli.options import (
     with_sure,
 )
 from fusion.results.runs import load_object, prior_setter
+from scenes.words import counted
 
 if TYPE_CHECKING:
     from fusion.results.track.running import Step, TrackRun
@@ -238,7 +239,8 @@ def _show(columns: Columns, last: dict[str, Any]) -> None:
     count = ", ".join(f"{n} {how}" for how, n in last["how"].items())
     left_out = last["frames_skipped"]
     skipped = "".join(f", {n} left out ({cause})" for cause, n in left_out.items() if n)
-    say(f"{last['frames_answered']} frames: {count or 'none'}{skipped}; {last['slips']['count']} slips")
+    slips = counted(last["slips"]["count"], "slip")
+    say(f"{counted(last['frames_answered'], 'frame')}: {count or 'none'}{skipped}; {slips}")
     say(_times("a frame", last["step_ms"]))
     if last["hertz"] is not None:
         say(_times(f"from a frame's arrival at {last['hertz']:g} Hz to its answer", last["latency_ms"]))

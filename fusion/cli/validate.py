@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from fusion.cli.options import add_trust, say, write_json
+from scenes.words import counted
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,9 +38,9 @@ def run(args: argparse.Namespace) -> int:
     for problem in problems:
         say(str(problem))
     if problems:
-        say(f"{len(problems)} problem{'s'[: len(problems) > 1]}")
+        say(counted(len(problems), "problem"))
         return 1
-    say(f"{args.capture}: {frames} frame{'s'[: frames > 1]}, no problem")
+    say(f"{args.capture}: {counted(frames, 'frame')}, no problem")
     return 0
 
 
@@ -60,5 +61,5 @@ def _one_file(args: argparse.Namespace) -> int:
     write_json(args.json, {"valid": not found, "schema": kind, "problems": entries})
     for line in found:
         say(f"{args.capture}: {line}")
-    say(f"{args.capture}: {len(found) or 'no'} problem{'s'[: len(found) > 1]}, as a {kind}.json")
+    say(f"{args.capture}: {counted(len(found), 'problem') if found else 'no problem'}, as a {kind}.json")
     return 1 if found else 0

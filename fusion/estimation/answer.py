@@ -71,7 +71,10 @@ class Estimate:
 
     covariance (6, 6) about the centroid, (turn, move): of the first mode when the verdict is `ok`; otherwise of all
     that may be the case, other modes and none of them included. Each mode has its own. confidence: probability that
-    the pose's ADD-S is below sure_within (m), see fusion.estimation.confidence.
+    the pose's ADD-S is below sure_within (m), see fusion.estimation.confidence; observed: what it was read from, empty
+    when nothing was sensed. print_share: of all ways round that the shape allows, the share that what is printed on the
+    object gives this one; NaN where no print was read. searched: where the search ended, from which the pose was
+    solved with all that the senses share; None where nothing was searched.
     """
 
     frame: int
@@ -91,6 +94,9 @@ class Estimate:
     contributions: tuple[Contribution, ...] = ()
     confidence: float = float("nan")
     sure_within: float = float("nan")
+    observed: dict[str, float] = field(default_factory=dict)
+    print_share: float = float("nan")
+    searched: Array | None = None
 
     @property
     def time_ms(self) -> float:
@@ -116,6 +122,7 @@ class Estimate:
             "unobservable": list(self.unobservable),
             "confidence": number(self.confidence),
             "sure_within_mm": number(1e3 * self.sure_within),
+            "print_share": number(self.print_share),
             "visible_fraction": number(self.visible_fraction),
             "time_ms": self.time_ms,
             "trace": [{"stage": s.name, "ran": s.ran, "why": s.why, "ms": s.ms, "rows": s.rows} for s in self.trace],

@@ -10,10 +10,10 @@ error is a quadratic form of Gaussians, here a gamma distribution of the same me
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fusion.estimation.answer import ContactResidual, Mode
 from scenes.evidence.align import Prior
@@ -35,9 +35,15 @@ class Regression:
 
     # Of the logarithm of the first mode's odds against the others, held within `most_odds`.
     weight: float = 0.0
-    # Of the share of the predicted picture that agrees, above `agreeing`; of the shares that are seen past, hidden by
-    # something unknown, by the robot's hand; and of the outline that runs on. Those against are capped.
+    # Of nothing else being left beside the first mode.
+    alone: float = 0.0
+    # Of the share of the predicted picture that agrees, above `agreeing`.
     agree: float = 0.0
+    # Of the logarithm of that share, from `least_agreeing` on, and of how sharply it agrees: 1 is to the millimetre.
+    visible: float = 0.0
+    sharp: float = 0.0
+    # Of the shares that are seen past, hidden by something unknown, by the robot's hand; and of the outline that runs
+    # on. Those against are capped.
     past: float = 0.0
     hidden: float = 0.0
     behind_hand: float = 0.0
@@ -56,6 +62,38 @@ class Regression:
 
 
 @dataclass(frozen=True)
+class Feature:
+    """One thing that `observations` tells of an answer, named as its factor in `Regression`. sign: the one that its
+    factor must have, 0 for any; seen, felt: whether it has one when there is a picture, and by touch alone.
+    """
+
+    name: str
+    sign: int = 0
+    seen: bool = True
+    felt: bool = False
+
+
+# What `palpate fit-confidence` fits. A new one is a line here, a field of `Regression` and a value in `observations`.
+FEATURES = (
+    Feature("weight", +1, felt=True),
+    Feature("alone", +1),
+    Feature("agree", +1),
+    Feature("visible", +1),
+    Feature("sharp", +1),
+    Feature("past", -1),
+    Feature("hidden", -1),
+    Feature("behind_hand"),
+    Feature("outline", -1),
+    Feature("touch", +1),
+    Feature("outliers", -1),
+    Feature("contact_nats", -1, felt=True),
+    Feature("spread", -1),
+    Feature("anywhere"),
+    Feature("constant", felt=True),
+)
+
+
+@dataclass(frozen=True)
 class ConfidenceSettings:
     """How sure is sure. Tuned on the tuning families (docs/evaluation.md)."""
 
@@ -65,28 +103,34 @@ class ConfidenceSettings:
     sure: float = 0.85
     # Whether the first mode is the right one, with a picture of it and by touch alone.
     seen: Regression = Regression(
-        weight=0.26,
-        agree=19.8,
-        past=-37.3,
-        hidden=-0.89,
-        behind_hand=1.72,
-        outline=-22.6,
-        touch=2.14,
-        outliers=-3.5,
-        contact_nats=-0.16,
-        spread=-1.81,
-        anywhere=-1.9,
-        constant=-2.6,
-        nearest=0.59,
+        weight=0.05,
+        alone=1.88,
+        agree=22.1,
+        visible=0.9,
+        sharp=2.44,
+        past=-35.3,
+        behind_hand=2.48,
+        outline=-22.5,
+        touch=2.82,
+        outliers=-4.63,
+        contact_nats=-0.21,
+        spread=-1.33,
+        anywhere=-1.36,
+        constant=-3.0,
+        nearest=0.55,
     )
-    felt: Regression = Regression(weight=0.52, constant=0.96, nearest=0.36)
+    felt: Regression = Regression(weight=0.25, constant=1.29, nearest=0.36)
     # Share of the picture above which agreement speaks for an answer, and the most of what is seen past and of the
     # outline that runs on (shares) that speaks against one: cameras that blend edges draw surfaces on.
     agreeing: float = 0.8
     most_past: float = 0.3
     most_outline: float = 0.15
+    # Share that agrees whose logarithm counts at least.
+    least_agreeing: float = 0.02
+    # Weight of the first mode (no unit) from which nothing else is left beside it.
+    alone: float = 0.9999
     # Bounds on the log odds of modes, on nats a contact, and on the spread over the radius, whose logarithm counts.
-    most_odds: float = 6.0
+    most_odds: float = 12.0
     most_nats: float = 8.0
     narrowest: float = 0.03
     widest: float = 1.0
@@ -94,6 +138,11 @@ class ConfidenceSettings:
     # when no prior says so.
     anywhere_angle: float = 1.5
     anywhere_share: float = 2.0
+    # By how much (a factor of variance) an answer is off, beside what its Gaussian says, where so little (share) of the
+    # predicted picture agrees: what hides the rest smears the pixels beside it, and a few patches leave more than one
+    # basin. The mean square of the normalised errors of 1176 answers of the tuning families, by that share.
+    shown: tuple[float, ...] = (0.03, 0.1, 0.4, 0.6)
+    widening: tuple[float, ...] = (5.0, 3.0, 2.5, 0.9)
     # A region of 95 % need not hold this share of the probability.
     left_out: float = 0.05
 
@@ -105,23 +154,31 @@ def observations(
     contacts: tuple[ContactResidual, ...],
     contact_nats: float,
     settings: ConfidenceSettings,
+    anywhere: bool = False,
 ) -> dict[str, float]:
-    """What the regression reads of an answer, by the names of its factors; see `Regression`."""
+    """What the regression reads of an answer, by the names of its factors; see `Regression` and `chances`.
+
+    There is "agree" when there is a picture that shows anything.
+    """
     s = settings
     weight = float(np.clip(modes[0].weight, 0.0, 1.0))
     odds = np.log(max(weight, 1e-12)) - np.log(max(1.0 - weight, 1e-12))
     ratio = spread_of(model, modes[0].pose, modes[0].covariance) / max(model.radius, 1e-9)
     found = {
         "weight": float(np.clip(odds, -s.most_odds, s.most_odds)),
+        "alone": float(weight > s.alone),
         "spread": float(np.log(np.clip(ratio, s.narrowest, s.widest))),
+        "anywhere": float(anywhere),
         "constant": 1.0,
     }
     if contacts:
         found["touch"] = 1.0
         found["outliers"] = float(np.mean([c.outlier for c in contacts]))
         found["contact_nats"] = min(contact_nats / len(contacts), s.most_nats)
-    if picture is not None:
+    if picture is not None and picture.count[0] > 0:
         found["agree"] = max(float(picture.agree[0]) - s.agreeing, 0.0)
+        found["visible"] = float(np.log(max(float(picture.agree[0]), s.least_agreeing)))
+        found["sharp"] = float(picture.seen[0]) / max(float(picture.agree[0]), s.least_agreeing)
         found["past"] = min(float(picture.past[0]), s.most_past)
         found["outline"] = min(float(picture.outline[0]), s.most_outline)
         found["hidden"], found["behind_hand"] = float(picture.hidden[0]), float(picture.behind_hand[0])
@@ -145,10 +202,8 @@ def chances(
     all. tolerance: None for the settings'. anywhere: there was no start.
     """
     s = settings or ConfidenceSettings()
-    seen = picture is not None and picture.count[0] > 0
-    factors = s.seen if seen else s.felt
-    read = observations(model, modes, picture if seen else None, contacts, contact_nats, s)
-    read["anywhere"] = float(anywhere)
+    read = observations(model, modes, picture, contacts, contact_nats, s, anywhere)
+    factors = s.seen if "agree" in read else s.felt
     score = sum(getattr(factors, name) * value for name, value in read.items())
     right = float(1.0 / (1.0 + np.exp(-np.clip(score, -40.0, 40.0))))
     limit = s.tolerance if tolerance is None else tolerance
@@ -158,24 +213,40 @@ def chances(
 def within(model: ObjectModel, pose: Array, covariance: Array, tolerance: float, nearest: float) -> float:
     """Probability that ADD-S is below tolerance (m) for an error drawn from a covariance (6, 6) about the centroid.
 
-    nearest: see `Regression`. The gamma distribution by Wilson and Hilferty (1931).
+    nearest: see `Regression`.
+    """
+    return float(below(*mean_square(model, pose, covariance), tolerance, nearest))
+
+
+def below(mean: ArrayLike, variance: ArrayLike, tolerance: float, nearest: float) -> Array:
+    """Probability (n,) that ADD-S is below tolerance (m) where the mean square of how far the surface's points are off
+    has mean (n,) (m^2) and variance (n,) (m^4): a gamma distribution, by Wilson and Hilferty (1931).
+
+    nearest: see `Regression`.
+    """
+    from scipy.special import ndtr
+
+    mean, variance = np.asarray(mean, dtype=np.float64), np.asarray(variance, dtype=np.float64)
+    usual = np.isfinite(mean) & (mean > 0.0) & (variance > 0.0)
+    mean, variance, sure = np.where(usual, mean, 1.0), np.where(usual, variance, 1.0), mean <= 0.0
+    root = np.sqrt(variance) / (3.0 * mean)
+    high = ((max(tolerance, 0.0) / nearest) ** 2 / mean) ** (1.0 / 3.0)
+    return np.where(usual, ndtr((high - 1.0 + root**2) / root), sure)
+
+
+def mean_square(model: ObjectModel, pose: Array, covariance: Array) -> tuple[float, float]:
+    """Mean (m^2) and variance (m^4) of the mean square of how far points of the surface are off, for an error drawn
+    from a covariance (6, 6) about the centroid of a pose (4, 4).
     """
     squares = _surface_squares(model, pose, covariance)
-    mean, variance = float(np.trace(squares)), 2.0 * float(np.sum(squares * squares.T))
-    if mean <= 0.0:
-        return 1.0
-    if not np.isfinite(mean) or variance <= 0.0:
-        return 0.0
-    root = math.sqrt(2.0 / 9.0 * variance / (2.0 * mean**2))
-    high = ((max(tolerance, 0.0) / nearest) ** 2 / mean) ** (1.0 / 3.0)
-    return 0.5 * (1.0 + math.erf((high - 1.0 + root**2) / (root * math.sqrt(2.0))))
+    return float(np.trace(squares)), 2.0 * float(np.sum(squares * squares.T))
 
 
 def spread_of(model: ObjectModel, pose: Array, covariance: Array) -> float:
     """Standard deviation (m) of where the object's surface is, all directions together, from a covariance (6, 6) about
     the centroid of a pose (4, 4); turns about the object's own axes move nothing.
     """
-    return float(np.sqrt(max(float(np.trace(_surface_squares(model, pose, covariance))), 0.0)))
+    return math.sqrt(max(mean_square(model, pose, covariance)[0], 0.0))
 
 
 def _surface_squares(model: ObjectModel, pose: Array, covariance: Array) -> Array:
@@ -192,20 +263,51 @@ def _surface_squares(model: ObjectModel, pose: Array, covariance: Array) -> Arra
     return np.asarray(moments @ (known @ covariance @ known.T), dtype=np.float64)
 
 
+def as_shown(
+    mode: Mode, picture: Prediction | None, prior: Prior | None, settings: ConfidenceSettings | None = None
+) -> Mode:
+    """The mode as wide as answers are of which as much is seen; what a prior says of it stays as it is.
+
+    picture: the predicted one at the mode, None without a depth image: then nothing changes.
+    """
+    s = settings or ConfidenceSettings()
+    if picture is None or not picture.count[0]:
+        return mode
+    wider = float(np.interp(float(picture.agree[0]), s.shown, s.widening))
+    if prior is None:
+        return replace(mode, covariance=wider * mode.covariance)
+    # in units of its own standard deviations the mode's information is the identity, of which the prior is a part
+    width = np.sqrt(np.maximum(np.diag(mode.covariance), 1e-300))
+    spread, axes = np.linalg.eigh(mode.covariance / width / width[:, None])
+    lower = width[:, None] * axes * np.sqrt(np.maximum(spread, 0.0))
+    values, vectors = np.linalg.eigh(lower.T @ prior.information @ lower)
+    told = np.clip(values, 0.0, 1.0)
+    root = lower @ vectors / np.sqrt(told + (1.0 - told) / wider)
+    return replace(mode, covariance=np.asarray(root @ root.T, dtype=np.float64))
+
+
+def room_about(centre: Array, points: Array) -> float:
+    """How far (m, a standard deviation an axis) from a centre (3,) the points (n, 3) lie that might be the object's."""
+    if not len(points):
+        return 0.0
+    return float(np.sqrt(np.mean(np.sum(np.square(points - centre), axis=1)) / 3.0))
+
+
 def whole_covariance(
     model: ObjectModel,
     modes: tuple[Mode, ...],
     right: float,
     prior: Prior | None,
     settings: ConfidenceSettings | None = None,
+    room: float = 0.0,
 ) -> Array:
     """(6, 6) covariance about the first mode's centroid of all that may be the case: each mode by its weight and, with
     probability 1 - right as far as a region of 95 % must hold it, none of them; then the object is where the prior
-    says, or anywhere about.
+    says, or anywhere about: at least as far off as what might be it lies, room (m, a standard deviation an axis).
     """
     s = settings or ConfidenceSettings()
     first = modes[0].pose
-    wide = np.diag(np.repeat([s.anywhere_angle, s.anywhere_share * model.radius], 3) ** 2)
+    wide = np.diag(np.repeat([s.anywhere_angle, max(s.anywhere_share * model.radius, room)], 3) ** 2)
     if prior is not None:
         inverse = np.diag(1.0 / np.diag(wide))
         away = se3.difference(prior.pose, first, model.centroid)

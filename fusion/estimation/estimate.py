@@ -14,14 +14,25 @@ from numpy.typing import NDArray
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import Asked, check_limits, sure_to_be_within
-from fusion.estimation.confidence import whole_covariance, within
+from fusion.estimation.confidence import as_shown, observations, room_about, whole_covariance, within
 from fusion.estimation.moments import moments
 from fusion.estimation.proposals import search_stages, starts_of
 from fusion.estimation.propose import modes_anywhere, modes_near
 from fusion.estimation.ranking import rejudged
 from fusion.estimation.search import find_modes, worth_solving
 from fusion.estimation.settings import EstimateSettings
-from fusion.estimation.solve.outlined import outlined
+from fusion.estimation.solve.outlined import asks_for, outlined
+from fusion.estimation.steps.facing import (
+    Facing,
+    as_printed,
+    by_facing,
+    by_print,
+    check_print,
+    faced,
+    turned_as_printed,
+    unread,
+    why_no_print,
+)
 from fusion.estimation.steps.sense import look_once, sense, solve_together
 from fusion.estimation.tolerance import good_enough, is_within, with_shared_errors
 from fusion.estimation.trace import Trace
@@ -29,13 +40,14 @@ from scenes.evidence import table as tables
 from scenes.evidence.align import Prior
 from scenes.evidence.near_symmetries import near_symmetries
 from scenes.evidence.point_pairs import pair_table
+from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
 from scenes.recordings.validation import check_scale
 from scenes.threads import one_blas_thread
+from scenes.words import counted
 from touch.gels.localize import build_tables
-from vision.look.look import look_closer
 from vision.look.looked import Looked
 from vision.plausibility import doubts
 from vision.visibility import visibility
@@ -69,6 +81,7 @@ def estimate(
     settings = sure_to_be_within(settings or EstimateSettings(), sure_within)
     check_limits(tolerance, budget_ms)
     check_scale(frame, model)
+    check_print(model, settings.texture)
     asked = Asked.of(frame, prior, use, tolerance, seed, settings, beliefs)
     # built or read once per object, not part of a frame's time
     model.field  # noqa: B018
@@ -92,7 +105,8 @@ def estimate(
 
 
 def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: Looked) -> Estimate | None:
-    settings, beliefs, believed = asked.settings, asked.beliefs, asked.prior
+    settings, beliefs = asked.settings, asked.beliefs
+    start = believed = asked.prior
     sensed = sense(frame, model, asked, trace, looked)
     viewed, felt, seen, rows = sensed.viewed, sensed.felt, sensed.seen, sensed.rows
     pool, sight, predictor, contacts = sensed.pool, sensed.sight, sensed.pool.predictor, sensed.contacts
@@ -102,32 +116,33 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         near = within(model, first.pose, first.covariance, how_sure.tolerance, how_sure.felt.nearest)
         return replace(nothing, confidence=first.weight * near, sure_within=how_sure.tolerance)
 
-    how, blur = settings.proposals, settings.proposals.blur(model)
+    how, blur, might_be = settings.proposals, settings.proposals.blur(model), looked.pixels.points
     with trace.stage("search", True, "") as stage:
-        starts = starts_of(
-            model, believed, looked.pixels.points, felt.contacts, rows, sight.costs, how, pool.rng, felt.patches
-        )
+        starts: list[Array] = []
+
+        def begun() -> Array:
+            pixels, contacts = looked.pixels.points, felt.contacts
+            starts.append(starts_of(model, believed, pixels, contacts, rows, sight.costs, how, pool.rng, felt.patches))
+            return starts[0]
+
+        wide = search_stages(blur, how.wide if contacts else how.sifted)
         if believed is not None:
-            found = modes_near(pool, rows, seen, starts, search_stages(blur, how.near), settings.plan, trace)
+            found = modes_near(pool, rows, seen, begun(), search_stages(blur, how.near), settings.plan, trace)
+        elif predictor.sees:
+            found = modes_anywhere(pool, rows, seen, begun, wide, trace)
         else:
-            stages = search_stages(blur, how.wide if contacts else how.sifted)
-            found = find_modes(model, rows, starts, stages, None, sight.costs, settings.plan, settings.modes)
-        gels = f", by {len(felt.patches)} gels too" if felt.patches and believed is None else ""
-        said = f"{found.looked_at} of {len(starts)} starts{gels}, blur {1e3 * blur:.1f} mm; {found.why}"
-        stage.note(len(rows), said)
-    wide = believed is None and predictor.sees
-    with trace.stage("look again", wide, "the region was narrow") as stage:
-        if wide:
-            likely = np.array([m.pose for m in found.modes if m.weight > settings.plan.negligible])
-            if looked.region is not None:
-                looked = look_closer(viewed, model, looked, likely, beliefs, settings.look)
-                seen = looked.rows(beliefs.depth, settings.look.rows)
-                rows = tables.stack(seen, felt.rows)
-                last = search_stages(blur, how.near)[-1:]
-                again = find_modes(model, rows, likely, last, None, sight.costs, settings.plan, settings.modes)
-                likely = np.array([m.pose for m in again.modes])
-            found = modes_anywhere(replace(pool, looked=looked), likely, seen, starts, stages, trace)
-            stage.note(len(rows), f"{len(looked.pixels)} object pixels around {len(likely)} poses; {found.why}")
+            found = find_modes(model, rows, begun(), wide, None, sight.costs, settings.plan, settings.modes)
+        gels = f", by {counted(len(felt.patches), 'gel')} too" if felt.patches and believed is None else ""
+        tried = f"{found.looked_at} of {len(starts[0])} starts{gels}" if starts else "pairs of pixels"
+        stage.note(len(rows), f"{tried}, blur {1e3 * blur:.1f} mm; {found.why}")
+    why_not = why_no_print(sensed, settings.texture)
+    facing, gains = Facing(why=why_not), np.zeros(0)
+    with trace.stage("print", not why_not, why_not) as stage:
+        if not why_not:
+            shown = faced(sensed, found, asked)
+            found, gains, asked, sensed, facing = shown.found, shown.gains, shown.asked, shown.sensed, shown.facing
+            pool, believed = sensed.pool, asked.prior
+            stage.note(facing.pixels, facing.why)
     modes = found.modes
     rough = with_shared_errors(model, modes, viewed, beliefs.depth)
     spent, settled = trace.over_budget, is_within(model, rough, asked.tolerance, settings)
@@ -136,12 +151,15 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
     why_not = "the time budget is spent" if spent else "the rows alone are within the tolerance"
     finish = not (spent or settled)
     modes = modes if finish else rough
+    searched = modes[0].pose
     with trace.stage("solve together", finish, why_not) as stage:
         if finish:
             worth = worth_solving(found, settings.plan, settings.joint.modes)
             solved = solve_together(sensed, worth, asked)
-            modes = rejudged(model, solved.results, solved.costs, settings)
-            first_of = int(np.argmin(solved.costs))
+            in_all = solved.costs - by_print(gains, len(worth))
+            modes = rejudged(model, solved.results, in_all, settings)
+            first_of = int(np.argmin(in_all))
+            searched = worth[first_of]
             best, seen = solved.results[first_of], solved.shown[first_of]
             rows = tables.stack(seen, felt.rows)
             felt = felt.corrected(best.correct())
@@ -153,27 +171,35 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
             spread = moments(model, rows, first.pose, first.covariance, asked.seed, believed, settings=how_wide)
             modes = (replace(first, pose=spread.pose, covariance=spread.covariance), *modes[1:])
             stage.note(len(rows), f"{spread.effective:.0f} effective samples, directions widened: {spread.widened}")
-    coloured = settings.contour.used and viewed.rgb is not None and predictor.sees
+    coloured = viewed.rgb is not None and predictor.sees and asks_for(viewed.rgb, settings.contour)
+    no_image = "no image beside depth" if viewed.rgb is None else "a colour camera's image is not asked for"
     useless: tuple[str, ...] = ()
-    with trace.stage("outline", finish and coloured, why_not if coloured else "no colours beside depth") as stage:
+    with trace.stage("outline", finish and coloured, why_not if coloured else no_image) as stage:
         if finish and coloured:
             told = outlined(viewed, pool, best, modes[0], beliefs.mesh_sigma, settings)
             modes, felt = (told.mode, *modes[1:]), felt.corrected(told.solved.correct())
             useless = () if told.lines else (f"colours are not used: {told.why}",)
             stage.note(told.lines, told.why)
+    first, facing = turned_as_printed(sensed, modes[0], facing, settings.texture)
+    modes = (first, *modes[1:])
+    useless = *useless, *unread(facing)
     with trace.stage("judge", True, "") as stage:
         pose = modes[0].pose
         residuals = posterior.contact_residuals(model, felt.contacts, pose, settings.verdict)
         share, rms = posterior.pixel_agreement(model, seen, pose)
         seeing = visibility(viewed, model, pose, beliefs.depth)
         picture = predictor.predict(pose[None]) if predictor.sees else None
+        modes = (as_shown(modes[0], picture, believed, settings.confidence), *modes[1:])
         nats = posterior.nats_of_contacts(model, felt.rows, contacts, pose)
         agreed = residuals, nats, share, seeing, picture
         rules = settings.verdict, settings.confidence
         right, sure, word, why = posterior.judged(model, modes, *agreed, *rules, believed is None)
+        observed = observations(model, modes, picture, residuals, nats, settings.confidence, believed is None)
         covariance = modes[0].covariance
         if word != "ok":
-            covariance = whole_covariance(model, modes, right, believed, settings.confidence)
+            room = room_about(se3.apply(pose, model.centroid[None])[0], might_be)
+            covariance = whole_covariance(model, modes, right, believed, settings.confidence, room)
+        word, why = by_facing(model, facing, word, why, settings.texture)
         stage.note(len(rows), why)
 
     return Estimate(
@@ -182,16 +208,25 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         covariance=covariance,
         modes=modes,
         verdict=word,
-        unobservable=posterior.unobservable(model, pose, modes[0].covariance, settings.verdict),
+        unobservable=posterior.unobservable(
+            as_printed(model, facing, settings.texture), pose, modes[0].covariance, settings.verdict
+        ),
         hand_from_object=frame.hand_from_object(pose, felt.correction),
         visible_fraction=seeing.visible,
         trace=trace.stages,
         contacts=residuals,
         pixel_rms_mm=1e3 * rms,
-        notes=(why, *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility), *useless),
+        notes=(
+            why,
+            *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility),
+            *useless,
+        ),
         dropped=looked.dropped,
-        start=believed.pose if believed is not None else None,
+        start=start.pose if start is not None else None,
         contributions=posterior.contributions(model, rows, pose, covariance, believed),
         confidence=sure,
         sure_within=settings.confidence.tolerance,
+        observed=observed,
+        print_share=facing.share,
+        searched=searched,
     )

@@ -51,12 +51,21 @@ class ProposalSettings:
     of_piece: StartSettings = field(
         default_factory=lambda: StartSettings(pairs=50, even=200, keep_pairs=60, keep_even=30, oriented=80)
     )
+    # At a glance: starts behind few pairs of pixels, and the passes over them.
+    glance: StartSettings = field(
+        default_factory=lambda: StartSettings(pairs=60, each=10, even=0, rows=24, keep_pairs=48, oriented=100)
+    )
+    glanced: Passes = ((1.0, 0.5, 60, 6, 24), (1 / 3, 0.2, 120, 8, 16))
 
-    # Starts between the fingers, and walks by the whole objective: near a prior, and where nothing is known.
+    # Starts between the fingers, and walks by the whole objective: near a prior, where nothing is known, and around what
+    # convinces, to see whether it stands.
     held: HeldSettings = field(default_factory=HeldSettings)
     walk: WalkSettings = field(default_factory=WalkSettings)
     walk_far: WalkSettings = field(
         default_factory=lambda: WalkSettings(((24, 8, 0.6), (16, 8, 0.3), (10, 8, 0.15), (8, 8, 0.08)), angle=0.35)
+    )
+    around: WalkSettings = field(
+        default_factory=lambda: WalkSettings(((1, 48, 1.0), (4, 8, 0.4), (4, 8, 0.15), (2, 8, 0.05)))
     )
 
     def blur(self, model: ObjectModel) -> float:

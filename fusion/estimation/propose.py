@@ -16,9 +16,11 @@ from fusion.estimation.pool import Pool
 from fusion.estimation.search import Found, PlanSettings, find_modes
 from fusion.estimation.steps.walk import walk
 from fusion.estimation.trace import Trace
-from scenes.evidence.modes import Mode
-from scenes.evidence.search import SearchStage
+from scenes.evidence.align import Alignment
+from scenes.evidence.modes import Mode, distinct_modes
+from scenes.evidence.search import SETTLED, SearchStage, search
 from scenes.evidence.table import GATE_ABOVE, Evidence
+from scenes.words import counted
 
 Array = NDArray[np.float64]
 
@@ -32,6 +34,7 @@ class Competition:
         """Nothing has been proposed yet."""
         self.pool, self.trace = pool, trace
         self.modes: tuple[Mode, ...] = ()
+        self.fitted: Alignment | None = None
         self.convinced = False
         self.proposed = 0
         self._felt: Array | None = None
@@ -42,15 +45,59 @@ class Competition:
             if why_not:
                 return
             poses = propose()
-            self.proposed += len(poses)
-            both = np.concatenate([poses, poses_of(self.modes)])
-            if len(both):
-                few = not self.modes
-                self.modes = self.pool.compete(both, None if few else self.pool.settings.fitted_in_doubt)
-                self.convinced = self.pool.convinces(self.modes)
-            stage.note(
-                len(poses), f"{len(self.modes)} modes are left, {'they convince' * self.convinced or 'in doubt'}"
-            )
+            self._compete(poses, None if not self.modes else self.pool.settings.fitted_in_doubt)
+            stage.note(len(poses), self._words)
+
+    def look_around(self) -> None:
+        """Let draws around the best compete with it: what explains what was sensed is not bettered nearby."""
+        pool, why_not = self.pool, ""
+        if not self.modes:
+            why_not = "nothing was proposed"
+        elif self.explained:
+            why_not = "the best explains what is seen"
+        with self.trace.stage("propose: around the best", not why_not, why_not) as stage:
+            if why_not:
+                return
+            before, convinced = self.modes[0], self.convinced
+            drawn = walk(pool.model, before.pose[None], pool.walking, pool.rng, pool.proposals.around)
+            drawn = drawn[pool.costs(drawn) < before.cost + pool.settings.bettered]
+            self._compete(drawn, None)
+            gained = before.cost - self.modes[0].cost
+            self.convinced = self.convinced and convinced and gained < pool.settings.bettered
+            stage.note(len(drawn), f"likelier by {gained:.1f} nats; {self._words}")
+
+    def look_beside(self) -> None:
+        """Let what the best looks like when it is turned, and draws around it, compete with it where it convinces."""
+        turned = partial(self.pool.turned, self.modes[0]) if self.convinced else None
+        self.enter("the best turned", turned or (lambda: np.zeros((0, 4, 4))), "" if turned else "nothing convinces")
+        if self.convinced:
+            self.look_around()
+
+    def _compete(self, poses: Array, most: int | None) -> None:
+        """Let poses (n, 4, 4) compete with what was left."""
+        self.proposed += len(poses)
+        if len(poses):
+            self.fitted = self.pool.fitted(poses, most, self.fitted)
+            self.modes = distinct_modes(self.pool.model, self.fitted, self.pool.modes)
+            self.convinced = self.pool.convinces(self.modes)
+
+    @property
+    def settled(self) -> str:
+        """Why nothing more need be asked where nothing is known; "" while there is doubt. Where nobody says what hides
+        the object, a picture that convinces may be another thing's.
+        """
+        if self.explained:
+            return "the best explains what is seen"
+        return CONVINCED if self.convinced and self.pool.predictor.told_apart else ""
+
+    @property
+    def explained(self) -> bool:
+        """Whether the best convinces, and leaves nothing that another could explain."""
+        return self.convinced and self.pool.explains(self.modes[0].pose)
+
+    @property
+    def _words(self) -> str:
+        return f"{counted(len(self.modes), 'mode')} left, {'convincing' if self.convinced else 'in doubt'}"
 
     def by_touch(self, poses: Array) -> Array:
         """The same poses (n, 4, 4), of which the first is what touch alone says: it is solved with what is left while
@@ -72,11 +119,13 @@ class Competition:
 
     def found(self, looked_at: int) -> Found:
         """What is left. looked_at: starts."""
-        words = "and convince" if self.convinced else "the best in doubt"
+        words = "convincing" if self.convinced else "the best in doubt"
         also: tuple[Array, ...] = ()
         if not self.convinced and self._felt is not None:
             also = (self.pool.compete(self._felt[None])[0].pose,)
-        return Found(self.modes, looked_at, f"{len(self.modes)} of {self.proposed} proposals are left, {words}", also)
+        return Found(
+            self.modes, looked_at, f"{len(self.modes)} of {counted(self.proposed, 'proposal')} left, {words}", also
+        )
 
 
 def poses_of(modes: tuple[Mode, ...]) -> Array:
@@ -114,53 +163,84 @@ def modes_near(
         return asked.by_touch(pool.proposed(fresh, stages, seen, prior.pose, descending))
 
     def walked() -> Array:
-        everywhere = np.concatenate([starts, pool.held_starts()])
+        everywhere = pool.sifted(np.concatenate([starts, pool.held_starts()]))
         return walk(pool.model, everywhere, pool.walking, pool.rng, pool.proposals.walk)
 
     for end, descending in zip([*ends, len(starts)], [*settings.descents[: len(ends)], settings.descents[-1]]):
         fresh, before = starts[begin:end], asked.modes
-        asked.enter(f"rows, {len(fresh)} starts", partial(searched, fresh))
+        asked.enter(f"rows, {counted(len(fresh), 'start')}", partial(searched, fresh))
         clear = plan.skipping and not begin and pool.convinces(asked.modes, settings.clearly_shown)
         asked.enter(
             "touch and descents", partial(felt, fresh, descending), "what all rows say is clearly seen" if clear else ""
         )
         if not begin:
-            before = asked.modes
-            asked.enter(f"a walk{' and the hand' * (pool.held is not None)}", walked, asked.enough)
+            if pool.predictor.told_apart:
+                asked.look_around()
+            before, known = asked.modes, plan.skipping and (pool.predictor.told_apart or asked.explained)
+            asked.enter(f"a walk{' and the hand' * (pool.held is not None)}", walked, asked.enough if known else "")
         begin = end
         # a walk from everywhere is a round, too
         if asked.convinced or (before and pool.is_same(asked.modes, before)):
             break
+    if not asked.convinced:
+        asked.look_around()
     return asked.found(begin)
 
 
 def modes_anywhere(
-    pool: Pool, likely: Array, seen: Evidence, starts: Array, passes: tuple[SearchStage, ...], trace: Trace
+    pool: Pool,
+    rows: Evidence,
+    seen: Evidence,
+    starts_of: Callable[[], Array],
+    passes: tuple[SearchStage, ...],
+    trace: Trace,
 ) -> Found:
-    """Modes of a frame of which nothing is known: the search's (n, 4, 4), what touch alone proposes, and where the
-    whole objective walks from these, from each piece of the image and from between the fingers. starts (m, 4, 4): where
-    touch looks.
+    """Modes of a frame of which nothing is known. A few pairs of pixels propose first, and what looks like the best of
+    them when it is turned; where that leaves a doubt, rows and touch from many starts, and then the whole objective
+    walks from these, from each piece of the image and from between the fingers.
+
+    rows: all evidence, seen: vision's. starts_of: makes those many starts (n, 4, 4); passes: over them.
     """
-    asked = Competition(pool, trace)
-    asked.enter("rows", lambda: likely)
-    felt = asked.by_touch(pool.proposed(starts, passes, seen, None, 0))
-    asked.enter("touch", lambda: felt, "" if len(felt) else "nothing is felt")
+    asked, s = Competition(pool, trace), pool.settings
+    few = len(pool.looked.pixels) < s.glanced_pixels
+    asked.enter("pairs of pixels", lambda: pool.glanced(rows), "few pixels may be the object's" if few else "")
+    asked.look_beside()
+    enough = asked.settled
+    starts = np.zeros((0, 4, 4)) if enough else starts_of()
+    likely, felt = starts, starts
+
+    def searched() -> Array:
+        rank, apart = pool.sight.costs, s.passes_apart * pool.apart
+        nonlocal likely
+        likely = search(pool.model, rows, starts, passes, rank=rank, apart=apart, settled=SETTLED).poses
+        return likely
+
+    def felt_alone() -> Array:
+        nonlocal felt
+        felt = asked.by_touch(pool.proposed(starts, passes, seen, None, 0))
+        return felt
+
+    asked.enter(f"rows, {len(starts)} starts", searched, enough)
+    asked.enter("touch", felt_alone, enough or ("" if asked.contacts else "nothing is felt"))
+    if not enough:
+        asked.look_beside()
+        enough = asked.settled
     pieces = pool.looked.pieces
     begun: list[tuple[Evidence, Array]] = []
 
     def walked() -> Array:
         begun.extend(pool.piece_starts())
-        everywhere = np.concatenate([likely, felt, *(starts for _, starts in begun), pool.held_starts()])
-        return walk(pool.model, everywhere, pool.costs, pool.rng, pool.proposals.walk_far)
+        everywhere = np.concatenate([likely, felt, *(own for _, own in begun), pool.held_starts()])
+        return walk(pool.model, pool.sifted(everywhere), pool.walking, pool.rng, pool.proposals.walk_far)
 
-    sources = ["a walk", *[f"{len(pieces)} pieces"] * bool(pieces), *["the hand"] * (pool.held is not None)]
-    # a picture that convinces may be that of another thing; one that touch agrees with is not
-    agreed = asked.convinced and asked.contacts >= pool.settings.tying_contacts
-    why_not = "seen and felt agree" if agreed else ""
-    asked.enter(", ".join(sources), walked, why_not)
+    sources = ["a walk", *[counted(len(pieces), "piece")] * bool(pieces), *["the hand"] * (pool.held is not None)]
+    asked.enter(", ".join(sources), walked, enough)
+    why_not = enough
     if not why_not and not begun:
         why_not = "no piece stands alone"
-    elif not why_not and asked.modes and pool.convinces(asked.modes, pool.settings.clearly_shown):
+    elif not why_not and asked.modes and pool.convinces(asked.modes, s.clearly_shown):
         why_not = "the best is clearly seen"
     asked.enter("each piece alone", lambda: pool.of_pieces(tuple(begun)), why_not)
-    return asked.found(asked.proposed)
+    if not asked.convinced:
+        asked.look_around()
+    return asked.found(len(starts))

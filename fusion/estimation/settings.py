@@ -24,6 +24,7 @@ from vision.look.look import LookSettings
 from vision.plausibility import PlausibilitySettings
 from vision.predicted import PredictionSettings
 from vision.sight import SightSettings
+from vision.texture import PrintSettings
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,7 @@ class EstimateSettings:
     # Nats by which touch and the picture of depth together may speak more against a pose moved to the image's outline:
     # of 76 answers of the tuning family `d435` it was 5 at most but for one that rightly moved at 8.
     most_worse_outlined: float = 12.0
+    texture: PrintSettings = field(default_factory=PrintSettings)
     verdict: VerdictSettings = field(default_factory=VerdictSettings)
     confidence: ConfidenceSettings = field(default_factory=ConfidenceSettings)
     plausibility: PlausibilitySettings = field(default_factory=PlausibilitySettings)

@@ -57,15 +57,16 @@ def contact_residuals(
     # a thin wall has two sides: the one that was touched is the one that the contact's normal leaves
     distance, gradient = model.field.seen_distance_and_gradient(local, inward, contacts.has_normal)
     normals = model.field.normals(local - distance[:, None] * gradient) @ pose[:3, :3].T
-    out = []
-    for i in range(len(contacts)):
-        angle = np.nan
-        if contacts.has_normal[i]:
-            n = contacts.normals[i]
-            angle = float(np.degrees(np.arctan2(np.linalg.norm(np.cross(n, normals[i])), n @ normals[i])))
-        limit = max(settings.outlier_sigmas * contacts.sigma_point[i], settings.outlier_distance)
-        out.append(ContactResidual(contacts.sensors[i], 1e3 * distance[i], angle, bool(abs(distance[i]) > limit)))
-    return tuple(out)
+    sensed = np.nan_to_num(contacts.normals)
+    across = np.linalg.norm(se3.cross(sensed, normals), axis=1)
+    turned = np.degrees(np.arctan2(across, np.einsum("ij,ij->i", sensed, normals)))
+    turned = np.where(contacts.has_normal, turned, np.nan)
+    limit = np.maximum(settings.outlier_sigmas * contacts.sigma_point, settings.outlier_distance)
+    outlier = np.abs(distance) > limit
+    return tuple(
+        ContactResidual(sensor, 1e3 * off, angle, bool(false))
+        for sensor, off, angle, false in zip(contacts.sensors, distance.tolist(), turned.tolist(), outlier)
+    )
 
 
 def nats_of_contacts(model: ObjectModel, felt: Evidence, count: int, pose: Array) -> float:
@@ -216,8 +217,23 @@ def judged(
     if word == "ok" and contact_nats > settings.most_contradicted * max(len(residuals), 1):
         word, why = "lost", "the contacts, or their normals, contradict every pose"
     if word == "ok" and sure < confident.sure:
-        word, why = "ambiguous", f"only {sure:.0%} sure to be within {1e3 * confident.tolerance:.3g} mm"
+        word, why = "ambiguous", _unsure(model, modes[0], right, sure, confident)
     return right, sure, word, why
+
+
+def _unsure(model: ObjectModel, mode: Mode, right: float, sure: float, settings: ConfidenceSettings) -> str:
+    """Why an answer is not sure enough: another may be the right one, or this one is not known well enough; and then
+    whether it is its distance from the camera, of which a calibrated camera would tell more.
+    """
+    said = f"only {sure:.0%} sure to be within {1e3 * settings.tolerance:.3g} mm"
+    if right < settings.sure:
+        return f"{said}: what is sensed would show another pose nearly as well"
+    values, vectors = np.linalg.eigh(mode.covariance[3:, 3:])
+    centre = se3.apply(mode.pose, model.centroid[None])[0]
+    along = abs(float(vectors[:, -1] @ centre)) / max(float(np.linalg.norm(centre)), 1e-9)
+    worst = 1e3 * float(np.sqrt(max(values[-1], 0.0)))
+    where = "its distance" if along > np.cos(np.deg2rad(25.0)) else "its position"
+    return f"{said}: {where} is known to {worst:.1f} mm (1 sigma)"
 
 
 def no_answer(

@@ -125,6 +125,7 @@ def finished(job: Job) -> list[Row] | None:
 def run_capture(job: Job) -> list[Row]:
     """Estimate every frame of a capture and write its results: a folder that appears whole. In a worker process."""
     one_thread()
+    from fusion.advice.next_touch import next_touches
     from fusion.results.files import frame_errors, result_json, write_results
     from fusion.results.runs import estimates, frame_setter, load_object
     from fusion.truth.errors import Judge, json_number
@@ -140,7 +141,8 @@ def run_capture(job: Job) -> list[Row]:
         errors.append(frame_errors(judge, frame, answer))
     out = Path(job.out)
     with draft_folder(out) as draft:
-        content = result_json(capture.name, model, frames, answers, errors)
+        touches = [next_touches(model, answer, frame) for frame, answer in zip(frames, answers)]
+        content = result_json(capture.name, model, answers, errors, touches)
         content["capture_path"] = str(capture.path.resolve())
         write_results(draft, capture, answers, content)
         if job.report:
@@ -148,7 +150,8 @@ def run_capture(job: Job) -> list[Row]:
             from fusion.results.report.stills import write_thumbnail
 
             write_thumbnail(draft / THUMBNAIL, frames, model, answers)
-            write_report(draft / "report.html", capture.name, frames, model, answers, None, content["errors"])
+            page = draft / "report.html"
+            write_report(page, capture.name, frames, model, answers, None, content["errors"], touches=touches)
         rows = json_number([_row(job, model.name, answer, error) for answer, error in zip(answers, errors)])
         marker = {"fingerprint": job.fingerprint, "rows": rows}
         replace_file(draft / MARKER, (json.dumps(marker, indent=1, allow_nan=False) + "\n").encode())

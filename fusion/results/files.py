@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.advice.next_touch import next_touches
+from fusion.advice.next_touch import NextTouch
 from fusion.estimation.answer import ContactResidual, Estimate, Mode, Stage
 from fusion.truth.errors import Errors, Judge, json_number
 from scenes.errors import InputError
@@ -32,15 +32,18 @@ def frame_errors(judge: Judge, frame: Frame, answer: Estimate) -> Errors | None:
 def result_json(
     capture: str,
     model: ObjectModel,
-    frames: Sequence[Frame],
     answers: Sequence[Estimate],
     errors: Sequence[Errors | None],
+    touches: Sequence[Sequence[NextTouch]],
 ) -> dict[str, Any]:
-    """The content of result.json; each frame with its own errors, and their medians under "errors" (empty without)."""
+    """The content of result.json; each frame with its own errors, and their medians under "errors" (empty without).
+
+    touches: where one more contact would tell most, of each frame.
+    """
     entries = []
-    for frame, answer, error in zip(frames, answers, errors, strict=True):
+    for answer, error, touched in zip(answers, errors, touches, strict=True):
         entry = answer.to_json()
-        entry["next_touch"] = [touch.to_json() for touch in next_touches(model, answer, frame)]
+        entry["next_touch"] = [touch.to_json() for touch in touched]
         if error is not None:
             entry["errors"] = error.to_json()
         entries.append(entry)
@@ -153,6 +156,7 @@ def answer_of(entry: dict[str, Any]) -> Estimate:
         notes=tuple(map(str, entry.get("notes", []))),
         confidence=_number(entry.get("confidence")),
         sure_within=1e-3 * _number(entry.get("sure_within_mm")),
+        print_share=_number(entry.get("print_share")),
     )
 
 

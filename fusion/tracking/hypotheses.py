@@ -2,7 +2,7 @@
 
 Each hypothesis is refined in every frame and pays what the whole frame says of it (Reid, IEEE TAC 24(6), 1979: the
 score of a track is its log likelihood). Frames share most of their errors, so their costs are not simply added: a score
-forgets, and a frame counts by a part. New ones come from single frames (fusion.tracking.renewal); each time that a
+forgets, and a frame counts by a part. New ones come from single frames (fusion.tracking.state); each time that a
 frame, searched by itself, surely finds a hypothesis, that is a vote for it, which is not forgotten. Camera frame.
 """
 
@@ -44,10 +44,17 @@ class HypothesisSettings:
     # Votes (no unit) without which a leader is not believed, however well it explains every frame: a track that has
     # begun wrong explains itself, and a search that is just sure enough gives 0.6.
     believed: float = 0.5
+    # Probability at most that such a leader is right: of four sequences of `lab` that stayed so, two were.
+    unvoted: float = 0.6
     # A search that is not sure, but this likely (a probability, no unit), gives this part of a vote to what it finds,
     # and takes none from the others: where each frame leaves several poses open, the same one again is worth something.
     likely: float = 0.75
     part: float = 0.3
+    # A search that is not even that gives this part of a vote to a hypothesis that was there before, up to so many in
+    # all: searches that are wrong seldom agree with one another, but what makes one wrong may make the next wrong, too,
+    # so that they never suffice to be believed.
+    repeated: float = 0.25
+    most_repeated: float = 0.49
     # A search speaks for every hypothesis that puts the surface where it does, within this (m, on average: half of what
     # an answer may be off), whichever way a handle out of sight points.
     surface: float = 0.0025
@@ -170,10 +177,10 @@ def voted(
 ) -> tuple[Hypotheses, bool]:
     """Hypotheses, at least one, after a frame searched by itself has found modes; whether it agrees with the leader.
 
-    vote: of this search, 0 when it tells nothing; against: whether it also speaks against the others. Modes that nobody
-    had thought of begin a little below the leader: from there what is sensed decides.
+    vote: of this search, 0 when it tells nothing by itself; against: whether it also speaks against the others. Modes
+    that nobody had thought of begin a little below the leader: from there what is sensed decides.
     """
-    out = list(hypotheses)
+    s, out = settings, list(hypotheses)
     base, first = out[0].score, 0
     for rank, mode in enumerate(modes):
         at = next((k for k, h in enumerate(out) if alike(model, mode, h, settings)), None)
@@ -188,6 +195,9 @@ def voted(
         for k, h in enumerate(out):
             change = vote if near[k] else -vote * against
             out[k] = replace(h, votes=float(np.clip(h.votes + change, 0.0, settings.most_votes)))
+    elif first < len(hypotheses) and out[first].age > 0:
+        more = max(out[first].votes, min(out[first].votes + s.repeated, s.most_repeated))
+        out[first] = replace(out[first], votes=more)
     # the newest is not dropped for want of room: the weakest of the older ones is
     while len(out) > settings.most:
         nats = strengths(tuple(out), settings)

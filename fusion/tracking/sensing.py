@@ -96,9 +96,10 @@ def pool_near(
     beliefs: Beliefs,
     settings: EstimateSettings,
     room: float,
+    pieces: bool = True,
 ) -> Pool | None:
     """What must be seen of poses (n, 4, 4) and of those up to `room` (m) from them; None without a depth image, or
-    when all of it is outside the image.
+    when all of it is outside the image. pieces: whether poses are to be ranked, which asks for the image's surfaces.
     """
     if frame.depth is None or frame.camera is None:
         return None
@@ -107,10 +108,10 @@ def pool_near(
         return None
     part = cropped(frame, box)
     contacts = len(felt.reported_contacts)
-    unknown = contacts > 0 and not looked.told_apart
-    pieces = surfaces(part, looked.plane, beliefs, settings.look)[1] if unknown else None
+    unknown = pieces and not looked.told_apart and (contacts > 0 or len(candidates) > 1)
+    labels = surfaces(part, looked.plane, beliefs, settings.look)[1] if unknown else None
     hand = looked.seen_hand
-    predictor = Predictor(part, model, beliefs.depth, hand, settings.prediction, looked.plane, pieces)
+    predictor = Predictor(part, model, beliefs.depth, hand, settings.prediction, looked.plane, labels)
     sight = Sight(part, model, beliefs.depth, settings.sight)
     asks = settings.look.rows, settings.proposals, settings.modes, settings.pool
     rng = np.random.default_rng(0)  # nothing is drawn: starts come from the track

@@ -1,14 +1,135 @@
-"""All that a track remembers from frame to frame, as plain arrays and numbers."""
+"""All that a track remembers from frame to frame, as plain arrays and numbers; and how closely it looks at which frame.
+
+Most frames are glanced at (fusion.tracking.glancing), some looked at in full, few searched as if nothing were known: a
+track that follows a wrong pose agrees with itself for ever. Single frames searched without the track's memory do not
+share its mistake: they are asked soon after a start, ever more rarely while they agree, and often again when they
+do not or when something else gives cause for doubt. The rate is bounded on both sides.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from fusion.tracking.filter import Belief
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.tracking.filter import Belief, Measurement, block
 from fusion.tracking.hypotheses import Hypotheses
 from fusion.tracking.motion import HandState
 from fusion.tracking.occluders import Occluders
-from fusion.tracking.renewal import Renewal
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class GlanceSettings:
+    """When a glance is enough. Tuned on sequences of the tuning family `lab`."""
+
+    # Frames from one look in full to the next, at most (1: all are looked at in full); frames that a hypothesis must
+    # have led before; frames that may be missing between two.
+    every: int = 6
+    settled: int = 5
+    gap: int = 2
+    # Share of the posterior (no unit) that the leader must hold; where it holds less than the second share others are
+    # looked at in full every so many frames. One that is younger than so many frames is always.
+    leads: float = 0.8
+    alone: float = 0.98
+    every_open: int = 3
+    young: int = 4
+    # Steps of the fit.
+    steps: int = 10
+    # Pixels of a look near the object, as a share of those of a look in full.
+    pixels: float = 0.5
+    # What asks for a look in full. Share of the pixels that the pose explains: so much less than at the last look.
+    fewer: float = 0.12
+    # Nats of what is seen past the object or hides it (vision.sight): so many more.
+    sight: float = 4.0
+    # Millimetres that contacts are off, root mean square: so many more. A false contact is off by more than twice that.
+    contacts: float = 1.5
+    # Squared innovation (chi-square, 6 degrees of freedom): one in a thousand by chance.
+    surprise: float = 22.5
+
+
+@dataclass(frozen=True)
+class Known:
+    """What the last look in full has found out.
+
+    index: of its frame; pose (4, 4) as solved; offset (6,): from a fit of the rows alone to that, camera axes; own,
+    shared (6, 6): covariances of a measurement; correction (4, 4) camera_from_camera of what the robot reports; share,
+    sight, felt: how pixels, image (nats) and contacts (mm, root mean square) agreed with such a fit; verdict, why,
+    right, visible, unobservable: how it was judged.
+    """
+
+    index: int
+    pose: Array
+    offset: Array
+    own: Array
+    shared: Array
+    correction: Array
+    share: float
+    sight: float
+    felt: float
+    verdict: str
+    why: str
+    right: float
+    visible: float
+    unobservable: tuple[str, ...]
+
+    def measured(self, model: ObjectModel, fit: Array, nearest: Array) -> Measurement:
+        """What a fit (4, 4) of a later frame's rows measures; nearest (4, 4): of symmetric twins the one near this."""
+        pose = model.symmetries.nearest(se3.perturb(fit, self.offset, model.centroid), nearest)
+        turn = block(pose[:3, :3] @ self.pose[:3, :3].T)
+        return Measurement(pose, turn @ self.own @ turn.T, turn @ self.shared @ turn.T)
+
+
+@dataclass(frozen=True)
+class RenewalSettings:
+    """How often single frames are searched. By judgement: a search costs as much as a hundred glances."""
+
+    # Frames from a start, or from a doubt, to the next search; the wait doubles with each that brings nothing new, up
+    # to the longest (60 = two seconds).
+    soonest: int = 3
+    longest: int = 60
+    # Frames from one search to the next, at least, when answers come and go about the limit of what is called ok.
+    hurried: int = 10
+    # The longest wait, for so many frames after a start, while no search has spoken for the track, or the last one
+    # found what its frame prefers to it.
+    doubting: int = 5
+    doubtful: int = 30
+
+
+@dataclass
+class Renewal:
+    """due: frame index of the next search; wait: frames from one to the next; last, begun: frame index of the last, and
+    of the start.
+    """
+
+    due: int = 0
+    wait: int = 1
+    last: int = 0
+    begun: int = 0
+
+    def restart(self, index: int, settings: RenewalSettings) -> None:
+        """A track has begun in this frame."""
+        self.due, self.wait, self.last = index + settings.soonest, settings.soonest, index
+        self.begun = index
+
+    def found(self, index: int, agrees: bool | None, settings: RenewalSettings, believed: bool = True) -> None:
+        """A search in this frame agrees with the track, contradicts it, or tells nothing (None); believed: whether one
+        has ever spoken for it.
+        """
+        doubtful = not believed and index - self.begun < settings.doubtful
+        longest = settings.doubting if doubtful else settings.longest
+        self.wait = settings.soonest if agrees is False else min(2 * self.wait, longest)
+        self.due, self.last = index + self.wait, index
+
+    def hurry(self, index: int, settings: RenewalSettings) -> None:
+        """An answer is no longer ok: search soon, if the last search was not just now."""
+        soon = max(index + settings.soonest, self.last + settings.hurried)
+        if soon < self.due:
+            self.due, self.wait = soon, settings.soonest
 
 
 @dataclass
@@ -18,7 +139,8 @@ class TrackState:
     belief: of the leading hypothesis, None before a start; hypotheses: the leader first; hand: at the last frame;
     index: of that; unseen: frames without evidence; lost_for: frames; usual: share of pixels that the pose explains,
     usually; things: what goes with the object and is not it; rigs: levels of shared errors that the first frames were
-    taken for; right: chance that the leader is the right one, as last judged; sure: whether the last answer was ok.
+    taken for; right: chance that the leader is the right one, as last judged; sure: whether the last answer was ok;
+    known: from the last look in full, None when the next frame must be looked at so.
     """
 
     belief: Belief | None = None
@@ -33,3 +155,4 @@ class TrackState:
     renewal: Renewal = field(default_factory=Renewal)
     right: float = 0.0
     sure: bool = False
+    known: Known | None = None

@@ -7,8 +7,9 @@ The first frame is `fusion.estimation.estimate.estimate`. Later ones skip the se
 and the fingertips, so a few steps from the predicted pose find it, and one joint solution with the depth camera's and
 the robot's errors follows. Where a frame leaves several poses open they are all followed until frames decide
 (fusion.tracking.hypotheses), and now and then a frame is searched as if nothing were known, so that a track that began
-wrong finds out (fusion.tracking.renewal). A frame may lack either sense, come late, or hold nothing. When an answer
-explains too little, the object is looked for with `estimate` again. Camera frame, metres, radians.
+wrong finds out (fusion.tracking.state). Where all goes as expected a glance is enough (fusion.tracking.glancing). A
+frame may lack either sense, come late, or hold nothing. When an answer explains too little, the object is looked for
+with `estimate` again. Camera frame, metres, radians.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from fusion.estimation.trace import Trace
 from fusion.tracking import hypotheses as several
 from fusion.tracking.answer import TrackedEstimate, TrackSettings, as_carried, as_tracked
 from fusion.tracking.filter import Belief, Measurement, update
+from fusion.tracking.glancing import as_judged, glance, known_of, may_glance
 from fusion.tracking.hypotheses import Hypotheses
 from fusion.tracking.judging import as_followed, judge
 from fusion.tracking.motion import HandMotion, HandState
@@ -45,6 +47,7 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
 from scenes.threads import one_blas_thread
+from scenes.words import counted
 from touch.arrays.readings import readings_of
 from touch.contacts import Felt, feel
 from touch.gels.slip import in_palm
@@ -146,7 +149,7 @@ class Tracker:
         state, s = self._state, self.settings
         self._anchor(answer)
         state.hypotheses = several.of_modes(answer.modes, self._vote(answer), s.hypotheses)
-        state.index, state.unseen, state.lost_for, state.usual = frame.index, 0, 0, None
+        state.index, state.unseen, state.lost_for, state.usual, state.known = frame.index, 0, 0, None, None
         state.things = Occluders()
         state.renewal.restart(frame.index, s.renewal)
         near = self._near(answer.modes[0])
@@ -202,7 +205,12 @@ class Tracker:
             vote = 0.0
         carried = (leader, *state.hypotheses[1:])
         state.hypotheses, agrees = several.voted(self.model, carried, modes, vote, against, s.hypotheses)
-        state.renewal.found(frame.index, agrees if vote and against else None, s.renewal)
+        if not agrees and better < -s.hypotheses.missed:  # what the search has found is what the frame prefers, too
+            first = state.hypotheses[0]
+            doubted = replace(first, votes=max(0.0, first.votes - s.hypotheses.part))
+            state.hypotheses = doubted, *state.hypotheses[1:]
+        believed = state.hypotheses[0].votes >= s.hypotheses.believed and (agrees or better > 0.0)
+        state.renewal.found(frame.index, agrees if vote and against else None, s.renewal, believed)
         where = "agrees" if agrees else "finds it elsewhere"
         why = f"{where}, {_sure(alone):.0%} sure; {better:+.0f} nats for the track; {vote:.1f} votes"
         if same and vote and better < -s.anchor:
@@ -229,10 +237,13 @@ class Tracker:
 
     def _believed(self, answer: TrackedEstimate) -> TrackedEstimate:
         """The answer, which is not ok while no frame searched by itself speaks for it."""
-        if answer.verdict != "ok" or self._state.hypotheses[0].votes >= self.settings.hypotheses.believed:
+        how = self.settings.hypotheses
+        if answer.verdict == "lost" or self._state.hypotheses[0].votes >= how.believed:
             return answer
-        wide = whole_covariance(self.model, answer.modes, answer.confidence, None, self.settings.first.confidence)
-        return replace(answer, verdict="ambiguous", covariance=wide, notes=(_DOUBTED, *answer.notes))
+        sure = min(answer.confidence, how.unvoted)
+        wide = whole_covariance(self.model, answer.modes, sure, None, self.settings.first.confidence)
+        notes = (_DOUBTED, *answer.notes)
+        return replace(answer, verdict="ambiguous", covariance=wide, confidence=sure, notes=notes)
 
     def _estimated(self, frame: Frame, prior: Prior | None) -> Estimate:
         """The frame by itself."""
@@ -251,6 +262,10 @@ class Tracker:
             predicted, carried = ahead.belief, ahead.hypotheses
             stage.note(0, ahead.why)
         viewed = frame if "vision" in self._senses else frame.without_vision()
+        if may_glance(viewed, self._state, carried, s):
+            glanced = self._glance(frame, viewed, predicted, carried, trace)
+            if glanced is not None:
+                return glanced
         with trace.stage("look", "vision" in self._senses, "vision not asked for") as stage:
             looked = self._looker.look(viewed, predicted.pose)
             seen = looked.rows(self._beliefs.depth, self._looker.first.rows)
@@ -258,7 +273,7 @@ class Tracker:
         with trace.stage("feel", "touch" in self._senses, "touch not asked for") as stage:
             felt = self._feel(frame, looked)
             contacts, felt_rows = len(felt.reported_contacts), len(felt.reported_rows)
-            stage.note(felt_rows, f"{contacts} contacts, {felt_rows - contacts} empty points")
+            stage.note(felt_rows, f"{counted(contacts, 'contact')}, {counted(felt_rows - contacts, 'empty point')}")
         if not len(seen) and not contacts:
             return self._carry(frame, predicted, carried, trace, felt)
         with trace.stage("picture", viewed.depth is not None, "no depth image") as stage:
@@ -294,9 +309,36 @@ class Tracker:
         if said.verdict != "lost":
             self._accept(frame, felt, belief, found.hypotheses, said.share)
             self._state.right = said.right
+            now = replace(sensed, felt=felt, seen=found.seen)
+            settled = not watched.slip and not found.switched and frame.index == self._state.index
+            self._state.known = known_of(self.model, prior, now, measured, said, self._beliefs, s) if settled else None
             self._learn(sensed, belief.pose, found.switched)
         answer = as_followed(frame, belief, predicted, said, watched, replace(sensed, felt=felt), trace.stages, s)
         return self._believed(answer) if answer.how == "tracked" else answer
+
+    def _glance(
+        self, frame: Frame, viewed: Frame, predicted: Belief, carried: Hypotheses, trace: Trace
+    ) -> TrackedEstimate | None:
+        """The frame by a glance; None when it must be looked at in full."""
+        state, s = self._state, self.settings
+        known = state.known
+        assert known is not None
+        with trace.stage("glance", True, "") as stage:
+            felt_frame = self._felt_frame(frame)
+            found = glance(
+                self.model, viewed, felt_frame, self._looker, predicted, known, state.things, self._beliefs, s
+            )
+            seen, felt = found.sensed.seen, found.sensed.felt
+            stage.note(len(seen) + len(felt.reported_rows), found.otherwise or "nothing is otherwise than expected")
+            if found.otherwise or not len(seen):
+                return None
+            belief, watched = self._updated(frame, predicted, found.measured, False, felt)
+            said = as_judged(self.model, known, carried, belief, found, s)
+            if watched.slip:
+                said = replace(said, why=f"slips in the hand ({watched.by}); {said.why}")
+                state.known = None
+        self._accept(frame, felt, belief, carried, found.share)
+        return self._believed(as_followed(frame, belief, predicted, said, watched, found.sensed, trace.stages, s))
 
     def _felt_frame(self, frame: Frame) -> Frame:
         return frame if "touch" in self._senses else frame.without_touch()

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.truth import metrics
 from scenes.geometry import poses
+from scenes.geometry.nearest import Nearest
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
 from vision.look.points import all_points
-
-if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
 
@@ -93,10 +91,8 @@ class Judge:
         return metrics.model_points(self.model, self.settings.targets)
 
     @cached_property
-    def _tree(self) -> cKDTree:
-        from scipy.spatial import cKDTree
-
-        return cKDTree(self._targets)
+    def _nearest(self) -> Nearest:
+        return Nearest(self._targets)
 
     def errors(self, pose: Array, truth: Array, covariance: Array | None = None) -> Errors:
         """Errors of a pose (4, 4) against the truth; covariance (6, 6) about the centroid gives the NEES."""
@@ -107,7 +103,7 @@ class Judge:
             nees = metrics.nees(error, covariance)
         return Errors(
             metrics.add(pose, truth, points),
-            metrics.add_s(pose, truth, points, self._tree),
+            metrics.add_s(pose, truth, points, self._nearest),
             metrics.rotation_error(pose, truth, model.symmetries),
             metrics.translation_error(pose, truth, model.symmetries, model.centroid),
             nees,

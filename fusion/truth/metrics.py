@@ -21,11 +21,10 @@ from numpy.typing import ArrayLike, NDArray
 from scenes.errors import InputError
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
+from scenes.geometry.nearest import Nearest
 from scenes.geometry.symmetries import Symmetries
 
 if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
-
     from scenes.geometry.objects import ObjectModel
 
 Array = NDArray[np.float64]
@@ -56,21 +55,19 @@ def add(estimate: ArrayLike, truth: ArrayLike, points: Array) -> float:
     return float(np.linalg.norm(poses.apply(estimate, points) - poses.apply(truth, points), axis=1).mean())
 
 
-def add_s(estimate: ArrayLike, truth: ArrayLike, points: Array, tree: cKDTree | None = None) -> float:
+def add_s(estimate: ArrayLike, truth: ArrayLike, points: Array, nearest: Nearest | None = None) -> float:
     """Mean distance (m) from each point at the truth to the nearest point at the estimate: blind to symmetry.
 
     Hinterstoisser et al., ACCV 2012, eq. 8; named ADD-S by Xiang et al., PoseCNN, RSS 2018. With sampled points the
     value depends on their spacing: slips along the surface shorter than that are not forgiven, and two equivalent
     poses of a symmetric object differ by about half of it instead of zero.
-    tree: a cKDTree of the points among which the nearest is sought, when many poses of one object are measured or
+    nearest: the points among which the nearest is sought, when many poses of one object are measured or
     when they are denser than the `points` that are averaged (as they should be, for the reason above).
     """
-    from scipy.spatial import cKDTree
-
     estimate, truth, points = _checked(estimate, truth, points)
-    tree = cKDTree(points) if tree is None else tree
+    nearest = Nearest(points) if nearest is None else nearest
     # distances do not change when both sets are brought back to the object frame: one tree serves every pose
-    return float(tree.query(poses.apply(poses.inverse(estimate) @ truth, points))[0].mean())
+    return float(nearest.distance(poses.apply(poses.inverse(estimate) @ truth, points)).mean())
 
 
 def bop_symmetries(symmetries: Symmetries) -> Array:

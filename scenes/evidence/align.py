@@ -191,3 +191,14 @@ def terms(
     hessian, gradient = np.zeros((6, 6)), np.zeros(6)
     cost = kernels.terms_at(*scene, rotations[0], middles[0], hessian, gradient)  # type: ignore[call-arg]
     return float(cost), gradient, hessian
+
+
+def terms_of_each(model: ObjectModel, evidence: Evidence, pose: Array, settings: AlignSettings | None = None) -> Array:
+    """(n, 6, 6) Gauss-Newton Hessians at one pose of each row of evidence as if it were alone."""
+    rotations, middles = _split(model, pose)
+    lattice, rows, stage, none = _scene(model, evidence, None, settings or AlignSettings())
+    hessians, gradient = np.zeros((len(rows), 6, 6)), np.zeros(6)
+    for n, hessian in enumerate(hessians):
+        row = rows[n : n + 1]
+        kernels.terms_at(lattice, row, stage, none, rotations[0], middles[0], hessian, gradient)
+    return hessians

@@ -19,10 +19,13 @@ import math
 import numba
 import numpy as np
 
+from scenes._numba import spare_blas
 from scenes.evidence.prior_kernels import prior_terms
 from scenes.evidence.row_kernels import FLOOR_ABOVE, FLOOR_BELOW, INVERSE, NARROW, prepare, robust
 from scenes.evidence.table import FACING, GATE_ABOVE, GATE_BELOW, OFFSET, WEIGHT
 from scenes.geometry.lattice import distance_at, normal_at, seen_distance_at
+
+spare_blas()
 
 # Where the lattice's smoothed gradient is shorter than this (medial axis, thin edges) the model has no one normal:
 # the gradient is then divided by this instead of its length, so that the cost stays continuous and stays a cost.

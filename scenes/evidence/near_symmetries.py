@@ -8,6 +8,7 @@ Unlike `scenes.geometry.symmetries`, they are no excuse: their errors count.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import permutations, product
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -91,3 +92,19 @@ def find_near_symmetries(model: ObjectModel, settings: NearSettings | None = Non
         if se3.rotation_angle(turned).min() > settings.same:
             kept.append(settled[i])
     return np.array(kept[1:]).reshape(-1, 4, 4)
+
+
+def quarter_turns(model: ObjectModel) -> Array:
+    """(23, 4, 4) object_from_object: the turns of a cube about the object's centroid and principal axes, the identity
+    not among them.
+    """
+    points, _ = model.sample_surface(NearSettings().samples, seed=3)
+    axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
+    axes = axes * np.sign(np.linalg.det(axes))
+    turns = np.array(
+        [np.diag(signs)[list(order)] for order in permutations(range(3)) for signs in product((1.0, -1.0), repeat=3)]
+    )
+    turns = turns[np.linalg.det(turns) > 0.0]
+    turns = turns[np.trace(turns, axis1=1, axis2=2) < 2.9]
+    rotations = axes.T @ turns @ axes
+    return se3.make_poses(rotations, model.centroid - rotations @ model.centroid)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import hashlib
 from functools import cached_property
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from scenes.geometry import distance_field, mesh_repair
 from scenes.geometry.distance_field import DistanceField
 from scenes.geometry.surface import Surface
 from scenes.geometry.symmetries import Symmetries
+from scenes.geometry.texture import Texture, files_beside, sampled
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -30,14 +32,15 @@ MANY_VERTICES = 100_000
 # Surface samples up to so many are kept, drawn from the first seed: every frame asks for the same again.
 KEPT_SAMPLES = 1000
 # Raised whenever reading, repairing or measuring a mesh changes, so that old cache entries are not read.
-MESH_VERSION = 1
+MESH_VERSION = 2
 
 
 class ObjectModel:
     """A closed rigid object in its own frame, metres.
 
     Attributes: name; vertices (n, 3); faces (m, 3), wound outwards; centroid (3,) of the volume; diameter, largest
-    extent across the vertices; symmetries; mended, what was repaired when it was read, in words.
+    extent across the vertices; symmetries, of the shape; mended, what was repaired when it was read, in words; texture,
+    what is printed on it, None for a plain object.
     """
 
     def __init__(
@@ -47,6 +50,7 @@ class ObjectModel:
         faces: Faces,
         symmetries: Symmetries | None = None,
         mended: tuple[str, ...] = (),
+        texture: Texture | None = None,
     ) -> None:
         """Use `load` or `from_mesh`, which check and repair."""
         self.name = name
@@ -54,10 +58,12 @@ class ObjectModel:
         self.faces = np.ascontiguousarray(faces, dtype=np.int64)
         self.symmetries = symmetries or Symmetries.none()
         self.mended = mended
+        self.texture = texture
 
     @staticmethod
     def load(path: str | Path, unit: str = "m", name: str | None = None) -> ObjectModel:
-        """Read any mesh that trimesh reads, and the OFF files that strict parsers refuse.
+        """Read any mesh that trimesh reads, and the OFF files that strict parsers refuse; with its colours, where it
+        has some (at vertices, by faces, or in an image beside it).
 
         unit: "m", "cm", "mm" or "inch", of the file's numbers. Raises MeshError for a file that is not a mesh, has no
         triangles, cannot be closed, or whose size tells that the unit is wrong.
@@ -69,27 +75,35 @@ class ObjectModel:
             raise MeshError(f"{path}: expected a mesh file, found none")
 
         def make() -> Arrays:
-            vertices, faces = _read_mesh(path)
+            vertices, faces, (points, colours) = _read_mesh(path)
             made = ObjectModel.from_mesh(vertices * METRES_PER_UNIT[unit], faces, where=str(path))
             mended = np.array(made.mended, dtype=np.str_)
             parts = {"vertices": made.vertices, "faces": made.faces, "mended": mended}
-            return {**parts, "diameter": np.array(made.diameter)}
+            printed: Arrays = {"points": (points * METRES_PER_UNIT[unit]).astype(np.float32), "colours": colours}
+            return {**parts, **printed, "diameter": np.array(made.diameter)}
 
         # a mesh seen before needs neither a reader of every format nor a repair: both load for a second
         try:
-            known = remembered_of_file("mesh", (MESH_VERSION, unit), path, make, _is_model)
+            beside = [hashlib.sha256(one.read_bytes()).hexdigest() for one in files_beside(path)]
+            known = remembered_of_file("mesh", (MESH_VERSION, unit, *beside), path, make, _is_model)
         except OSError as error:
             raise MeshError(f"{path}: expected a mesh file, it cannot be opened: {error.strerror}") from error
         model = ObjectModel(
             name or path.stem, known["vertices"], known["faces"], mended=tuple(map(str, known["mended"]))
         )
         vars(model)["diameter"] = float(known["diameter"])
-        return model
+        return model.with_texture(Texture(known["points"], known["colours"])) if len(known["points"]) else model
 
     def with_symmetries(self, symmetries: Symmetries) -> ObjectModel:
         """The same object of which these symmetries are known."""
         other = copy.copy(self)
         other.symmetries = symmetries
+        return other
+
+    def with_texture(self, texture: Texture | None) -> ObjectModel:
+        """The same object with this printed on it."""
+        other = copy.copy(self)
+        other.texture = texture
         return other
 
     @staticmethod
@@ -254,15 +268,25 @@ def check_size(diameter: float, where: str) -> None:
 def _is_model(arrays: Arrays) -> bool:
     mended, diameter = arrays["mended"], arrays["diameter"]
     told = mended.ndim == 1 and mended.dtype.kind == "U" and diameter.shape == ()
-    return bool(told and diameter > 0 and are_triangles(arrays))
+    points, colours = arrays["points"], arrays["colours"]
+    printed = points.dtype == np.float32 and colours.dtype == np.uint8 and points.shape == colours.shape
+    printed = printed and points.ndim == 2 and points.shape[1] == 3 and bool(np.isfinite(points).all())
+    return bool(told and diameter > 0 and printed and are_triangles(arrays))
 
 
-def _read_mesh(path: Path) -> tuple[Array, Faces]:
+def _read_mesh(path: Path) -> tuple[Array, Faces, tuple[Array, NDArray[np.uint8]]]:
+    """Vertices, faces, and coloured points of the surface, none for a mesh without colours; in the file's unit."""
+    plain = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint8)
     if path.suffix.lower() == ".off":
         from scenes.files.off import read_off
 
         data = read_off(path)
-        return data.points, data.faces
+        if data.colours is None or not len(data.faces):
+            return data.points, data.faces, plain
+        import trimesh
+
+        coloured = trimesh.Trimesh(data.points, data.faces, vertex_colors=data.colours, process=False)
+        return data.points, data.faces, sampled(coloured) or plain
     import trimesh
 
     try:
@@ -274,4 +298,4 @@ def _read_mesh(path: Path) -> tuple[Array, Faces]:
     if vertices is None or faces is None or len(faces) == 0:
         count = 0 if vertices is None else len(vertices)
         raise MeshError(f"{path}: expected a mesh with triangles, got {count} vertices and no triangle")
-    return np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
+    return np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64), sampled(mesh) or plain

@@ -11,6 +11,8 @@ Small angles use Taylor branches (Solà et al., "A micro Lie theory", 2018, appe
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -116,6 +118,8 @@ def cross(a: Array, b: Array) -> Array:
 def exp_rotation(vector: ArrayLike) -> Array:
     """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), radians (Rodrigues)."""
     vector = np.asarray(vector, dtype=np.float64)
+    if vector.shape == (3,):
+        return _one_rotation(*vector.tolist())
     square = np.sum(vector * vector, axis=-1)[..., None, None]
     angle = np.sqrt(square)
     small = square < 1e-8
@@ -127,12 +131,32 @@ def exp_rotation(vector: ArrayLike) -> Array:
     return np.eye(3) + a * k + b * (k @ k)
 
 
+def _one_rotation(x: float, y: float, z: float) -> Array:
+    """`exp_rotation` of one vector: arrays of so few numbers take NumPy twenty times as long."""
+    square = x * x + y * y + z * z
+    if square < 1e-8:
+        a, b = 1.0 - square / 6.0, 0.5 - square / 24.0
+    else:
+        angle = math.sqrt(square)
+        a, b = math.sin(angle) / angle, 2.0 * (math.sin(0.5 * angle) / angle) ** 2
+    xx, yy, zz, xy, xz, yz = b * x * x, b * y * y, b * z * z, b * x * y, b * x * z, b * y * z
+    return np.array(
+        [
+            [1.0 - yy - zz, xy - a * z, xz + a * y],
+            [xy + a * z, 1.0 - xx - zz, yz - a * x],
+            [xz - a * y, yz + a * x, 1.0 - xx - yy],
+        ]
+    )
+
+
 def to_quaternion(rotation: Array) -> Array:
     """Unit quaternions (..., 4), scalar first and non-negative, of rotations (..., 3, 3).
 
     Shepperd's method: the largest of four candidates is divided by, so no rotation is singular.
     """
     r = np.asarray(rotation, dtype=np.float64)
+    if r.shape == (3, 3):
+        return _one_quaternion(r.tolist())
     d = np.diagonal(r, axis1=-2, axis2=-1)
     trace = d.sum(-1)
     picks = np.argmax(np.concatenate([trace[..., None], d], axis=-1), axis=-1)
@@ -151,6 +175,24 @@ def to_quaternion(rotation: Array) -> Array:
     q = np.take_along_axis(np.stack(candidates, -2), picks[..., None, None], axis=-2)[..., 0, :]
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     return np.where(q[..., :1] < 0, -q, q)
+
+
+def _one_quaternion(r: list[list[float]]) -> Array:
+    """`to_quaternion` of one rotation."""
+    trace = r[0][0] + r[1][1] + r[2][2]
+    largest = max(range(4), key=lambda pick: trace if pick == 0 else r[pick - 1][pick - 1])
+    if largest == 0:
+        q = [1.0 + trace, r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1]]
+    else:
+        i = largest - 1
+        j, k = (i + 1) % 3, (i + 2) % 3
+        q = [r[k][j] - r[j][k], 0.0, 0.0, 0.0]
+        q[1 + i] = 1.0 + r[i][i] - r[j][j] - r[k][k]
+        q[1 + j] = r[j][i] + r[i][j]
+        q[1 + k] = r[k][i] + r[i][k]
+    length = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    length = -length if q[0] < 0.0 else length
+    return np.array([part / length for part in q])
 
 
 def from_quaternion(quaternion: ArrayLike) -> Array:

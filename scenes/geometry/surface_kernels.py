@@ -1,4 +1,4 @@
-"""Compiled: which cells of a coarse grid a mesh's triangles come near, and which points lie in one of them."""
+"""Compiled: which cells of a coarse grid a mesh's triangles come near, which points lie in one, and mixing of cells."""
 
 from __future__ import annotations
 
@@ -34,3 +34,33 @@ def in_cells(points, middle, origin, cell, covered, out):
         # not true of NaN either
         if 0.0 <= x < covered.shape[0] and 0.0 <= y < covered.shape[1] and 0.0 <= z < covered.shape[2]:
             out[n] = covered[int(x), int(y), int(z)]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def mix_cells(points, origin, cell, index, colours, out):
+    """Fill out (n, 3) with the colours (k, 3) of the eight cells of size `cell` (m) from origin (3,) around each of
+    points (n, 3), mixed by how near their middles are; index (i, j, k): number of a cell's colour + 1, 0 for none. A
+    point with none around is left as it is.
+    """
+    inverse = 1.0 / cell
+    for n in range(points.shape[0]):
+        x = (points[n, 0] - origin[0]) * inverse - 0.5
+        y = (points[n, 1] - origin[1]) * inverse - 0.5
+        z = (points[n, 2] - origin[2]) * inverse - 0.5
+        # not true of NaN either
+        if not (-1.0 <= x < index.shape[0] and -1.0 <= y < index.shape[1] and -1.0 <= z < index.shape[2]):
+            continue
+        i0, j0, k0 = math.floor(x), math.floor(y), math.floor(z)
+        total, red, green, blue = 0.0, 0.0, 0.0, 0.0
+        for i in range(max(i0, 0), min(i0 + 2, index.shape[0])):
+            for j in range(max(j0, 0), min(j0 + 2, index.shape[1])):
+                for k in range(max(k0, 0), min(k0 + 2, index.shape[2])):
+                    which = index[i, j, k] - 1
+                    if which >= 0:
+                        weight = (1.0 - abs(x - i)) * (1.0 - abs(y - j)) * (1.0 - abs(z - k))
+                        total += weight
+                        red += weight * colours[which, 0]
+                        green += weight * colours[which, 1]
+                        blue += weight * colours[which, 2]
+        if total > 1e-6:
+            out[n, 0], out[n, 1], out[n, 2] = red / total, green / total, blue / total

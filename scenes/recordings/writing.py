@@ -14,6 +14,7 @@ from scenes.files.ply import write_ply
 from scenes.files.problems import refuse
 from scenes.files.whole import draft_folder, put
 from scenes.geometry.objects import METRES_PER_UNIT, ObjectModel
+from scenes.geometry.texture import coloured_mesh
 from scenes.recordings import bop
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
@@ -97,7 +98,8 @@ def refuse_foreign_folder(folder: Path) -> None:
 
 def _write_model(folder: Path, model: ObjectModel, unit: str, object_id: int) -> None:
     (folder / "models").mkdir()
-    write_ply(folder / model_file(object_id), model.vertices / METRES_PER_UNIT[unit], model.faces)
+    vertices, faces, colours = coloured_mesh(model.vertices, model.faces, model.texture)
+    write_ply(folder / model_file(object_id), vertices / METRES_PER_UNIT[unit], faces, colours)
     info = {str(object_id): bop.model_json(model.vertices, model.diameter, model.symmetries)}
     bop.write_json(folder / "models" / "models_info.json", info)
 

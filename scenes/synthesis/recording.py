@@ -32,7 +32,7 @@ from scenes.synthesis.settings import SynthesisSettings
 from scenes.synthesis.staging.mesh_errors import believed
 from scenes.synthesis.staging.mounts import hand_mesh
 from scenes.synthesis.staging.pieces import Staging, staged
-from scenes.synthesis.staging.prints import printed
+from scenes.synthesis.staging.prints import printed, with_print
 from scenes.synthesis.staging.standing import STANDING, Stage
 from scenes.threads import thread_count
 
@@ -77,6 +77,7 @@ def synthesize(
     settings = settings or SynthesisSettings()
     recording = _Recording(model, hand, occlusion, touch, noise, seed, occluders, settings, taxels, scene)
     given = believed(model, mesh_error, seed)
+    given = with_print(given) if recording.staging.printed else given
     named = noise_models.preset(noise).name
     notes = {"object": model.name, "occlusion": occlusion, "noise": named, "touch": list(touch), "seed": seed}
     notes |= {"occluders": recording.occluders} if occluders else {}

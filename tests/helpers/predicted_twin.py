@@ -40,7 +40,7 @@ def predicted(found, pose, side):
     total = max(hit.sum() - s.unread * (hit & ~read).sum(), 1.0) / max(share, 1e-3)
     sums = [x.sum() / total for x in (fade, near, past_share, hidden, by_hand & ~past)]
     sums[3] += 1.0 - share
-    return *sums, runs_on(s, hit, near, read, seen, side), int(hit.sum())
+    return *sums, runs_on(found, hit, near, read, seen, u, v, side), int(hit.sum())
 
 
 def in_image(found, pose):
@@ -90,15 +90,36 @@ def nearest_around(depth, reach):
     return windows.min(axis=(2, 3))
 
 
-def runs_on(settings, hit, near, read, seen, side):
-    """Share of the outline across which the surface that is seen inside goes on as it was."""
-    hit, near, read, seen = (np.pad(x.reshape(side, side), 1) for x in (hit, near, read, seen))
+def runs_on(found, hit, near, read, seen, u, v, side):
+    """Share of the outline across which the surface that is seen inside goes on as it was, further than edges smear."""
+    s = found.settings
+    reach = found.reach
+    hit, near, read, seen, u, v = (np.pad(x.reshape(side, side), 1) for x in (hit, near, read, seen, u, v))
     smooth = border = 0
     for axis in (0, 1):
         for step in (1, -1):
             beyond = hit & ~np.roll(hit, step, axis)
-            lead = 2.0 * seen - np.roll(seen, -step, axis)
-            close = np.abs(np.roll(seen, step, axis) - lead) < settings.smooth + settings.smooth_share * seen
+            slope = seen - np.roll(seen, -step, axis)
+            room = s.smooth + s.smooth_share * seen
+            next_u, next_v = np.roll(u, step, axis), np.roll(v, step, axis)
+            apart = np.abs(next_v - v) if axis == 0 else np.abs(next_u - u)
+            far_u, far_v = (next_u, next_v - step * reach) if axis == 0 else (next_u - step * reach, next_v)
+            lead = seen + slope * (1.0 + reach / np.maximum(apart, 1))
+            close = np.abs(np.roll(seen, step, axis) - seen - slope) < room
+            close &= leads_to(found, far_u.ravel(), far_v.ravel(), lead.ravel(), room.ravel()).reshape(close.shape)
             smooth += (beyond & near & np.roll(near, -step, axis) & np.roll(read, step, axis) & close).sum()
             border += beyond.sum()
     return smooth / max(border, 1)
+
+
+def leads_to(found, u, v, lead, room):
+    """(n,) whether pixels are read within room (m) of depths lead (m), inside the mask and not on the plane."""
+    c = found.camera
+    inside = (u >= 0) & (v >= 0) & (u < c.width) & (v < c.height)
+    at = np.where(inside, v, 0), np.where(inside, u, 0)
+    there = found._depth[at].astype(np.float64)
+    good = inside & is_reading(there) & (np.abs(there - lead) < room)
+    if found._mask is not None:
+        good &= found._mask[at]
+    rays = np.stack([(u - c.cx) / c.fx, (v - c.cy) / c.fy, np.ones(u.shape)], axis=-1)
+    return good & ~is_plane(found, rays, there)

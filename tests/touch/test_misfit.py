@@ -16,7 +16,7 @@ def around(rng, count):
 
 
 def odds(points, normals, residuals):
-    return log_odds_of_another(points, normals, residuals, DIAMETER, NOISE)
+    return log_odds_of_another(points, normals, residuals, DIAMETER, NOISE)[0]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -63,3 +63,28 @@ def test_a_relative_that_most_contacts_fit_exactly_is_still_another(rng):
     assert odds(points, normals, noise + np.where(end, 0.006, 0.0)) > 3.0
     # as many, anywhere
     assert odds(points, normals, noise + rng.permutation(np.where(end, 0.006, 0.0))) < 1.5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_false_contacts_among_true_ones_are_no_other_object(seed):
+    """As far off as a finger that touched something else, one in five: they are told by their neighbours."""
+    rng = np.random.default_rng(seed)
+    points, normals = around(rng, 150)
+    noise = 0.001 * rng.normal(size=150)
+    wild = noise + np.where(rng.random(150) < 0.2, rng.uniform(0.008, 0.04, size=150), 0.0)
+    assert odds(points, normals, wild) < 0.0
+    # together in one place they are a shape
+    there = points[:, 0] > 0.03
+    assert odds(points, normals, noise + np.where(there, 0.015, 0.0)) > 5.0
+
+
+def test_what_is_plainly_another_is_told_by_fewer_contacts(rng):
+    points, normals = around(rng, 60)
+    noise = 0.0005 * rng.normal(size=60)
+    another, plainly = log_odds_of_another(points, normals, noise, DIAMETER, NOISE)
+    assert plainly < another < 0.0
+    wave = 0.0008 * np.sin(points @ [100.0, 80.0, 60.0])
+    another, plainly = log_odds_of_another(points, normals, noise + wave, DIAMETER, NOISE)
+    assert plainly < another - 2.0
+    wave = 0.006 * np.sin(points @ [100.0, 80.0, 60.0])
+    assert min(log_odds_of_another(points, normals, noise + wave, DIAMETER, NOISE)) > 5.0

@@ -25,29 +25,46 @@ STRAIGHT = 0.02
 NOTHING = 25.0
 
 
-@numba.njit(cache=True, nogil=True)
-def closest_point(values, origin, spacing, x, y, z):
-    """A surface point near (x, y, z), object frame, the nearest but on a medial axis: steps of the distance itself down
-    the lattice's gradient, from its box.
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def closest_points(values, origin, spacing, points, square):
+    """Move each of points (n, 3), object frame, to a surface point near it, the nearest but on a medial axis: steps of
+    the distance itself down the lattice's gradient, from its box. square (n,): working room.
+
+    All take their first step before any takes a second, which few need: what one look-up waits for, others need not.
     """
-    shape = values.shape
-    x = min(max(x, origin[0]), origin[0] + spacing * (shape[0] - 1))
-    y = min(max(y, origin[1]), origin[1] + spacing * (shape[1] - 1))
-    z = min(max(z, origin[2]), origin[2] + spacing * (shape[2] - 1))
-    for _ in range(4):
+    last = (
+        origin[0] + spacing * (values.shape[0] - 1),
+        origin[1] + spacing * (values.shape[1] - 1),
+        origin[2] + spacing * (values.shape[2] - 1),
+    )
+    for n in range(points.shape[0]):
+        x = min(max(points[n, 0], origin[0]), last[0])
+        y = min(max(points[n, 1], origin[1]), last[1])
+        z = min(max(points[n, 2], origin[2]), last[2])
         d, gx, gy, gz = distance_at(values, origin, spacing, x, y, z)
         # where faces meet the gradient is their mean and short: a Newton step would leap past the surface
-        square = gx * gx + gy * gy + gz * gz
-        step = d / max(math.sqrt(square), SHORTEST_GRADIENT)
-        x -= step * gx
-        y -= step * gy
-        z -= step * gz
-        if abs(d) < spacing or abs(square - 1.0) < STRAIGHT:
-            break  # so near, or so far from any edge's shadow, one step is exact to the lattice's own rounding
-    return x, y, z
+        straight = gx * gx + gy * gy + gz * gz
+        step = d / max(math.sqrt(straight), SHORTEST_GRADIENT)
+        points[n, 0], points[n, 1], points[n, 2] = x - step * gx, y - step * gy, z - step * gz
+        # so near, or so far from any edge's shadow, one step is exact to the lattice's own rounding
+        square[n] = 1.0 if abs(d) < spacing else straight
+    for n in range(points.shape[0]):
+        if abs(square[n] - 1.0) < STRAIGHT:
+            continue
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        for _ in range(3):
+            d, gx, gy, gz = distance_at(values, origin, spacing, x, y, z)
+            straight = gx * gx + gy * gy + gz * gz
+            step = d / max(math.sqrt(straight), SHORTEST_GRADIENT)
+            x -= step * gx
+            y -= step * gy
+            z -= step * gz
+            if abs(d) < spacing or abs(straight - 1.0) < STRAIGHT:
+                break
+        points[n, 0], points[n, 1], points[n, 2] = x, y, z
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def cholesky(matrix, factor):
     """Lower factor of a symmetric 6x6 matrix; a pivot that round-off made negative becomes tiny instead."""
     for i in range(6):
@@ -63,23 +80,7 @@ def cholesky(matrix, factor):
             factor[i, j] = 0.0
 
 
-@numba.njit(cache=True, nogil=True)
-def _predicted(values, origin, spacing, centroid, rotation, mx, my, mz, point, out):
-    """The measurement predicted at a pose (T2 eq. 4.17): the surface point nearest to the contact, contacts' frame."""
-    yx, yy, yz = point[0] - mx, point[1] - my, point[2] - mz
-    qx = rotation[0, 0] * yx + rotation[1, 0] * yy + rotation[2, 0] * yz + centroid[0]
-    qy = rotation[0, 1] * yx + rotation[1, 1] * yy + rotation[2, 1] * yz + centroid[1]
-    qz = rotation[0, 2] * yx + rotation[1, 2] * yy + rotation[2, 2] * yz + centroid[2]
-    px, py, pz = closest_point(values, origin, spacing, qx, qy, qz)
-    px -= centroid[0]
-    py -= centroid[1]
-    pz -= centroid[2]
-    out[0] = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + mx
-    out[1] = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + my
-    out[2] = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz + mz
-
-
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def unscented_update(
     values,
     origin,
@@ -99,8 +100,8 @@ def unscented_update(
     """UKF correction of one particle by one contact, in place (T2 algorithm 1, SUT of eq. 4.9).
 
     point (3,) metres; variance m^2 of its noise per axis. scaling (4,): spread of the sigma points, their weight, and
-    the central point's weights for mean and covariance. factor (6, 6), turned (3, 3), measured (13, 3), room (12, 6):
-    working room.
+    the central point's weights for mean and covariance. factor (6, 6), turned (9, 3, 3), measured (13, 3), room
+    (20, 6): working room, the last of turned the identity.
     """
     cholesky(covariance, factor)
     spread, weight, mean_weight, covariance_weight = scaling[0], scaling[1], scaling[2], scaling[3]
@@ -112,42 +113,61 @@ def unscented_update(
         room[6:9].reshape(6, 3),
         room[9:12].reshape(6, 3),
     )
-    _predicted(values, origin, spacing, centroid, rotation, middle[0], middle[1], middle[2], point, measured[0])
-    for c in range(6):
-        for sign in range(2):
-            reach = spread if sign == 0 else -spread
-            for i in range(3):
-                theta[i] = reach * factor[i, c]
-            # a lower factor: the last three columns only move
-            if c < 3:
-                exp_times(theta, rotation, turned)
-            _predicted(
-                values,
-                origin,
-                spacing,
-                centroid,
-                turned if c < 3 else rotation,
-                middle[0] + reach * factor[3, c],
-                middle[1] + reach * factor[4, c],
-                middle[2] + reach * factor[5, c],
-                point,
-                measured[1 + 2 * c + sign],
-            )
+    apart, square = room[12:15].reshape(6, 3), room[15:18].reshape(18)[:13]
+    # sigma points 1 + 2 c and 2 + 2 c: up and down column c, a turn and its inverse; a lower factor: the last three
+    # columns only move. turned[n] is the rotation of one of the first seven points, turned[7] that of the turn
+    for i in range(3):
+        for j in range(3):
+            turned[0, i, j] = rotation[i, j]
+    for c in range(3):
+        for i in range(3):
+            theta[i] = spread * factor[i, c]
+        exp_times(theta, turned[8], turned[7])
+        up, down, turn = turned[1 + 2 * c], turned[2 + 2 * c], turned[7]
+        for i in range(3):
+            for j in range(3):
+                up[i, j] = turn[i, 0] * rotation[0, j] + turn[i, 1] * rotation[1, j] + turn[i, 2] * rotation[2, j]
+                down[i, j] = turn[0, i] * rotation[0, j] + turn[1, i] * rotation[1, j] + turn[2, i] * rotation[2, j]
+    # the measurement predicted at each (T2 eq. 4.17): the surface point nearest to the contact
+    for n in range(13):
+        c = (n - 1) // 2
+        reach = 0.0 if n == 0 else spread if n % 2 == 1 else -spread
+        r = turned[n if n < 7 else 0]
+        yx = point[0] - middle[0] - reach * factor[3, c]
+        yy = point[1] - middle[1] - reach * factor[4, c]
+        yz = point[2] - middle[2] - reach * factor[5, c]
+        measured[n, 0] = r[0, 0] * yx + r[1, 0] * yy + r[2, 0] * yz + centroid[0]
+        measured[n, 1] = r[0, 1] * yx + r[1, 1] * yy + r[2, 1] * yz + centroid[1]
+        measured[n, 2] = r[0, 2] * yx + r[1, 2] * yy + r[2, 2] * yz + centroid[2]
+    closest_points(values, origin, spacing, measured, square)
+    for n in range(13):
+        c = (n - 1) // 2
+        reach = 0.0 if n == 0 else spread if n % 2 == 1 else -spread
+        r = turned[n if n < 7 else 0]
+        px, py, pz = measured[n, 0] - centroid[0], measured[n, 1] - centroid[1], measured[n, 2] - centroid[2]
+        for i in range(3):
+            measured[n, i] = r[i, 0] * px + r[i, 1] * py + r[i, 2] * pz + middle[i] + reach * factor[3 + i, c]
     for i in range(3):
         mean[i] = mean_weight * measured[0, i]
         for n in range(1, 13):
             mean[i] += weight * measured[n, i]
+        for c in range(6):
+            apart[c, i] = measured[1 + 2 * c, i] - measured[2 + 2 * c, i]
+    for n in range(13):
+        for i in range(3):
+            measured[n, i] -= mean[i]
     for i in range(3):
-        for j in range(3):
-            total = covariance_weight * (measured[0, i] - mean[i]) * (measured[0, j] - mean[j])
+        for j in range(i + 1):
+            total = covariance_weight * measured[0, i] * measured[0, j]
             for n in range(1, 13):
-                total += weight * (measured[n, i] - mean[i]) * (measured[n, j] - mean[j])
+                total += weight * measured[n, i] * measured[n, j]
             s[i, j] = total
+            s[j, i] = total
         s[i, i] += variance
         for a in range(6):
             total = 0.0
-            for c in range(6):
-                total += factor[a, c] * (measured[1 + 2 * c, i] - measured[2 + 2 * c, i])
+            for c in range(a + 1):
+                total += factor[a, c] * apart[c, i]
             cross[a, i] = weight * spread * total
     # gain = cross s^-1 by cofactors: s is symmetric and at least `variance` in every direction
     c00 = s[1, 1] * s[2, 2] - s[1, 2] * s[2, 1]
@@ -171,10 +191,10 @@ def unscented_update(
                 total += gain[a, i] * cross[b, i]
             covariance[a, b] -= total
             covariance[b, a] = covariance[a, b]
-    _move(rotation, middle, delta, turned)
+    _move(rotation, middle, delta, turned[7])
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _move(rotation, middle, delta, room):
     """Perturb one pose in place by delta (6,)."""
     exp_times(delta, rotation, room)
@@ -184,7 +204,7 @@ def _move(rotation, middle, delta, room):
             rotation[i, j] = room[i, j]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def filter_step(
     values,
     origin,
@@ -214,9 +234,10 @@ def filter_step(
     particle (up to one constant, 0 when not sampled).
     """
     factor = np.zeros((6, 6))
-    turned = np.zeros((3, 3))
+    turned = np.zeros((9, 3, 3))
+    turned[8] = np.eye(3)
     measured = np.zeros((13, 3))
-    room = np.zeros((12, 6))
+    room = np.zeros((20, 6))
     delta = np.zeros(6)
     newest = window[window.shape[0] - 1]
     half = 0.5 / variance
@@ -228,7 +249,7 @@ def filter_step(
         if not sampled:
             for i in range(6):
                 delta[i] = math.sqrt(process[i, i]) * draws[n, i]
-            _move(rotation, middle, delta, turned)
+            _move(rotation, middle, delta, turned[7])
         unscented_update(
             values,
             origin,
@@ -253,7 +274,7 @@ def filter_step(
                 for j in range(i + 1):
                     delta[i] += factor[i, j] * draws[n, j]
                 proposal -= 0.5 * draws[n, i] * draws[n, i] + math.log(factor[i, i])
-            _move(rotation, middle, delta, turned)
+            _move(rotation, middle, delta, turned[7])
         log_proposal[n] = proposal
         plain = 0.0
         powered = 0.0
@@ -273,7 +294,7 @@ def filter_step(
         log_estimate[n] = powered
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def mixture_density(rotations, middles, covariances, log_weights, at_rotations, at_middles, out):
     """Log of sum_i w_i N(x_j; x_i, P_i) at every x_j (T2 eq. 4.29), up to one constant.
 

@@ -83,7 +83,7 @@ def look(
     if _box(frame, region) is None:
         return nothing_seen(region, "region outside the image")
     hand = _find_hand(frame, beliefs, settings)
-    plane = _find_plane(frame, model, beliefs, settings) if frame.mask is None and hand is None else None
+    plane = large_plane(frame, model, beliefs, settings) if frame.mask is None and hand is None else None
     if frame.mask is None and hand is None:
         known = None if plane is None else (plane, beliefs)
         bare = _sorted(frame, region, None, None, settings, known)
@@ -113,7 +113,7 @@ def _box(frame: Frame, region: Region | None) -> tuple[int, int, int, int] | Non
     return (0, 0, frame.camera.width, frame.camera.height) if region is None else region.box(frame.camera)
 
 
-def _find_plane(frame: Frame, model: ObjectModel, beliefs: Beliefs, settings: LookSettings) -> Array | None:
+def large_plane(frame: Frame, model: ObjectModel, beliefs: Beliefs, settings: LookSettings) -> Array | None:
     """(4,) the plane that most readings lie on, when it is too large to be the object's own face."""
     assert frame.depth is not None
     assert frame.camera is not None

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from scenes.geometry import poses
 from scenes.geometry.cameras import is_reading
+from scenes.geometry.nearest import Nearest
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import Beliefs, DepthModel
@@ -333,13 +334,11 @@ def _chosen(
 
 def _join(kept: Mask, samples: dict[int, Array], gap: float) -> None:
     """Mark, in place, pieces within `gap` metres of marked ones, and of those in turn: readings lost between them."""
-    from scipy.spatial import cKDTree
-
-    trees = {piece: cKDTree(points) for piece, points in samples.items()}
+    trees = {piece: Nearest(points) for piece, points in samples.items()}
     fresh = [piece for piece in samples if kept[piece]]
     while fresh:
         piece = fresh.pop()
         for other in samples:
-            if not kept[other] and trees[piece].query(samples[other])[0].min() < gap:
+            if not kept[other] and trees[piece].distance(samples[other]).min() < gap:
                 kept[other] = True
                 fresh.append(other)

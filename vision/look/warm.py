@@ -18,8 +18,9 @@ from scenes.geometry.surface import Surface
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
 from vision.look.hand import HandView, camera_from_hand, fit_hand, view_hand
-from vision.look.look import LookSettings, look
+from vision.look.look import LookSettings, large_plane, look
 from vision.look.looked import Looked, no_pixels, nothing_seen
+from vision.look.mask import on_plane
 from vision.look.pixels import Pixels, Region, read_pixels
 
 Array = NDArray[np.float64]
@@ -49,7 +50,7 @@ class WarmLookSettings:
 
 
 class Looker:
-    """Segments one frame after another; remembers the hand's mesh and how far the calibration is off."""
+    """Segments one frame after another; remembers the hand's mesh, how far the calibration is off, and the table."""
 
     def __init__(
         self,
@@ -67,26 +68,36 @@ class Looker:
         self.first = replace(first, slack=s.slack, most_others=s.free_rays, rows=rows)
         self.beliefs = beliefs or Beliefs()
         self.correction: Array | None = None
+        self.plane: Array | None = None
         self._surface: Surface | None = None
         self._vertices = np.zeros((0, 3))
         self._joints: tuple[tuple[str, float], ...] = ()
 
-    def look(self, frame: Frame, predicted: Array) -> Looked:
-        """Sort the frame's pixels near `predicted` (4, 4) camera_from_object; clouds are cut out as they are."""
+    def look(self, frame: Frame, predicted: Array, share: float | None = None) -> Looked:
+        """Sort the frame's pixels near `predicted` (4, 4) camera_from_object; clouds are cut out as they are.
+
+        share: of the pixels, where a glance is enough: the hand is taken to be where it was last seen.
+        """
         if frame.depth is None or frame.camera is None:
             return look(frame, self.model, self.beliefs, predicted, self.first)
         centre = predicted[:3, :3] @ self.model.centroid + predicted[:3, 3]
         region = Region(centre, self.model.radius + self.settings.slack)
         box = region.box(frame.camera)
-        hand_view = self.view_hand(frame)
+        hand_view = self.view_hand(frame) if share is None else self._as_last_seen(frame)
+        many = 1.0 if share is None else share
         if box is None:
             return nothing_seen(region, "region outside the image", hand_view)
-        pixels = read_pixels(frame.depth, frame.camera, box, self.settings.most)
+        pixels = read_pixels(frame.depth, frame.camera, box, int(many * self.settings.most))
         near = np.linalg.norm(pixels.points - centre, axis=1) < region.radius
         near[near] = self._near_surface(pixels.points[near], predicted)
+        bare = frame.mask is None and hand_view is None and self.first.tidy
+        if share is None:  # where nothing else tells what is not the object's
+            self.plane = large_plane(frame, self.model, self.beliefs, self.first) if bare else None
+        if self.plane is not None:
+            near[near] = ~on_plane(pixels.points[near], self.plane, self.beliefs.depth, self.first.mask)
         if frame.mask is not None:
             near &= frame.mask[pixels.uv[:, 1], pixels.uv[:, 0]]
-        mine = pixels.take(near).thinned(self.settings.most_near)
+        mine = pixels.take(near).thinned(int(many * self.settings.most_near))
         others = pixels.take(~near).thinned(self.settings.free_rays)
         of_hand = np.zeros(len(mine), dtype=bool)
         if hand_view is not None and len(mine):
@@ -94,8 +105,9 @@ class Looker:
         told_apart = frame.mask is not None or hand_view is not None
         dropped = {"hand pixels": int(of_hand.sum())} if hand_view is not None else {}
         return Looked(
-            mine.take(~of_hand), mine.take(of_hand), others, region, hand_view, dropped, told_apart=told_apart
-        )
+            mine.take(~of_hand), mine.take(of_hand), others, region, hand_view, dropped, told_apart=told_apart,
+            plane=self.plane,
+        )  # fmt: skip
 
     def _near_surface(self, points: Array, predicted: Array) -> NDArray[np.bool_]:
         local = se3.apply(se3.inverse(predicted), points)
@@ -117,6 +129,15 @@ class Looker:
         if found is not None and len(found.points) >= self.first.hand.fewest:
             self.correction = found.correct()
         return found
+
+    def _as_last_seen(self, frame: Frame) -> HandView | None:
+        """The hand with the last correction, and none of its pixels; None where that was never found."""
+        measured = camera_from_hand(frame)
+        if frame.hand is None or frame.joints is None or measured is None or self.correction is None:
+            return None
+        aligned, none = self.correction @ measured, np.zeros((0, 3))
+        surface = self._hand_surface(frame)
+        return HandView(measured, aligned, measured[:3, 3], np.zeros(6), none, np.zeros(0), none, surface)
 
     def _hand_surface(self, frame: Frame) -> Surface:
         assert frame.hand is not None

@@ -120,9 +120,10 @@ def hand_of(family: Family) -> Hand | None:
 
 
 def frames_of(
-    family: Family, occlusion: float, trials: int, seed: int, objects: tuple[str, ...] | None = None
+    family: Family, occlusion: float, trials: int, seed: int, objects: tuple[str, ...] | None = None, first: int = 0
 ) -> Iterator[Made]:
-    """Up to `trials` frames of each object, `occlusion` of it hidden; fewer where that cannot be reached.
+    """Frames of each object, from number `first` up to `trials`, `occlusion` of it hidden; fewer where that cannot be
+    reached.
 
     A frame depends on family, object, occlusion, its number and the seed. Raises InputError when the family cannot be
     made here (see `why_not`).
@@ -131,7 +132,7 @@ def frames_of(
     if reason:
         raise InputError(f"family {family.name!r}: expected what it is made of, got {reason}")
     for name in objects_of(family, objects):
-        for trial in range(trials):
+        for trial in range(first, trials):
             made = _recorded(name, family, trial, seed) if family.name == RECORDED else None
             if family.name != RECORDED:
                 made = _made(family, name, occlusion, trial, seed)

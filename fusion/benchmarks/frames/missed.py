@@ -28,6 +28,8 @@ Image = NDArray[np.uint8]
 # RGB of the answer's outline and of that of what the truth refines to; width of the picture (px), room around both.
 ANSWER, TRUTH = (255, 60, 60), (70, 230, 90)
 WIDE, MARGIN = 640, 0.4
+# Poses that are judged: the answer's, the true one, and where the search ended.
+NAMES = "answer", "truth", "searched"
 
 
 def keep_miss(
@@ -41,7 +43,7 @@ def keep_miss(
     """Write `folder`/search_missed/NAME: `capture`, `miss.json`, and `miss.png` of a frame with depth; returns it.
 
     words: how the frame is made again, and what is known of the miss; NAME is made of them. costs: of the answer first,
-    then of what the truth refines to.
+    then of what the truth refines to, then of where the search ended.
     """
     keys = ("family", "hidden", "object", "trial", "sense", "told")
     name = re.sub(r"[^\w.]+", "-", "_".join(str(words[key]) for key in keys))
@@ -56,9 +58,9 @@ def keep_miss(
         **words,
         "verdict": answer.verdict,
         "poses": poses,
-        "refined": dict(zip(("answer", "truth"), costs.poses)),
-        "costs": dict(zip(("answer", "truth"), costs.costs)),
-        "before_joint_solution": dict(zip(("answer", "truth"), costs.fitted_costs)),
+        "refined": dict(zip(NAMES, costs.poses)),
+        "costs": dict(zip(NAMES, costs.costs)),
+        "before_joint_solution": dict(zip(NAMES, costs.fitted_costs)),
         "modes": [{"pose": m.pose, "weight": m.weight, "cost": m.cost} for m in answer.modes],
         "trace": [f"{s.name}: {s.why}" for s in answer.trace],
     }

@@ -41,8 +41,8 @@ class BenchSettings:
     """trials: of every cell, None = the benchmark's own number; quick: a tenth of the work or less, but all of it;
     progress(items, total, what) yields the items and may draw a bar; show(table) is told of a table that is complete
     while others are still to come; family: of frames, "all", "tuning" or "report", None = the benchmark's own choice;
-    motions: of sequences, None = all; data, bop: folders of recordings of `real` (data: of `gel`, too), None = where
-    they usually are, none.
+    motions, frames, methods: of sequences, None = all, the benchmark's own number; data, bop: folders of recordings of
+    `real` (data: of `gel`, too), None = where they usually are, none.
     """
 
     # As the docstring says; objects: only these; folder: where recordings are kept.
@@ -55,6 +55,8 @@ class BenchSettings:
     show: Callable[[Table], None] = _no_show
     family: str | None = None
     motions: tuple[str, ...] | None = None
+    frames: int | None = None
+    methods: tuple[str, ...] | None = None
     data: Path | None = None
     bop: Path | None = None
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-METHODS = ("icp", "particle filter", "vision", "estimate", "track", "track, no hand", "track, begun wrong")
+METHODS = ("icp", "particle filter", "vision", "estimate", "track", "track without hand", "track begun wrong")
 # Single frames have no memory, so that some of a sequence speak for all: every so many.
 SINGLE_EVERY = 5
 # A wrong beginning: turned by so much about a random axis through the object (rad), and this far off (m).
@@ -40,7 +40,7 @@ Step = Callable[["Frame"], Said | None]
 def stepper(method: str, model: ObjectModel, seed: int) -> Step:
     """What a method does with one frame after another."""
     makers = {"icp": _icp, "particle filter": _particles, "vision": _vision, "estimate": _estimate, "track": _track}
-    makers |= {"track, no hand": _no_hand, "track, begun wrong": _begun_wrong}
+    makers |= {"track without hand": _no_hand, "track begun wrong": _begun_wrong}
     return makers[method](model, seed)
 
 

@@ -151,7 +151,7 @@ def answered(settled: Settled) -> JointResult:
     vision = system.vision(here, unknown)[0] if len(problem.seen) else 0.0
     misfit = system.misfit()
     independent, shared, follows = _split(system, here, settled.normal)
-    covariance = misfit * covariance + system.excess_spread(whole[:free, :free], misfit) + _mesh_spread(problem)
+    covariance = misfit * covariance + system.excess_spread(whole[:free, :free], misfit) + _mesh_spread(system)
     return JointResult(
         here,
         covariance,
@@ -169,12 +169,12 @@ def answered(settled: Settled) -> JointResult:
     )
 
 
-def _mesh_spread(problem: JointProblem) -> Array:
+def _mesh_spread(system: System) -> Array:
     """(6, 6) what the mesh's own error makes of a pose: a scan is off smoothly, over whole faces, so that pixels do not
     average it out.
     """
-    sigma = problem.beliefs.mesh_sigma
-    return np.diag(np.repeat([(sigma / problem.model.radius) ** 2, sigma**2], 3))
+    variance = system.mesh_variance()
+    return np.diag(np.repeat([variance / system.problem.model.radius**2, variance], 3))
 
 
 def _as_seen(system: System, pose: Array, unknown: Array) -> Array:

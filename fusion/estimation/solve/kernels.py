@@ -139,13 +139,28 @@ def touch_rows(lattice, rows, bend, rotation, middle, xi, centre, prior, hessian
         for j in range(3):
             back[i] += turn[j, i] * (middle[j] - centre[j] - xi[3 + j])
         back[i] += centre[i]
-    turned = turn.T @ rotation
+    turned = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                turned[i, j] += turn[k, i] * rotation[k, j]
     cost = cost_terms(lattice, rows, 0.0, bend, turned, back, prior, True, hessian, gradient, scratch)
-    both = np.zeros((6, 6))
-    both[:3, :3] = turn
-    both[3:, 3:] = turn
-    gradient[:] = both @ gradient
-    hessian[:] = both @ hessian @ both.T
+    # back to camera axes: turn and move each turned, by hand since a call of BLAS costs more than so few products
+    half = np.zeros((6, 6))
+    slope = gradient.copy()
+    gradient[:] = 0.0
+    for block in range(0, 6, 3):
+        for i in range(3):
+            for k in range(3):
+                gradient[block + i] += turn[i, k] * slope[block + k]
+                for j in range(6):
+                    half[block + i, j] += turn[i, k] * hessian[block + k, j]
+    hessian[:] = 0.0
+    for block in range(0, 6, 3):
+        for j in range(3):
+            for k in range(3):
+                for i in range(6):
+                    hessian[i, block + j] += half[i, block + k] * turn[j, k]
     return cost
 
 

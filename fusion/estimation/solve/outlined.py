@@ -3,7 +3,8 @@
 The joint solution leaves a Gaussian of the pose, all else marginalised; the lines across the outline add theirs to it
 and are read anew where it leads. What else was sensed weighs as its model says. How wrong it may be beyond its model
 (pulls that scatter more than they should) is part of the covariance, but no weight: estimated from a few patches of an
-image, it is too uncertain to be one. So the covariance follows the gain that was used, optimal or not (Joseph form).
+image, it is too uncertain to be one. Distance and tilt are mostly left to depth: what an outline seems to tell of them
+is how fat it looks. So the covariance follows the gain that was used, optimal or not (Joseph form).
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from scenes.evidence.align import costs
 from scenes.evidence.modes import Mode
 from scenes.geometry import poses as se3
 from scenes.recordings.frames import Frame
-from vision.contour.evidence import ContourEvidence
+from vision.contour.evidence import ContourEvidence, ContourSettings
+from vision.contour.lines import is_grey
 
 Array = NDArray[np.float64]
 
@@ -37,6 +39,11 @@ class Outlined:
     why: str
 
 
+def asks_for(image: NDArray[np.uint8], settings: ContourSettings) -> bool:
+    """Whether an image (h, w, 3) is to say where the outline is."""
+    return settings.used or (settings.own and is_grey(image[::4, ::4]))
+
+
 def outlined(
     frame: Frame, pool: Pool, solved: JointResult, mode: Mode, mesh_sigma: float, settings: EstimateSettings
 ) -> Outlined:
@@ -47,7 +54,8 @@ def outlined(
     """
     model, how = pool.model, settings.contour
     wider = _positive(mode.covariance - solved.covariance)
-    information = np.linalg.inv(solved.independent + solved.shared + wider)
+    lateral = _across(mode.pose, model.centroid, how.distance_share)
+    information = np.linalg.inv(solved.independent + lateral @ solved.shared @ lateral.T + wider)
     hessian, lines = np.zeros((6, 6)), 0
     at = mode.pose
     for turn in range(how.rounds):
@@ -89,6 +97,18 @@ def _worse(pool: Pool, poses: tuple[Array, Array], as_seen: tuple[Array, Array])
     """
     all_of_it = costs(pool.model, pool.felt, np.array(poses), pool.prior) + pool.predictor.costs(np.array(as_seen))
     return float(all_of_it[1] - all_of_it[0])
+
+
+def _across(pose: Array, centroid: Array, share: float) -> Array:
+    """(6, 6) that leaves of a small motion of the object at pose (4, 4) what an outline tells best, moves across the
+    ray to its centroid and turns about it, and of the others only a share.
+    """
+    centre = pose[:3, :3] @ centroid + pose[:3, 3]
+    ray = centre / max(float(np.linalg.norm(centre)), 1e-9)
+    along = np.outer(ray, ray)
+    kept = np.zeros((6, 6))
+    kept[:3, :3], kept[3:, 3:] = along, np.eye(3) - along
+    return np.asarray(kept + share * (np.eye(6) - kept))
 
 
 def _positive(matrix: Array) -> Array:

@@ -60,6 +60,8 @@ class JointSettings:
     places: float = 4.0
     placed_pixels: float = 100.0
     believed_places: float = 3.0
+    # Blocks of the image that the belief on the mesh's own error counts as, beside a frame's (no unit); more than two.
+    believed_blocks: float = 8.0
     # Least cosine of the incidence of a pixel: cameras read nothing of surfaces steeper than 80 degrees.
     least_cosine: float = 0.17
 

@@ -161,6 +161,37 @@ class System:
         places = s.places * min(1.0, float(mine.sum()) / s.placed_pixels)
         return (s.believed_places + places * square) / (s.believed_places + places - 2.0)
 
+    def mesh_variance(self) -> float:
+        """Square (m^2) of how far the surface is off, smoothly, from where the mesh says, where `vision` last was.
+
+        A scan that is bent, or of another copy of the product, leaves whole blocks of the image off together, whatever
+        the pose. What is believed of meshes is the prior, an inverse gamma as for the pixels (`misfit`); what
+        independent noise leaves in a block's mean is taken off, and six blocks' worth goes into the pose.
+        """
+        problem, k = self.problem, self._used
+        s, believed = problem.settings, problem.beliefs.mesh_sigma**2
+        if problem.camera is None or not k:
+            return believed
+        index, _, _, residual, information = (part[:k] for part in problem.room)
+        mine = problem.on[index] & (information > 0.0)
+        if not mine.any():
+            return believed
+        group = self._blocks(index[mine])
+        weight = np.bincount(group, information[mine])
+        mean = np.bincount(group, (information * residual)[mine]) / weight
+        square = float(np.maximum(np.square(mean) - 1.0 / weight, 0.0).sum())
+        free = max(float(len(weight)) - 6.0, 0.0)
+        # fewer blocks than unknowns: they are all taken up by the pose
+        square *= min(1.0, free / 6.0)
+        return ((s.believed_blocks - 2.0) * believed + square) / (s.believed_blocks + free - 2.0)
+
+    def _blocks(self, index: NDArray[np.int64]) -> NDArray[np.int64]:
+        """(n,) block of the image of each of the rows `index` (n,)."""
+        problem = self.problem
+        assert problem.camera is not None
+        uv, _ = problem.camera.project(problem.seen.points[index])
+        return _blocks(uv, problem.settings.groups, problem.settings.block)
+
     def excess_spread(self, whole: Array, misfit: float) -> Array:
         """(6, 6) by how much the pose would move with other pixels, beyond what their sigmas say, where `vision` last
         was. whole (m, m): the information on the first m unknowns, all that is solved for; misfit: factor on the
@@ -178,8 +209,7 @@ class System:
         index, free = problem.room[0][: self._used], len(whole)
         information, residual = problem.room[4][: self._used], problem.room[3][: self._used]
         jac = self._jac[:, :free]
-        uv, _ = problem.camera.project(problem.seen.points[index])
-        group = _blocks(uv, problem.settings.groups, problem.settings.block)
+        group = self._blocks(index)
         groups = int(group.max()) + 1
         if groups < problem.settings.least_blocks:
             return np.zeros((6, 6))

@@ -21,6 +21,7 @@ from scenes.evidence import table as tables
 from scenes.evidence.table import Evidence
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
+from scenes.words import counted
 from touch.contacts import Felt, feel
 from touch.held import Held
 from vision.look.hand import HandView, camera_from_hand
@@ -85,7 +86,10 @@ def sense(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: 
         hand = looked.seen_hand
         felt = feel(touched, hand.correct() if hand is not None else None, beliefs, looked.region, settings.touch)
         contacts = len(felt.reported_contacts)
-        stage.note(len(felt.reported_rows), f"{contacts} contacts, {len(felt.reported_rows) - contacts} empty points")
+        stage.note(
+            len(felt.reported_rows),
+            f"{counted(contacts, 'contact')}, {counted(len(felt.reported_rows) - contacts, 'empty point')}",
+        )
     sight = Sight(viewed, model, beliefs.depth, settings.sight)
     # where neither mask nor hand tells what hides the object, what is seen may be that
     unknown = not looked.told_apart and viewed.depth is not None

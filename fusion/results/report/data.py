@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fusion.advice.grasp import GraspAnswer
-from fusion.advice.next_touch import next_touches
+from fusion.advice.next_touch import NextTouch, next_touches
 from fusion.estimation.answer import Estimate
 from fusion.results.report import pictures, words
 from fusion.results.report.grasps import add_grasps
@@ -58,6 +58,7 @@ def report_data(
     comparison: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None,
     errors: Mapping[str, Any] | None = None,
     grasps: Sequence[GraspAnswer] | None = None,
+    touches: Sequence[Sequence[NextTouch]] | None = None,
 ) -> Json:
     """The page's data. Frames without an estimate are left out; an estimate without its frame is refused."""
     by_index = {frame.index: frame for frame in frames}
@@ -65,7 +66,8 @@ def report_data(
     if stray:
         raise InputError(f"report: expected estimates of the frames given, got one of frame {stray[0]}")
     builder = _FrameBuilder(model, len(estimates))
-    made = [builder.build(by_index[estimate.frame], estimate) for estimate in estimates]
+    told: Sequence[Sequence[NextTouch] | None] = touches or [None] * len(estimates)
+    made = [builder.build(by_index[estimate.frame], estimate, near) for estimate, near in zip(estimates, told)]
     mesh = builder.model_mesh()
     add_grasps(made, model, estimates, grasps or (), builder.shown_vertices)
     symmetries = model.symmetries
@@ -101,7 +103,7 @@ class _FrameBuilder:
         self.shown_vertices = vertices + self.model.centroid
         return {"v": _shorts(vertices), "f": _base64(faces.astype("<u2"))}
 
-    def build(self, frame: Frame, estimate: Estimate) -> Json:
+    def build(self, frame: Frame, estimate: Estimate, touches: Sequence[NextTouch] | None) -> Json:
         pose = np.asarray(estimate.pose, dtype=np.float64)
         usable = bool(np.isfinite(pose).all())
         before = estimate.start if estimate.start is not None else frame.prior
@@ -130,7 +132,7 @@ class _FrameBuilder:
             ],
             "modes": [self._mode(mode, estimate) for mode in estimate.modes],
             "contributions": words.contribution_rows(estimate),
-            "next": self._next(frame, estimate, centre) if usable else [],
+            "next": self._next(frame, estimate, touches, centre) if usable else [],
             "unobservable": list(estimate.unobservable),
             "notes": [*estimate.notes, *(f"{n} {name} dropped" for name, n in estimate.dropped.items() if n)],
             "ms": rounded(estimate.time_ms, 2),
@@ -262,7 +264,7 @@ class _FrameBuilder:
             ]
         return out
 
-    def _next(self, frame: Frame, estimate: Estimate, centre: Array) -> list[Json]:
+    def _next(self, frame: Frame, estimate: Estimate, touches: Sequence[NextTouch] | None, centre: Array) -> list[Json]:
         """Where one more contact would tell most: place and normal in the picture's frame, and the same in words."""
         return [
             {
@@ -270,7 +272,7 @@ class _FrameBuilder:
                 "n": [round(float(x), 3) for x in estimate.pose[:3, :3] @ touch.normal],
                 "text": words.next_touch(touch, estimate),
             }
-            for touch in next_touches(self.model, estimate, frame)
+            for touch in (next_touches(self.model, estimate, frame) if touches is None else touches)
         ]
 
     def _mode(self, mode: Any, estimate: Estimate) -> Json:

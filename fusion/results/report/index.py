@@ -14,6 +14,7 @@ from fusion.results.batch import THUMBNAIL, Outcome
 from fusion.results.report.files import asset, page
 from fusion.results.summary import median
 from scenes.files.whole import replace_file
+from scenes.words import counted
 
 VERDICTS = ("ok", "ambiguous", "lost", "failed")
 
@@ -73,7 +74,7 @@ def _filters(outcomes: Sequence[Outcome]) -> str:
 
 def facts(summary: Mapping[str, Any]) -> list[str]:
     """The summary in words."""
-    out = [f"{summary['captures']} captures", f"{summary['frames']} frames"]
+    out = [counted(summary["captures"], "capture"), counted(summary["frames"], "frame")]
     out += [f"{count} {word}" for word, count in summary["verdicts"].items() if count]
     if summary["failed"]:
         out.append(f"{summary['failed']} failed")

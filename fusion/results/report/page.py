@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from fusion.advice.grasp import GraspAnswer
+from fusion.advice.next_touch import NextTouch
 from fusion.estimation.answer import Estimate
 from fusion.results.report.data import report_data
 from fusion.results.report.files import asset, page
@@ -28,16 +29,18 @@ def write_report(
     comparison: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None,
     errors: Mapping[str, Any] | None = None,
     grasps: Sequence[GraspAnswer] | None = None,
+    touches: Sequence[Sequence[NextTouch]] | None = None,
 ) -> None:
     """Write the report of a capture's estimates.
 
     path: the HTML file; folders are made. frames: those estimated, in the capture's order. estimates: each with the
     index of its frame. comparison: {"rows": [{"method", "frame", "add_s_mm", "rotation_deg", "translation_mm",
     "time_ms", "verdict"}, ...]} or the list of rows. errors: named numbers over all frames, units as name endings
-    (_mm, _deg). grasps: how well each frame's object is held. Raises InputError for an estimate whose frame is not
+    (_mm, _deg). grasps: how well each frame's object is held. touches: where one more contact
+    would tell most, of each estimate; found when not given. Raises InputError for an estimate whose frame is not
     given.
     """
-    text = render(report_data(capture_name, frames, model, estimates, comparison, errors, grasps))
+    text = render(report_data(capture_name, frames, model, estimates, comparison, errors, grasps, touches))
     replace_file(Path(path), text.encode())
 
 

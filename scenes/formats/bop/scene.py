@@ -24,6 +24,7 @@ from scenes.formats.conversion import Converted, Dropped, at_least_one, located,
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
+from scenes.geometry.texture import coloured_mesh
 from scenes.recordings import bop
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.captures import Capture, write_capture
@@ -301,7 +302,8 @@ def export(capture: Capture, out: Path) -> Converted:
             bop.write_json(partial / scene / "scene_gt_info.json", infos)
             _write_targets(partial, scene, truths, object_id)
         (partial / "models").mkdir()
-        write_ply(partial / "models" / f"obj_{object_id:06d}.ply", model.vertices / bop.MM, model.faces)
+        vertices, faces, colours = coloured_mesh(model.vertices, model.faces, model.texture)
+        write_ply(partial / "models" / f"obj_{object_id:06d}.ply", vertices / bop.MM, faces, colours)
         info = {str(object_id): bop.model_json(model.vertices, model.diameter, model.symmetries)}
         bop.write_json(partial / "models" / "models_info.json", info)
     return Converted((out / scene, out / "models"), len(kept), dropped)

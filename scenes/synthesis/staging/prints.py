@@ -11,6 +11,7 @@ from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer, shade
+from scenes.geometry.texture import Texture, TextureSettings
 
 Array = NDArray[np.float64]
 
@@ -52,3 +53,10 @@ def printed(
     out = rgb.copy()
     out[mask] = np.clip(np.rint(white * ink(points, model)), 0, 255).astype(np.uint8)
     return out
+
+
+def with_print(model: ObjectModel) -> ObjectModel:
+    """The object as it is printed in `printed` pictures: with a texture that a capture's mesh carries along."""
+    settings = TextureSettings()
+    points, _ = model.sample_surface(settings.samples, seed=1)
+    return model.with_texture(Texture(points, np.rint(255.0 * ink(points, model)), settings))

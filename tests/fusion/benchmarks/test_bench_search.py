@@ -38,6 +38,14 @@ def test_tables_count_what_they_say():
     assert (row["objective prefers wrong"], row["data cannot tell"]) == ("25 %", "0 %")
     assert (row["gap of missed, nats"], row["gap of preferred"]) == ("3.0", "-8.0")
     assert not search.by_family(found, "vision", True).rows
+    told = search.by_told([*found, tried(0.001, 0.001, 0.0, start=False)])
+    rows = [dict(zip([c.name for c in told.columns if c.name], row, strict=False)) for row in told.texts()]
+    assert [(r["sense"], r["start"], r["mask"], r["frames"]) for r in rows] == [
+        ("fused", "yes", "no", "4"),
+        ("fused", "no", "no", "1"),
+    ]
+    assert (rows[0]["95 % of missed"], rows[0]["asked"]) == ("15.0 to 85.0 %", "<= 0.5 %")
+    assert [row[-3] for row in told.texts()] == ["MISSED", "met"]
     report = Report("search", "", "", 0)
     search._claims(report, found)
     assert [claim.value for claim in report.claims] == [0.5]

@@ -20,10 +20,14 @@ def test_the_lateral_error_leaves_the_ray_out():
 
 def test_frames_are_answered_without_and_with_colours(tmp_path):
     report = colour.run(BenchSettings(trials=1, quick=True, family="lab", objects=("box",), data=tmp_path))
-    (table,) = report.tables
+    table, printed = report.tables
     assert [row[:3] for row in table.rows] == [["lab", "fused", 1], ["lab", "vision", 1]]
     assert all(np.isfinite(row[6]) and np.isfinite(row[7]) for row in table.rows)
-    assert len(report.claims) == 2
+    assert len(report.claims) == 2 * 2 + 1 + 2
+    # whatever the start, the print tells the face that the shape does not
+    assert [row[1] for row in printed.rows] == ["right face", "wrong face", "none"]
+    assert all(row[4].share == 1.0 for row in printed.rows)
+    assert printed.rows[1][3].share == 0.0
     pairs = list(colour.pairs_of(FAMILIES["lab"], [0.0], ["box"], 1, 0))
     assert {pair.sense for pair in pairs} == {"fused", "vision"}
     assert all(pair.used for pair in pairs)

@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from commands import refused, run
 from made_frames import plain_view
+from scipy.stats import gamma
 
+from fusion.estimation.answer import Mode
+from fusion.estimation.confidence import FEATURES, ConfidenceSettings, Regression, as_shown, below, mean_square
 from fusion.estimation.estimate import estimate
 from fusion.estimation.settings import EstimateSettings
 from fusion.results.files import read_result
 from fusion.tracking.tracker import Tracker, track
 from scenes.errors import InputError
+from scenes.evidence.align import Prior
 from scenes.files.schema import complaints
 from scenes.recordings.captures import write_capture
 from scenes.synthesis.library import make
+from vision.predicted import Prediction
 
 
 @pytest.fixture(scope="module")
@@ -102,3 +107,55 @@ def test_a_batch_has_it(capsys, tmp_path, capture):
     assert "sure" in capsys.readouterr().out
     rows = list(csv.DictReader((tmp_path / "b" / "results.csv").open()))
     assert all(0.0 <= float(row["confidence"]) <= 1.0 for row in rows)
+
+
+def test_what_is_hidden_widens_an_answer_but_not_what_a_prior_told():
+    rng = np.random.default_rng(4)
+    root = rng.normal(size=(6, 6)) * 1e-3
+    covariance = root @ root.T + 1e-8 * np.eye(6)
+    mode = Mode(np.eye(4), 1.0, 0.0, covariance)
+    little, much = (
+        Prediction(np.array([agree]), np.array([agree]), *np.zeros((4, 1)), np.array([200])) for agree in (0.02, 0.95)
+    )
+    s = ConfidenceSettings()
+    assert as_shown(mode, None, None) is mode
+    np.testing.assert_allclose(as_shown(mode, little, None).covariance, s.widening[0] * covariance)
+    np.testing.assert_allclose(as_shown(mode, much, None).covariance, s.widening[-1] * covariance)
+    # a prior that says all leaves nothing to widen; one that says nothing is none
+    told = Prior(np.eye(4), np.linalg.inv(covariance))
+    np.testing.assert_allclose(as_shown(mode, little, told).covariance, covariance, rtol=1e-6, atol=1e-14)
+    vague = Prior(np.eye(4), 1e-9 * np.eye(6))
+    np.testing.assert_allclose(as_shown(mode, little, vague).covariance, s.widening[0] * covariance, rtol=1e-6)
+    # no direction of a degenerate covariance raises
+    flat = Mode(np.eye(4), 1.0, 0.0, np.diag([1e-4, 0.0, 0.0, 1e-6, 1e-6, 0.0]))
+    assert np.isfinite(as_shown(flat, little, told).covariance).all()
+
+
+def test_every_factor_of_the_regression_is_a_feature_with_its_sign(box):
+    names = [feature.name for feature in FEATURES]
+    assert sorted(names) == sorted({field.name for field in fields(Regression)} - {"nearest"})
+    for feature in FEATURES:
+        for factors, fitted in ((ConfidenceSettings().seen, feature.seen), (ConfidenceSettings().felt, feature.felt)):
+            value = getattr(factors, feature.name)
+            assert feature.sign * value >= 0.0
+            assert fitted or value == 0.0
+
+
+def test_an_answer_tells_what_its_confidence_was_read_from(box):
+    answer, settings = estimate(plain_view(), box), ConfidenceSettings()
+    assert set(answer.observed) <= {feature.name for feature in FEATURES}
+    assert "agree" in answer.observed
+    score = sum(getattr(settings.seen, name) * value for name, value in answer.observed.items())
+    squares = mean_square(box, answer.pose, answer.modes[0].covariance)
+    near = below(*squares, settings.tolerance, settings.seen.nearest)
+    assert answer.confidence == pytest.approx(near / (1.0 + np.exp(-score)), rel=1e-9)
+    everywhere = estimate(replace(plain_view(), prior=None), box)
+    assert (answer.observed["anywhere"], everywhere.observed["anywhere"]) == (0.0, 1.0)
+
+
+def test_the_gamma_distribution_is_scipys_near_enough():
+    mean, variance = np.array([1e-6, 4e-6, 2e-5]), np.array([5e-13, 1e-11, 6e-10])
+    for tolerance in (0.001, 0.003, 0.01):
+        exact = gamma.cdf((tolerance / 0.6) ** 2, mean**2 / variance, scale=variance / mean)
+        np.testing.assert_allclose(below(mean, variance, tolerance, 0.6), exact, atol=0.01)
+    np.testing.assert_array_equal(below([0.0, np.inf, np.nan, 1.0], [0.0, 1.0, 1.0, 0.0], 0.005, 0.6), [1, 0, 0, 0])

@@ -275,3 +275,23 @@ def test_where_nothing_is_shared_pixels_count_more(drill):
     usual = solve(problem, pose, 1.0)
     assert calm.level < usual.level
     assert np.trace(calm.covariance[3:, 3:]) < 0.5 * np.trace(usual.covariance[3:, 3:])
+
+
+def test_a_surface_that_is_off_smoothly_speaks_of_the_mesh(drill, rng):
+    problem, pose = made_problem(drill, rng, prior=False, noise=0.0002)
+    bent = poses.apply(poses.inverse(pose), problem.seen.points)
+    # four millimetres up and down along the object's longest side
+    wave = 0.004 * np.sin(bent[:, np.argmax(np.ptp(bent, axis=0))] / 0.02)
+    rows = problem.seen.rows.copy()
+    rows[:, :3] *= 1.0 + (wave / np.linalg.norm(problem.seen.points, axis=1))[:, None]
+    off = replace(problem, seen=replace(problem.seen, rows=rows))
+    found = []
+    for one in (problem, off):
+        system = System(one, pose, 1.0, 0.22)
+        system.vision(pose, np.zeros(system.size))
+        found.append(system.mesh_variance())
+    believed = problem.beliefs.mesh_sigma**2
+    assert found[0] < believed < found[1]
+    # what is believed stays where nothing is seen
+    blind = System(replace(problem, seen=evidence.empty()), pose, 1.0, 0.22)
+    assert blind.mesh_variance() == pytest.approx(believed)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -12,8 +13,8 @@ from scenes.geometry import poses
 from scenes.synthesis import library
 from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
 
-PLAIN = EstimateSettings()
-COLOUR = replace(PLAIN, contour=replace(PLAIN.contour, used=True))
+USUAL = EstimateSettings()
+PLAIN, COLOUR = (replace(USUAL, contour=replace(USUAL.contour, used=used, own=used)) for used in (False, True))
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +54,7 @@ def test_the_outline_has_its_say_and_keeps_the_answer_honest(held):
         (lambda rgb: np.full_like(rgb, 255), "overexposed"),
         (lambda rgb: np.full_like(rgb, 128), "no contrast"),
         (lambda rgb: np.roll(rgb, 10, axis=1), "registered"),
+        (lambda rgb: cv2.GaussianBlur(rgb, (0, 0), 6.0), "blurred"),
     ],
 )
 def test_an_image_that_cannot_help_changes_nothing_and_is_said(held, change, said):
@@ -101,3 +103,29 @@ def test_the_hand_follows_the_pose(held):
     before, after = estimate(held, model, settings=PLAIN), estimate(held, model, settings=COLOUR)
     worst = [max(abs(one.residual_mm) for one in answer.contacts) for answer in (before, after)]
     assert worst[1] < worst[0] + 0.5
+
+
+def test_the_depth_cameras_own_image_is_asked_without_being_told_to(held):
+    model = library.make("bottle")
+    assert "not asked for" in stage_of(estimate(held, model)).why
+    grey = replace(held, rgb=np.repeat(held.rgb[..., :1], 3, axis=2))
+    assert stage_of(estimate(grey, model)).rows > 20
+    assert not stage_of(estimate(replace(held, rgb=None), model)).ran
+
+
+def test_distance_stays_with_depth(held):
+    """What an outline seems to tell of distance is how fat it looks: two pixels fatter it brings nothing nearer."""
+    model = library.make("bottle")
+    colour = np.array([206, 116, 58])
+    own = (
+        np.abs(held.rgb / np.maximum(held.rgb.max(axis=2, keepdims=True), 1) - colour / 206).max(axis=2) < 0.05
+    ).astype(np.uint8)
+    fat = np.where(
+        cv2.dilate(own, np.ones((5, 5), np.uint8))[..., None] > 0, cv2.dilate(held.rgb, np.ones((5, 5))), held.rgb
+    )
+    before = estimate(held, model, settings=PLAIN)
+    after = estimate(replace(held, rgb=fat.astype(np.uint8)), model, settings=COLOUR)
+    ray = before.pose[:3, :3] @ model.centroid + before.pose[:3, 3]
+    ray = ray / np.linalg.norm(ray)
+    moved = poses.difference(after.pose, before.pose, model.centroid)[3:]
+    assert abs(moved @ ray) < 1e-3

@@ -10,7 +10,7 @@ from fusion.estimation.estimate import estimate
 from fusion.tracking import hypotheses as several
 from fusion.tracking.hypotheses import Hypothesis, HypothesisSettings
 from fusion.tracking.occluders import Occluders
-from fusion.tracking.renewal import Renewal, RenewalSettings
+from fusion.tracking.state import Renewal, RenewalSettings
 from fusion.tracking.tracker import Tracker
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
@@ -90,7 +90,7 @@ def test_searches_become_rare_while_they_agree_and_frequent_when_not():
         index = renewal.due
         renewal.found(index, True, s)
         waits.append(renewal.due - index)
-    assert waits == [6, 12, 24, 30, 30, 30]
+    assert waits == [6, 12, 24, 48, 60, 60]
     renewal.found(200, False, s)
     assert renewal.due == 200 + s.soonest
     renewal.found(203, None, s)

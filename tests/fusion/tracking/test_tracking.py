@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from fusion import Tracker, track
+from fusion.tracking.answer import TrackSettings
+from fusion.tracking.state import GlanceSettings
 from scenes.errors import InputError
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
@@ -77,9 +79,35 @@ def test_a_carried_object_is_followed_and_nothing_slips(mug, carried):
         assert move < 2.0
         assert np.linalg.eigvalsh(answer.covariance).min() > 0
         assert answer.hand_from_object is not None
-    said = answers[-1].to_json()
+    said = next(a for a in answers[1:] if not any(stage.name == "glance" for stage in a.trace)).to_json()
     assert said["tracking"]["how"] == "tracked"
     assert {"predict", "look", "align", "judge"} <= {line["stage"] for line in said["trace"]}
+
+
+def test_where_all_goes_as_expected_a_glance_is_enough(mug, carried):
+    answers = list(track(carried, mug))
+    stages = [{stage.name for stage in a.trace if stage.ran} for a in answers[1:]]
+    glances = [i for i, names in enumerate(stages, 1) if "glance" in names and "look" not in names]
+    assert len(glances) >= 3
+    assert 1 not in glances  # what is not settled is looked at in full
+    full = list(track(carried, mug, settings=TrackSettings(glance=GlanceSettings(every=1))))
+    assert not any("glance" in {stage.name for stage in a.trace} for a in full)
+    for i in glances:
+        turn, move = error(answers[i], carried[i], mug)
+        assert turn < 2.5
+        assert move < 2.0
+        assert answers[i].verdict == full[i].verdict
+
+
+def test_what_is_otherwise_than_expected_is_looked_at_in_full(mug, carried):
+    index = 10  # a glance, as long as nothing happens
+    away = poses.perturb(np.eye(4), [0.0, 0.0, 0.0, 0.02, 0.0, 0.0], np.zeros(3))
+    false = replace(carried[index], contacts=carried[index].contacts.moved(away))
+    for frame, word in ((carried[index], ""), (false, "contacts are")):
+        answers = list(track([*carried[:index], frame], mug))
+        stages = {stage.name: stage.why for stage in answers[-1].trace}
+        assert ("look" in stages) == bool(word)
+        assert word in stages["glance"]
 
 
 def test_the_same_track_twice_is_the_same_to_the_bit(mug, carried):

@@ -172,7 +172,7 @@ def test_functions_take_batches():
     stack = poses.exp(twist)
     assert stack.shape == (4, 5, 4, 4)
     for i in np.ndindex(4, 5):
-        assert np.array_equal(stack[i], poses.exp(twist[i]))
+        assert np.allclose(stack[i], poses.exp(twist[i]), atol=1e-15)  # one rotation is made without arrays
         assert np.allclose(poses.log(stack)[i], poses.log(stack[i]), atol=1e-14)
         assert np.allclose(poses.adjoint(stack)[i], poses.adjoint(stack[i]), atol=1e-15)
         assert np.allclose(poses.inverse(stack)[i], poses.inverse(stack[i]), atol=1e-15)
@@ -211,3 +211,14 @@ def test_check_pose_refuses(spoil, message):
     pose = poses.make_pose(poses.exp_rotation([0.1, 0.2, 0.3]), [0.0, 1.0, 2.0])
     with pytest.raises(InputError, match=f"start: .*{message}"):
         poses.check_pose(spoil(pose), "start")
+
+
+def test_one_rotation_is_what_it_is_among_many():
+    rng = np.random.default_rng(5)
+    vectors = rng.normal(size=(200, 3)) * np.geomspace(1e-9, 3.1, 200)[:, None]
+    turns = poses.exp_rotation(vectors)
+    for vector, turn, quaternion in zip(vectors, turns, poses.to_quaternion(turns)):
+        assert np.allclose(poses.exp_rotation(vector), turn, atol=2e-15)
+        assert np.allclose(poses.to_quaternion(turn), quaternion, atol=2e-15)
+    half = poses.exp_rotation(np.pi * np.eye(3))
+    assert np.allclose([poses.to_quaternion(turn) for turn in half], poses.to_quaternion(half), atol=1e-15)

@@ -1,0 +1,260 @@
+"""Which way round: what is printed on the object turns each pose to the way that the image shows. Camera frame, metres.
+
+Poses are found and solved modulo the symmetries of the shape; ways round that the shape nearly has (a box scanned with
+its dents) are minima of their own, and a start at the wrong one keeps a search there. So before anything is solved the
+print is asked about each pose, turned by every symmetry and near symmetry. A start of another face turns with the pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation.asked import Asked
+from fusion.estimation.search import Found
+from fusion.estimation.steps.sense import Sensed
+from scenes.errors import InputError
+from scenes.evidence import table as tables
+from scenes.evidence.align import Prior, costs
+from scenes.evidence.modes import Mode
+from scenes.evidence.near_symmetries import near_symmetries
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+from scenes.geometry.symmetries import Symmetries
+from vision.texture import PrintSettings, SeenPrint, see_print
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Facing:
+    """What the print says of a pose. share: posterior share of its way round among all that the shape allows, NaN where
+    the print says nothing; turn (rad): how sure the turn about the object's own axis is, NaN for an object without one;
+    why: in words.
+    """
+
+    share: float = float("nan")
+    turn: float = float("nan")
+    pixels: int = 0
+    why: str = ""
+
+    def decides(self, settings: PrintSettings) -> bool:
+        """Whether this way round is as good as sure."""
+        return bool(self.share >= settings.decides)
+
+
+@dataclass(frozen=True)
+class Faced:
+    """The search's modes each turned to its likeliest way round, likeliest first; their gains (k,) in nats; what was
+    asked, and the frame's evidence, with a start that has turned with the first.
+    """
+
+    found: Found
+    gains: Array
+    asked: Asked
+    sensed: Sensed
+    facing: Facing
+
+
+def why_no_print(sensed: Sensed, settings: PrintSettings) -> str:
+    """Why no print is looked at; "" where one is."""
+    model, frame = sensed.pool.model, sensed.viewed
+    if model.texture is None or not settings.used:
+        return "nothing is printed on the mesh"
+    if frame.rgb is None or not sensed.pool.predictor.sees:
+        return "no colours beside depth"
+    return "a ball turns every way" if model.symmetries.is_spherical else ""
+
+
+def faced(sensed: Sensed, found: Found, asked: Asked) -> Faced:
+    """The modes as the print has them; as they were, with the reason, where it says nothing."""
+    s, model, pool = asked.settings.texture, sensed.pool.model, sensed.pool
+    modes = [mode for mode in found.modes if mode.weight >= asked.settings.plan.negligible] or [found.modes[0]]
+    unchanged = np.zeros(len(modes))
+    first = see_print(sensed.viewed, model, pool.predictor, modes[0].pose, s)
+    if isinstance(first, str):
+        return Faced(found, unchanged, asked, sensed, Facing(why=first))
+    told = [_ways(first, modes[0].pose, asked.prior)]
+    for mode in modes[1:]:
+        seen = see_print(sensed.viewed, model, pool.predictor, mode.pose, s)
+        told.append(_Ways.silent(mode.pose) if isinstance(seen, str) else _ways(seen, mode.pose, asked.prior))
+    other = _near(sensed, first, modes[0], told[0], asked)
+    if other is not None:
+        modes, told = [*modes, other[0]], [*told, other[1]]
+    best = max(range(len(modes)), key=lambda k: told[k].best)
+    why_not = told[best].why_not
+    if why_not:
+        return Faced(found, unchanged, asked, sensed, Facing(pixels=len(first.points), why=why_not))
+    gains = np.maximum(np.array([one.best for one in told]) - told[best].best, -s.most)
+    logs = np.log([max(mode.weight, 1e-12) for mode in modes]) + gains
+    weights = np.exp(logs - logs.max())
+    order = np.argsort(-weights, kind="stable")
+    turned = [replace(modes[k], pose=told[k].pose, weight=float(weights[k] / weights.sum())) for k in order]
+    lead = told[order[0]]
+    before = modes[order[0]].pose if other is None or order[0] < len(modes) - 1 else found.modes[0].pose
+    asked = replace(asked, prior=_turned(asked.prior, before, lead.pose))
+    sensed = replace(sensed, pool=replace(pool, prior=asked.prior))
+    moved = float(np.rad2deg(se3.rotation_angle(before[:3, :3].T @ lead.pose[:3, :3])))
+    way = f"turned by {moved:.0f} degrees" if moved > 1.0 else "the way round that it was"
+    why = f"{way}, {lead.share:.0%} of {lead.count} ways; the print explains {lead.explained:.0%} of the image"
+    facing = Facing(lead.share, lead.turn, len(first.points), why)
+    return Faced(replace(found, modes=tuple(turned)), gains[order], asked, sensed, facing)
+
+
+def by_print(gains: Array, count: int) -> Array:
+    """(count,) nats by which the print speaks for the poses that are solved, of which the first are the modes that it
+    was asked about; the others as for the least of these.
+    """
+    out = np.full(count, float(gains.min(initial=0.0)))
+    out[: min(count, len(gains))] = gains[:count]
+    return out
+
+
+def check_print(model: ObjectModel, settings: PrintSettings) -> None:
+    """Raises InputError when a print is to count and the mesh has none."""
+    if settings.counts and model.texture is None:
+        raise InputError(f"print: expected a mesh with colours (of vertices, faces or an image), {model.name} has none")
+
+
+def by_facing(model: ObjectModel, facing: Facing, word: str, why: str, settings: PrintSettings) -> tuple[str, str]:
+    """Verdict and reason, where the way round counts: no `ok` without knowing it."""
+    if not settings.counts or word != "ok" or facing.decides(settings):
+        return word, why
+    if model.symmetries.is_trivial and not len(near_symmetries(model)):
+        return word, why
+    return "ambiguous", f"the way round is unknown: {facing.why}"
+
+
+def as_printed(model: ObjectModel, facing: Facing, settings: PrintSettings) -> ObjectModel:
+    """The object without the symmetries that its print breaks."""
+    return model.with_symmetries(Symmetries.none()) if facing.decides(settings) else model
+
+
+def unread(facing: Facing) -> tuple[str, ...]:
+    """A note on why a print that could have been seen was not."""
+    return (facing.why,) if facing.pixels and np.isnan(facing.share) else ()
+
+
+def turned_as_printed(sensed: Sensed, mode: Mode, facing: Facing, settings: PrintSettings) -> tuple[Mode, Facing]:
+    """The answer turned about the object's own axis to where the print has it, and sure of that as far as it is."""
+    model = sensed.pool.model
+    if not model.symmetries.axes or not facing.decides(settings):
+        return mode, facing
+    seen = see_print(sensed.viewed, model, sensed.pool.predictor, mode.pose, settings)
+    if isinstance(seen, str):
+        return mode, facing
+    pose, turn = _finest(seen, mode.pose, settings.same)
+    axis, rotation = model.symmetries.axes[0], pose[:3, :3]
+    along = rotation @ axis.direction
+    moves = np.concatenate([along, np.cross(along, rotation @ (model.centroid - axis.point))])
+    known = model.symmetries.quotient(rotation, model.centroid)
+    covariance = known @ mode.covariance @ known.T + turn**2 * np.outer(moves, moves)
+    return replace(mode, pose=pose, covariance=0.5 * (covariance + covariance.T)), replace(facing, turn=turn)
+
+
+@dataclass(frozen=True)
+class _Ways:
+    """The ways round of one pose: the likeliest as a pose, its gain and what else may be (nats), its share among
+    `count`, how sure its turn is (rad), and how much of the image it explains.
+    """
+
+    pose: Array
+    best: float
+    share: float
+    turn: float
+    count: int
+    explained: float
+    why_not: str = ""
+
+    @staticmethod
+    def silent(pose: Array) -> _Ways:
+        """Of a pose whose print is not seen."""
+        return _Ways(pose, 0.0, float("nan"), float("nan"), 1, 0.0, "its print is not seen")
+
+
+def _ways(seen: SeenPrint, pose: Array, prior: Prior | None) -> _Ways:
+    s, model = seen.settings, seen.model
+    at = pose @ model.symmetry_poses(s.turns)
+    prints = seen.predicted(at)
+    left = seen.left(prints)
+    gains = seen.nats(left)
+    start = np.zeros(len(at)) if prior is None else costs(model, tables.empty(), at, prior)
+    logs = np.maximum(gains - gains.max(), -s.most) - np.minimum(start - start.min(), s.most_start)
+    lead = int(np.argmax(logs))
+    weights = np.exp(logs - logs[lead])
+    apart = se3.rotation_angle(np.swapaxes(at[:, :3, :3], -1, -2) @ at[lead, :3, :3])
+    share = float(weights[apart <= s.same].sum() / weights.sum())
+    best, turn, gain, explained = at[lead], float("nan"), float(gains[lead]), seen.explained(left[lead])
+    if model.symmetries.axes:
+        best, turn = _finest(seen, best, 2.0 * np.pi / s.turns)
+        finer = seen.left(seen.predicted(best[None]))
+        gain, explained = float(seen.nats(finer)[0]), seen.explained(finer[0])
+    why_not = ""
+    if explained < s.explained:
+        why_not = f"the print is not seen: it explains {explained:.0%} of the image"
+    if seen.colours.shape[1] == 3 and explained < s.sure_of_channels:
+        swapped = seen.left(prints, swapped=True)
+        if seen.nats(swapped, swapped=True).max() - gains.max() > s.prefers:
+            why_not = "red and blue of the image seem swapped: the print is not used"
+    if seen.unregistered(prints):
+        why_not = "the print is seen beside where depth has it: image and depth may not be registered"
+    return _Ways(best, gain, share, turn, len(model.symmetries.discrete), explained, why_not)
+
+
+def _finest(seen: SeenPrint, pose: Array, step: float) -> tuple[Array, float]:
+    """The pose (4, 4) turned about the object's own axis to the likeliest place within two steps (rad), and the
+    standard deviation (rad) of that.
+    """
+    s, angle, turn = seen.settings, 0.0, step
+    for _ in range(s.halvings):
+        tried = angle + step * np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
+        gains = seen.gains(pose @ _turns(seen.model, tried))
+        k = int(np.clip(np.argmax(gains), 1, 3))
+        bend = float(2.0 * gains[k] - gains[k - 1] - gains[k + 1])
+        angle = float(tried[int(np.argmax(gains))])
+        turn = float(np.hypot(step / np.sqrt(max(bend, 1e-3)), 0.25 * step))
+        step = 0.5 * step
+    return pose @ _turns(seen.model, np.array([angle]))[0], turn
+
+
+def _turns(model: ObjectModel, angles: Array) -> Array:
+    """(k, 4, 4) turns about the object's own axis by angles (k,) rad, object frame."""
+    axis = model.symmetries.axes[0]
+    out = np.tile(np.eye(4), (len(angles), 1, 1))
+    out[:, :3, :3] = se3.exp_rotation(angles[:, None] * axis.direction)
+    out[:, :3, 3] = axis.point - out[:, :3, :3] @ axis.point
+    return out
+
+
+def _near(sensed: Sensed, seen: SeenPrint, mode: Mode, ways: _Ways, asked: Asked) -> tuple[Mode, _Ways] | None:
+    """A way round that the shape nearly has and that the print prefers, fitted to what is seen; None for none."""
+    s, pool, model = asked.settings.texture, sensed.pool, sensed.pool.model
+    motions = near_symmetries(model)
+    if not len(motions):
+        return None
+    tried = mode.pose @ motions
+    gains = seen.gains(tried)
+    lead = int(np.argmax(gains))
+    if gains[lead] - ways.best < s.prefers:
+        return None
+    free = replace(pool, prior=None)
+    fitted = free.compete(tried[lead : lead + 1])[0]
+    worse = free.costs(np.array([fitted.pose, mode.pose]))
+    if worse[0] - worse[1] > s.most_worse:
+        return None
+    again = see_print(sensed.viewed, model, pool.predictor, fitted.pose, s)
+    if isinstance(again, str):
+        return None
+    prior = _turned(asked.prior, mode.pose, fitted.pose)
+    found = _ways(again, fitted.pose, prior)
+    weight = mode.weight * float(np.exp(np.clip(worse[1] - worse[0], -20.0, 20.0)))
+    return replace(fitted, weight=weight, cost=mode.cost + float(worse[0] - worse[1])), found
+
+
+def _turned(prior: Prior | None, before: Array, after: Array) -> Prior | None:
+    """The start of another face, carried along as a pose (4, 4) turns from one face to another."""
+    if prior is None:
+        return None
+    return replace(prior, pose=prior.pose @ se3.inverse(before) @ after)

@@ -1,0 +1,191 @@
+"""A glance at a frame whose predecessors were understood: where is the object now, is anything otherwise than it was?
+
+A look in full finds the hand in the image, solves with every shared error and draws the predicted picture. From frame
+to frame none of that changes: a calibration stays, a camera's bias and scale stay, and a hand that closes on an object
+stays closed. So between two looks in full a frame is fitted by its rows alone, a few steps from the prediction; what
+the whole solution of the last look added to such a fit is added again, and what it said of its own certainty still
+holds, in the object's own axes. Whatever is otherwise than expected (pixels, what is seen past the object, contacts,
+the pose itself) asks for a look in full at this very frame. Camera frame, metres, radians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation.answer import ContactResidual, Mode
+from fusion.estimation.confidence import whole_covariance, within
+from fusion.estimation.verdict import contact_residuals, pixel_agreement
+from fusion.tracking.answer import TrackSettings
+from fusion.tracking.filter import Belief, Measurement
+from fusion.tracking.hypotheses import Hypotheses, weights
+from fusion.tracking.judging import Judged
+from fusion.tracking.occluders import Occluders
+from fusion.tracking.refining import loose
+from fusion.tracking.sensing import Sensed, pool_near
+from fusion.tracking.state import GlanceSettings, Known, TrackState
+from scenes.evidence import table as tables
+from scenes.evidence.align import AlignSettings, Prior, align
+from scenes.evidence.table import GATE_ABOVE, Evidence
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.beliefs import Beliefs
+from scenes.recordings.frames import Frame
+from touch.contacts import Felt, feel
+from vision.look.warm import Looker
+from vision.sight import Sight
+
+Array = NDArray[np.float64]
+
+# A contact farther off than this (mm) is false, however far.
+_FALSE = 20.0
+
+
+@dataclass(frozen=True)
+class Glanced:
+    """What a glance has found: the frame's rows; the measurement; residuals of contacts; share of the pixels explained
+    and their RMS (m); otherwise: what asks for a look in full, in words, empty when nothing does.
+    """
+
+    sensed: Sensed
+    measured: Measurement
+    residuals: tuple[ContactResidual, ...]
+    share: float
+    rms: float
+    otherwise: str
+
+
+def may_glance(frame: Frame, state: TrackState, carried: Hypotheses, settings: TrackSettings) -> bool:
+    """Whether a frame whose hypotheses were carried to it need not be looked at in full."""
+    s, known = settings.glance, state.known
+    if known is None or frame.depth is None or frame.camera is None:
+        return False
+    share = float(weights(carried, settings.hypotheses)[0])
+    every = s.every if share >= s.alone else s.every_open
+    if not 0 < frame.index - state.index <= s.gap or frame.index - known.index >= every:
+        return False
+    if frame.index >= state.renewal.due or carried[0].age < s.settled:
+        return False
+    return share >= s.leads and all(h.age >= s.young for h in carried)
+
+
+def glance(
+    model: ObjectModel,
+    frame: Frame,
+    felt_frame: Frame,
+    looker: Looker,
+    predicted: Belief,
+    known: Known,
+    things: Occluders,
+    beliefs: Beliefs,
+    settings: TrackSettings,
+) -> Glanced:
+    """Look at a frame near the prediction; felt_frame: the same as far as touch may tell."""
+    first, how = settings.first, settings.glance
+    looked = looker.look(frame, predicted.pose, how.pixels)
+    touch = replace(first.touch, hand_points=0)
+    felt = feel(felt_frame, known.correction, beliefs, None, touch)
+    pool = None
+    if not looked.told_apart:
+        here = predicted.pose[None]
+        pool = pool_near(frame, model, here, looked, felt, beliefs, first, settings.room, pieces=False)
+    near = looked.rows(beliefs.depth, looker.first.rows)
+    sensed = Sensed(frame, looked, near, felt, pool, things, settings.occluders)
+    if not sensed.told_apart:
+        near = sensed.rows_at(predicted.pose, settings.side)
+        sensed = replace(sensed, seen=near)
+    prior = loose(predicted.pose, predicted.covariance, settings)
+    fit = fitted(model, near, _touching(felt), predicted.pose, prior, how.steps)
+    measured = known.measured(model, fit, predicted.pose)
+    residuals = contact_residuals(model, felt.contacts, fit, first.verdict)
+    share, rms = pixel_agreement(model, near, fit)
+    sight = float(Sight(frame, model, beliefs.depth, first.sight).costs(fit[None])[0])
+    step = se3.difference(measured.pose, predicted.pose, model.centroid)
+    surprise = float(step @ np.linalg.solve(predicted.own + measured.own, step))
+    changed = _otherwise(known, share, sight, _apart(residuals), surprise, how)
+    return Glanced(sensed, measured, residuals, share, rms, changed)
+
+
+def as_judged(
+    model: ObjectModel, known: Known, carried: Hypotheses, belief: Belief, glanced: Glanced, settings: TrackSettings
+) -> Judged:
+    """What the last look in full said holds of this frame, too, as far as the belief is sure of it."""
+    confident = settings.first.confidence
+    part = weights(carried, settings.hypotheses)
+    modes = (
+        Mode(belief.pose, float(part[0]), 0.0, belief.covariance),
+        *(Mode(h.pose, float(w), carried[0].score - h.score, h.covariance) for h, w in zip(carried[1:], part[1:])),
+    )
+    near = within(model, belief.pose, belief.covariance, confident.tolerance, confident.seen.nearest)
+    word, why, sure = known.verdict, known.why, known.right * near
+    if word == "ok" and sure < confident.sure:
+        word, why = "ambiguous", f"only {sure:.0%} sure to be within {1e3 * confident.tolerance:.3g} mm"
+    covariance = belief.covariance
+    if word != "ok":
+        covariance = whole_covariance(model, modes, known.right, None, confident)
+    return Judged(
+        word, why, covariance, known.right, sure, modes, glanced.residuals, glanced.share, glanced.rms,
+        known.visible, known.unobservable,
+    )  # fmt: skip
+
+
+def known_of(
+    model: ObjectModel,
+    prior: Prior,
+    sensed: Sensed,
+    measured: Measurement,
+    said: Judged,
+    beliefs: Beliefs,
+    settings: TrackSettings,
+) -> Known | None:
+    """What a frame that was looked at in full, and solved as `measured`, is worth to the next ones; prior: of its own
+    answer. None without an image, or where it was lost.
+    """
+    frame, felt, first = sensed.viewed, sensed.felt, settings.first
+    if frame.depth is None or said.verdict == "lost":
+        return None
+    fit = fitted(model, sensed.seen, _touching(felt), measured.pose, prior, settings.glance.steps)
+    offset = se3.difference(measured.pose, model.symmetries.nearest(fit, measured.pose), model.centroid)
+    share, _ = pixel_agreement(model, sensed.seen, fit)
+    sight = float(Sight(frame, model, beliefs.depth, first.sight).costs(fit[None])[0])
+    off = _apart(contact_residuals(model, felt.contacts, fit, first.verdict))
+    return Known(
+        frame.index, measured.pose, offset, measured.own, measured.shared, felt.correction, share, sight, off,
+        said.verdict, said.why, said.right, said.visible, said.unobservable,
+    )  # fmt: skip
+
+
+def fitted(model: ObjectModel, seen: Evidence, felt: Evidence, start: Array, prior: Prior, steps: int) -> Array:
+    """(4, 4) pose of the rows alone, from `start` (4, 4)."""
+    rows = tables.stack(seen, felt)
+    if not len(rows):
+        return start
+    return np.asarray(align(model, rows, start[None], prior, AlignSettings(iterations=steps)).poses[0])
+
+
+def _touching(felt: Felt) -> Evidence:
+    """What fingers that touch say; that links do not fill the object's place adds little to a pose that is known."""
+    rows = felt.rows
+    return rows.take(rows.rows[:, GATE_ABOVE] > 0)
+
+
+def _apart(residuals: Sequence[ContactResidual]) -> float:
+    """Root mean square (mm) of how far contacts are off; 0 without any."""
+    if not residuals:
+        return 0.0
+    return float(np.sqrt(np.mean([min(abs(r.residual_mm), _FALSE) ** 2 for r in residuals])))
+
+
+def _otherwise(known: Known, share: float, sight: float, felt: float, surprise: float, settings: GlanceSettings) -> str:
+    """What asks for a look in full, in words; share, sight, felt: as in `Known`, now."""
+    s = settings
+    if np.isfinite(known.share) != np.isfinite(share) or share < known.share - s.fewer:
+        return f"{share:.0%} of the pixels explained, {known.share:.0%} before"
+    if sight > known.sight + s.sight:
+        return f"the image says {sight - known.sight:.0f} nats less for it"
+    if felt > known.felt + s.contacts:
+        return f"contacts are {felt:.1f} mm off, {known.felt:.1f} before"
+    return f"a surprise of {surprise:.0f} (chi-square)" if surprise > s.surprise else ""

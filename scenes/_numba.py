@@ -1,0 +1,28 @@
+"""Spares numba a look for SciPy's linear algebra by loading it: a tenth of a second at a process's first kernel.
+
+Before its first kernel runs, numba registers how array products are compiled, and to know whether it may it imports
+SciPy's BLAS. SciPy is there, palpate depends on it; it is enough to see that. A kernel that multiplies arrays still
+loads it, when it is compiled or called.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from functools import cache
+
+
+@cache
+def spare_blas() -> None:
+    """Let numba's first look for a BLAS see that SciPy is installed; those after it load it, as ever."""
+    import numba.np.linalg as linear
+
+    real = getattr(linear, "ensure_blas", None)
+    if real is None:
+        return  # another numba asks in another way
+
+    def only_look() -> None:
+        linear.ensure_blas = real
+        if importlib.util.find_spec("scipy") is None:
+            raise ImportError("no SciPy")
+
+    linear.ensure_blas = only_look
