@@ -70,6 +70,15 @@ class Felt:
         return tuple(patch.moved(self.correction) for patch in self.reported_patches)
 
     @property
+    def untold(self) -> tuple[str, ...]:
+        """In words, what is believed of contacts that say no sigma; none when all do."""
+        felt = self.reported_contacts
+        if felt.sigma_known or not len(felt):
+            return ()
+        believed = 1e3 * float(felt.sigma_point[0])
+        return (f"contacts say no sigma: {believed:g} mm believed of each, none taken for false",)
+
+    @property
     def contacts(self) -> Contacts:
         """The contacts, corrected."""
         return self.reported_contacts.moved(self.correction)

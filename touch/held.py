@@ -8,6 +8,7 @@ the line that joins them. Hand frame in, any frame out; metres, radians.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +50,7 @@ class Held:
         """(n, 4, 4) camera_from_object of the object between two fingertips; none when nothing of it fits there."""
         s = settings or HeldSettings()
         middles, axes, gaps = grips(self.hand, self.joints, s.narrowest)
-        places, lines, thick = thicknesses(model, s, rng)
+        places, lines, thick = thicknesses(model, s)
         if not len(gaps) or not len(thick):
             return np.zeros((0, 4, 4))
         grip = np.arange(s.count) % len(gaps)
@@ -60,7 +61,9 @@ class Held:
             return np.zeros((0, 4, 4))
         chances = np.cumsum(odds, axis=1)
         drawn = rng.random(len(grip)) * chances[grip, -1]
-        place = np.array([np.searchsorted(chances[g], x) for g, x in zip(grip, drawn)])
+        place = np.zeros(len(grip), dtype=np.int64)
+        for g in np.unique(grip):
+            place[grip == g] = np.searchsorted(chances[g], drawn[grip == g])
         place = np.minimum(place, len(thick) - 1)
         spun = se3.exp_rotation(axes[grip] * rng.uniform(0.0, 2.0 * np.pi, size=(len(grip), 1)))
         rotations = spun @ upright(axes[grip]) @ np.swapaxes(upright(lines[place]), 1, 2)
@@ -101,18 +104,24 @@ def grips(hand: Hand, joints: dict[str, float], narrowest: float) -> tuple[Array
     return middles, axes, gap[use]
 
 
-def thicknesses(model: ObjectModel, settings: HeldSettings, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+_FOUND: WeakKeyDictionary[ObjectModel, dict[HeldSettings, tuple[Array, Array, Array]]] = WeakKeyDictionary()
+
+
+def thicknesses(model: ObjectModel, settings: HeldSettings) -> tuple[Array, Array, Array]:
     """Middles (n, 3) of the lines on which the object is held between two faces that look apart, their directions
-    (n, 3) and lengths (n,), object frame.
+    (n, 3) and lengths (n,), object frame; found at the first call for an object, and not to be written to.
     """
-    points, normals = model.sample_surface(settings.points, seed=int(rng.integers(2**31)))
-    inside = points - 1e-5 * normals
-    length = model.surface.cast(inside, -normals)
-    good = np.isfinite(length)
-    points, normals, length = points[good], normals[good], length[good] + 1e-5
-    ends = points - normals * length[:, None]
-    apart = np.sum(model.field.normals(ends) * normals, axis=1) < settings.apart
-    return points[apart] - 0.5 * normals[apart] * length[apart, None], normals[apart], length[apart]
+    kept = _FOUND.setdefault(model, {})
+    if settings not in kept:
+        points, normals = model.sample_surface(settings.points)
+        length = model.surface.cast(points - 1e-5 * normals, -normals)
+        good = np.isfinite(length)
+        points, normals, length = points[good], normals[good], length[good] + 1e-5
+        ends = points - normals * length[:, None]
+        apart = np.sum(model.field.normals(ends) * normals, axis=1) < settings.apart
+        points, normals, length = points[apart], normals[apart], length[apart]
+        kept[settings] = points - 0.5 * normals * length[:, None], normals, length
+    return kept[settings]
 
 
 def upright(directions: Array) -> Array:

@@ -186,6 +186,9 @@ def multistart(
         settled = whole.settle(poses, settings.settling_steps)
         modes = distinct_modes(model, settled, ModeSettings())
         notes = (f"searched with {len(few)} of {len(contacts)} contacts, settled with all",)
+    if not contacts.sigma_known and inferred is None:
+        believed = f"{1e3 * sigma:.1f} mm and {np.rad2deg(contacts.sigma_normal[0]):.0f} degrees"
+        notes += (f"the contacts say no sigma, and so few do not tell: {believed} believed of each",)
     pose = modes[0].pose
     return Localization(
         pose,

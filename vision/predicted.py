@@ -134,7 +134,10 @@ class _View:
 
     def pixels(self, which: NDArray[np.bool_]) -> NDArray[np.int64]:
         """(k, 2) pixels (u, v) of the first pose's rays (side^2,) that are chosen."""
-        place = np.flatnonzero(which)
+        return self.at(np.flatnonzero(which))
+
+    def at(self, place: NDArray[np.intp]) -> NDArray[np.int64]:
+        """(k, 2) pixels (u, v) of rays (k,) of the first pose."""
         return np.stack([self.u[0, place % self.side], self.v[0, place // self.side]], axis=1)
 
 
@@ -281,16 +284,24 @@ class Predictor:
             (m.axial_floor, m.axial_growth, m.axial_from, m.bias_sigma, m.scale_sigma),
         )
 
-    def seen_pixels(self, pose: Array, side: int | None = None, inner: int = 1) -> Pixels:
+    def seen_and_empty(self, pose: Array, side: int | None = None, inner: int = 1) -> tuple[Pixels, Evidence]:
         """The pixels that show the object at pose (4, 4): inside its outline by `inner` rays, where edges smear no
-        depth, at the predicted depth, and not the hand's.
+        depth, at the predicted depth, and not the hand's. And OUTSIDE rows on the rays that see past it, where it
+        cannot be. side: rays along each side of the outline's box; default as many as show enough pixels.
         """
-        assert self.camera is not None
-        s, camera = self.settings, self.camera
-        if side is None:
-            few = self.seen_pixels(pose, s.sides_rows[0], inner)
-            return few if len(few) >= s.enough_rows else self.seen_pixels(pose, s.sides_rows[1], inner)
-        view = self._view(pose[None], side)
+        view = self._rows_view(pose, side, inner)
+        return self._shown(view, inner), self._empty(view)
+
+    def _rows_view(self, pose: Array, side: int | None, inner: int) -> _View:
+        if side is not None:
+            return self._view(pose[None], side)
+        few = self._view(pose[None], self.settings.sides_rows[0])
+        if len(self._shown(few, inner)) >= self.settings.enough_rows:
+            return few
+        return self._view(pose[None], self.settings.sides_rows[1])
+
+    def _shown(self, view: _View, inner: int) -> Pixels:
+        s, side = self.settings, view.side
         core, near = view.has(kernels.HIT).reshape(side, side), view.has(kernels.NEAR)[0]
         for _ in range(inner):
             inside = np.zeros_like(core)
@@ -300,26 +311,30 @@ class Predictor:
         if good.sum() < s.thin_share * near.sum():  # a thin thing is all edge
             good = near
         uv = view.pixels(good)
-        rays = np.stack([(uv[:, 0] - camera.cx) / camera.fx, (uv[:, 1] - camera.cy) / camera.fy, np.ones(len(uv))], 1)
         area = float(np.ptp(view.u[0]) * np.ptp(view.v[0])) / side**2
-        return Pixels(uv, rays * view.seen[0, good, None], max(area, 1.0))
+        return Pixels(uv, self._rays(uv) * view.seen[0, good, None], max(area, 1.0))
 
-    def empty_rows(self, pose: Array) -> Evidence:
-        """OUTSIDE rows on the rays that see past the object at pose (4, 4): there it cannot be."""
-        assert self.camera is not None
-        s, camera = self.settings, self.camera
-        view = self._view(pose[None], s.side)
-        past = (view.past[0] == 1.0) & (view.seen[0] > view.expected[0])
-        if not past.any():
+    def _empty(self, view: _View) -> Evidence:
+        s = self.settings
+        past = np.flatnonzero((view.past[0] == 1.0) & (view.seen[0] > view.expected[0]))
+        if not len(past):
             return tables.empty()
-        uv = view.pixels(past)
-        rays = np.stack([(uv[:, 0] - camera.cx) / camera.fx, (uv[:, 1] - camera.cy) / camera.fy, np.ones(len(uv))], 1)
+        # as many as the rays by which a pose is scored would see past it
+        count = max(1, round(len(past) * min(1.0, (s.side / view.side) ** 2)))
+        past = past[(np.arange(count) * len(past)) // count]
         depth = view.expected[0, past, None] + np.array(s.empty_depths)
         free = depth < view.seen[0, past, None] - s.empty_clearance
-        points = (rays[:, None] * depth[..., None])[free]
+        points = (self._rays(view.at(past))[:, None] * depth[..., None])[free]
         rows = tables.outside(points, s.empty_sigma, VISION, gate=s.empty_gate)
-        hits = float(view.has(kernels.HIT).sum())
+        hits = float(view.has(kernels.HIT).sum()) * min(1.0, (s.side / view.side) ** 2)
         return rows.reweighted(s.cells / max(hits, 1.0) / len(s.empty_depths))
+
+    def _rays(self, uv: NDArray[np.int64]) -> Array:
+        """(n, 3) rays of depth 1 through pixels (n, 2)."""
+        assert self.camera is not None
+        c, out = self.camera, np.ones((len(uv), 3))
+        out[:, 0], out[:, 1] = (uv[:, 0] - c.cx) / c.fx, (uv[:, 1] - c.cy) / c.fy
+        return out
 
     def hides(self, places: Array, beyond: Array) -> NDArray[np.bool_]:
         """(n,) whether something is in front of depths `beyond` (n,) m at places (n, 2) of the image (px): a reading

@@ -114,15 +114,17 @@ class SeenPrint:
         left = [_explained(prints[..., c], self.shades, colours[None, :, c])[:, 0] for c in range(count)]
         return np.minimum(np.stack(left, axis=1) + self.settings.floor**2, plain)
 
-    def unregistered(self, prints: Array) -> bool:
-        """Whether one of predicted colours (k, n, c) explains the image shifted by pixels far better than any explains
-        it where it is.
+    def shifted(self, prints: Array) -> tuple[Array, Array]:
+        """(k,) nats by which predicted colours (k, n, c) explain the image better than shades do where it is shifted
+        so that they explain it best, and the variances (k, c) that they leave there.
         """
         floor, count = self.settings.floor**2, self.colours.shape[1]
-        left = [_explained(prints[..., c], self.shades, self.beside[..., c]) for c in range(count)]
-        best = 0.5 * self.patches * np.log(self.plain / (np.stack(left, axis=-1) + floor)).mean(axis=-1)
-        here = float(self.nats(self.left(prints)).max())
-        return bool(best.max() > self.settings.shift_gain * here + self.settings.prefers)
+        left = np.stack([_explained(prints[..., c], self.shades, self.beside[..., c]) for c in range(count)], axis=-1)
+        left = np.minimum(left + floor, self.plain)
+        nats = 0.5 * self.patches * np.log(self.plain / left).mean(axis=-1)
+        best = np.argmax(nats, axis=1)
+        each = np.arange(len(prints))
+        return nats[each, best], left[each, best]
 
     @cached_property
     def shades(self) -> Array:
@@ -158,9 +160,9 @@ def see_print(
     s = settings or PrintSettings()
     if model.texture is None or frame.rgb is None or frame.camera is None or not predictor.sees:
         return "nothing is printed on the mesh" if model.texture is None else "no colours beside depth"
-    pixels = predictor.seen_pixels(pose, s.side)
+    pixels = predictor.seen_and_empty(pose, s.side)[0]
     if len(pixels) < s.enough:
-        pixels = predictor.seen_pixels(pose, 3 * s.side // 2)
+        pixels = predictor.seen_and_empty(pose, 3 * s.side // 2)[0]
     pixels = pixels.thinned(s.most_pixels)
     if len(pixels) < s.least_pixels:
         return f"only {len(pixels)} pixels of the object in view"

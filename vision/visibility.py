@@ -15,8 +15,8 @@ from scenes.recordings.frames import Frame
 
 Array = NDArray[np.float64]
 
-# Rays a side over the object's outline: a share is then known to about a percent.
-RAYS = 56
+# Rays a side over the object's outline: a share is then known to a percent or two.
+RAYS = 40
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ BENCHMARKS = {
     "search": "fusion.benchmarks.frames.search",
     "occlusion": "fusion.benchmarks.frames.occlusion",
     "calibration": "fusion.benchmarks.frames.calibration",
+    "profile": "fusion.benchmarks.frames.profile",
     "skipping": "fusion.benchmarks.frames.skipping",
     "stability": "fusion.benchmarks.stability",
     "peers": "fusion.benchmarks.peers.bench",

@@ -25,16 +25,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--family",
-        metavar="NAME",
-        help="frames of one family, or all, tuning or report (docs/evaluation.md), where accuracy is measured:"
+        metavar="A,B",
+        help="frames of these families, or all, tuning or report (docs/evaluation.md), where accuracy is measured:"
         " search, occlusion, calibration, vision, faults, tracking, colour, peers",
     )
     parser.add_argument(
         "--motions", metavar="A,B", type=names_list, help="motions of the sequences of `tracking` (default: all nine)"
     )
-    parser.add_argument("--frames", metavar="N", type=positive, help="frames of each sequence of `tracking` (default: 45)")
     parser.add_argument(
-        "--methods", metavar="A,B", type=names_list, help="methods that follow the sequences of `tracking` (default: all)"
+        "--frames", metavar="N", type=positive, help="frames of each sequence of `tracking` (default: 45)"
+    )
+    parser.add_argument(
+        "--methods",
+        metavar="A,B",
+        type=names_list,
+        help="methods that follow the sequences of `tracking` (default: all)",
     )
     parser.add_argument(
         "--data",

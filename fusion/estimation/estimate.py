@@ -86,6 +86,8 @@ def estimate(
     # built or read once per object, not part of a frame's time
     model.field  # noqa: B018
     near_symmetries(model)
+    if model.texture is not None:
+        model.texture.levels  # noqa: B018
     if asked.prior is None:
         pair_table(model)
     if asked.prior is None and frame.gels:
@@ -129,7 +131,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         if believed is not None:
             found = modes_near(pool, rows, seen, begun(), search_stages(blur, how.near), settings.plan, trace)
         elif predictor.sees:
-            found = modes_anywhere(pool, rows, seen, begun, wide, trace)
+            found = modes_anywhere(pool, rows, seen, begun, wide, settings.plan, trace)
         else:
             found = find_modes(model, rows, begun(), wide, None, sight.costs, settings.plan, settings.modes)
         gels = f", by {counted(len(felt.patches), 'gel')} too" if felt.patches and believed is None else ""
@@ -220,6 +222,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
             why,
             *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility),
             *useless,
+            *felt.untold,
         ),
         dropped=looked.dropped,
         start=start.pose if start is not None else None,

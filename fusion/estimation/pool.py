@@ -83,7 +83,9 @@ class PoolSettings:
     # at least this share of the whole agrees, and at most these shares are seen past and run on over its outline. Of
     # 107 answers of the tuning families that convinced (half of them where nobody knows the hand), a walk bettered 44
     # by more than 3 nats, but 1 of the 17 in 59 that passed these limits there.
+    # And of what neither the hand nor anything else hides this share must agree.
     explained: float = 0.3
+    explained_share: float = 0.9
     explained_past: float = 0.01
     explained_runs_on: float = 0.03
     # Nats by which one drawn around it must be likelier for the best to be in doubt after all.
@@ -94,13 +96,13 @@ class PoolSettings:
     passes_apart: float = 0.5
     # Fewest pixels that a glance begins with: of fewer no normals are told.
     glanced_pixels: int = 100
-    # Steps by which turned poses are laid onto what is seen of the best, and rows; those go on that cost at most so many
-    # nats more than it before they are fitted: of 164 ends of walks nine in ten gained up to 14 by that.
+    # Steps by which turned poses are laid onto what is seen of the best, and rows. Of these, and of draws around the
+    # best, those are fitted that cost at most so many nats more before: nine in ten ends of walks gained up to 14.
     turned_steps: int = 8
     turned_rows: int = 80
-    turned_margin: float = 25.0
+    promising: float = 15.0
     # Poses that a walk begins at, of all that are proposed: the best by this many rays along each side of an outline.
-    sifted: int = 240
+    sifted: int = 400
     sifting_side: int = 7
 
 
@@ -188,11 +190,21 @@ class Pool:
     def glanced(self, rows: Evidence) -> Array:
         """(n, 4, 4) poses that a few pairs of pixels propose, after few passes over few of the rows."""
         how, points = self.proposals, self.looked.pixels.points
-        starts = seen_starts(self.model, points, rows, self.sight.costs, self.rng, how.glance)
+        if len(points) < self.settings.glanced_pixels:
+            return np.zeros((0, 4, 4))
+
+        def rank(candidates: Array, blur: float) -> Array:
+            far = costs(self.model, tables.empty(), candidates, self.prior) if self.prior is not None else 0.0
+            return self.sight.costs(candidates, blur) + far
+
+        starts = seen_starts(self.model, points, rows, rank, self.rng, how.glance)
         if not len(starts):
             return starts
         passes, apart = search_stages(how.blur(self.model), how.glanced), self.settings.passes_apart * self.apart
-        return search(self.model, rows, starts, passes, rank=self.sight.costs, apart=apart, settled=SETTLED).poses
+        # the search adds the prior of its own accord
+        return search(
+            self.model, rows, starts, passes, self.prior, rank=self.sight.costs, apart=apart, settled=SETTLED
+        ).poses
 
     def turned(self, best: Mode) -> Array:
         """(n, 4, 4) poses that turn the object from the best mode's by quarters about its principal axes, or by what
@@ -205,7 +217,7 @@ class Pool:
         alike = np.concatenate([quarter_turns(model), near_symmetries(model)])
         how = AlignSettings(blur=0.5 * self.proposals.blur(model), iterations=s.turned_steps)
         turned = align(model, rows, best.pose @ alike, self.prior, how).poses if len(rows) else best.pose @ alike
-        return turned[self.walking(turned) < best.cost + s.turned_margin]
+        return turned[self.walking(turned) < best.cost + s.promising]
 
     def held_starts(self) -> Array:
         """(n, 4, 4) starts between the fingers; none without a hand whose place and joints are known."""
@@ -216,8 +228,8 @@ class Pool:
 
         side: rays along each side of the outline's box.
         """
-        pixels = self.predictor.seen_pixels(pose, side)
-        free = tables.stack(self.free, self.predictor.empty_rows(pose))
+        pixels, empty = self.predictor.seen_and_empty(pose, side)
+        free = tables.stack(self.free, empty)
         if len(pixels) < self.settings.least_pixels:
             return free
         mine = replace(self.looked, pixels=pixels, told_apart=True)
@@ -294,7 +306,8 @@ class Pool:
         """
         s, p = self.settings, self.predictor.predict(pose[None])
         clear = p.past[0] <= s.explained_past and p.outline[0] <= s.explained_runs_on
-        return bool(clear and p.agree[0] >= s.explained)
+        least = max(s.explained, s.explained_share * (1.0 - p.hidden[0] - p.behind_hand[0]))
+        return bool(clear and p.agree[0] >= least)
 
     def _fitted(self, tried: Alignment, side: int) -> Alignment:
         """Each pose fitted to the pixels that it predicts, its steps counted; where it was if that is likelier. What
@@ -309,8 +322,10 @@ class Pool:
             if len(rows):
                 found = align(self.model, rows, tried.poses[k : k + 1], self.prior, self.settings.fit)
                 poses[k], hessians[k], steps[k] = found.poses[0], found.hessians[0], found.iterations[0]
-        costs = self.costs(np.concatenate([poses, tried.poses]))
-        after, before = costs[: len(poses)], costs[len(poses) :]
+        # what was fitted before has its costs
+        costs = self.costs(np.concatenate([poses, tried.poses[fresh]]))
+        after, before = costs[: len(poses)], tried.costs.copy()
+        before[fresh] = costs[len(poses) :]
         worse = after > before
         poses[worse], steps[worse] = tried.poses[worse], 0
         # one that was never fitted has no Hessian of its own

@@ -57,16 +57,14 @@ class ProposalSettings:
     )
     glanced: Passes = ((1.0, 0.5, 60, 6, 24), (1 / 3, 0.2, 120, 8, 16))
 
-    # Starts between the fingers, and walks by the whole objective: near a prior, where nothing is known, and around what
-    # convinces, to see whether it stands.
+    # Starts between the fingers, and walks by the whole objective: near a prior, where nothing is known, and around
+    # what convinces, to see whether it stands.
     held: HeldSettings = field(default_factory=HeldSettings)
     walk: WalkSettings = field(default_factory=WalkSettings)
     walk_far: WalkSettings = field(
         default_factory=lambda: WalkSettings(((24, 8, 0.6), (16, 8, 0.3), (10, 8, 0.15), (8, 8, 0.08)), angle=0.35)
     )
-    around: WalkSettings = field(
-        default_factory=lambda: WalkSettings(((1, 48, 1.0), (4, 8, 0.4), (4, 8, 0.15), (2, 8, 0.05)))
-    )
+    around: WalkSettings = field(default_factory=lambda: WalkSettings(((1, 48, 1.0), (6, 6, 0.4), (4, 6, 0.15))))
 
     def blur(self, model: ObjectModel) -> float:
         """First blur (m) of a search for this object."""

@@ -60,7 +60,7 @@ class Competition:
                 return
             before, convinced = self.modes[0], self.convinced
             drawn = walk(pool.model, before.pose[None], pool.walking, pool.rng, pool.proposals.around)
-            drawn = drawn[pool.costs(drawn) < before.cost + pool.settings.bettered]
+            drawn = drawn[pool.costs(drawn) < before.cost + pool.settings.promising]
             self._compete(drawn, None)
             gained = before.cost - self.modes[0].cost
             self.convinced = self.convinced and convinced and gained < pool.settings.bettered
@@ -123,9 +123,8 @@ class Competition:
         also: tuple[Array, ...] = ()
         if not self.convinced and self._felt is not None:
             also = (self.pool.compete(self._felt[None])[0].pose,)
-        return Found(
-            self.modes, looked_at, f"{len(self.modes)} of {counted(self.proposed, 'proposal')} left, {words}", also
-        )
+        said = f"{len(self.modes)} of {counted(self.proposed, 'proposal')} left, {words}"
+        return Found(self.modes, looked_at, said, also)
 
 
 def poses_of(modes: tuple[Mode, ...]) -> Array:
@@ -156,15 +155,16 @@ def modes_near(
     begin = 0
 
     def searched(fresh: Array) -> Array:
-        found = find_modes(pool.model, rows, fresh, stages, prior, pool.sight.costs, whole, pool.modes)
+        rank, few = pool.sight.costs, plan.refining_rows
+        found = find_modes(pool.model, rows, fresh, stages, prior, rank, whole, pool.modes, few)
         return poses_of(found.modes)
 
     def felt(fresh: Array, descending: int) -> Array:
         return asked.by_touch(pool.proposed(fresh, stages, seen, prior.pose, descending))
 
     def walked() -> Array:
-        everywhere = pool.sifted(np.concatenate([starts, pool.held_starts()]))
-        return walk(pool.model, everywhere, pool.walking, pool.rng, pool.proposals.walk)
+        everywhere = np.concatenate([pool.glanced(rows), poses_of(asked.modes), starts, pool.held_starts()])
+        return walk(pool.model, pool.sifted(everywhere), pool.walking, pool.rng, pool.proposals.walk)
 
     for end, descending in zip([*ends, len(starts)], [*settings.descents[: len(ends)], settings.descents[-1]]):
         fresh, before = starts[begin:end], asked.modes
@@ -193,6 +193,7 @@ def modes_anywhere(
     seen: Evidence,
     starts_of: Callable[[], Array],
     passes: tuple[SearchStage, ...],
+    plan: PlanSettings,
     trace: Trace,
 ) -> Found:
     """Modes of a frame of which nothing is known. A few pairs of pixels propose first, and what looks like the best of
@@ -205,42 +206,42 @@ def modes_anywhere(
     few = len(pool.looked.pixels) < s.glanced_pixels
     asked.enter("pairs of pixels", lambda: pool.glanced(rows), "few pixels may be the object's" if few else "")
     asked.look_beside()
-    enough = asked.settled
+    enough = asked.settled if plan.skipping else ""
     starts = np.zeros((0, 4, 4)) if enough else starts_of()
-    likely, felt = starts, starts
+    # where a walk begins; touch alone says more than the starts that it comes from
+    begun = [] if asked.contacts else [starts]
 
     def searched() -> Array:
         rank, apart = pool.sight.costs, s.passes_apart * pool.apart
-        nonlocal likely
-        likely = search(pool.model, rows, starts, passes, rank=rank, apart=apart, settled=SETTLED).poses
-        return likely
+        begun.append(search(pool.model, rows, starts, passes, rank=rank, apart=apart, settled=SETTLED).poses)
+        return begun[-1]
 
     def felt_alone() -> Array:
-        nonlocal felt
-        felt = asked.by_touch(pool.proposed(starts, passes, seen, None, 0))
-        return felt
+        begun.append(asked.by_touch(pool.proposed(starts, passes, seen, None, 0)))
+        return begun[-1]
 
-    asked.enter(f"rows, {len(starts)} starts", searched, enough)
+    asked.enter(f"rows, {counted(len(starts), 'start')}", searched, enough)
     asked.enter("touch", felt_alone, enough or ("" if asked.contacts else "nothing is felt"))
     if not enough:
         asked.look_beside()
-        enough = asked.settled
+        enough = asked.settled if plan.skipping else ""
     pieces = pool.looked.pieces
-    begun: list[tuple[Evidence, Array]] = []
+    of_pieces: list[tuple[Evidence, Array]] = []
 
     def walked() -> Array:
-        begun.extend(pool.piece_starts())
-        everywhere = np.concatenate([likely, felt, *(own for _, own in begun), pool.held_starts()])
-        return walk(pool.model, pool.sifted(everywhere), pool.walking, pool.rng, pool.proposals.walk_far)
+        of_pieces.extend(pool.piece_starts())
+        own = [starts for _, starts in of_pieces]
+        everywhere = np.concatenate([poses_of(asked.modes), *begun, *own, pool.held_starts()])
+        return walk(pool.model, pool.sifted(everywhere), pool.costs, pool.rng, pool.proposals.walk_far)
 
     sources = ["a walk", *[counted(len(pieces), "piece")] * bool(pieces), *["the hand"] * (pool.held is not None)]
     asked.enter(", ".join(sources), walked, enough)
     why_not = enough
-    if not why_not and not begun:
+    if not why_not and not of_pieces:
         why_not = "no piece stands alone"
     elif not why_not and asked.modes and pool.convinces(asked.modes, s.clearly_shown):
         why_not = "the best is clearly seen"
-    asked.enter("each piece alone", lambda: pool.of_pieces(tuple(begun)), why_not)
+    asked.enter("each piece alone", lambda: pool.of_pieces(tuple(of_pieces)), why_not)
     if not asked.convinced:
         asked.look_around()
     return asked.found(len(starts))

@@ -25,9 +25,20 @@ from vision.sight import Sight
 Array = NDArray[np.float64]
 
 
-def joint_costs(frame: Frame, pool: Pool, solved: list[JointResult], sight: Sight, settings: EstimateSettings) -> Array:
+def joint_costs(
+    frame: Frame,
+    pool: Pool,
+    solved: list[JointResult],
+    starts: list[Array],
+    hand: HandView | None,
+    sight: Sight,
+    settings: EstimateSettings,
+) -> Array:
     """Costs (k,) in nats of joint solutions by all that was sensed: the estimate's whole objective. frame: with the
     touch that may be used.
+
+    Where no hand is seen that ties calibration and depth, a solution may be costlier than its start (4, 4), which is
+    the same objective's with nothing off: then the valley is as likely as that.
     """
     poses = np.array([s.pose for s in solved])
     if pool.predictor.sees:
@@ -35,6 +46,8 @@ def joint_costs(frame: Frame, pool: Pool, solved: list[JointResult], sight: Sigh
         costs = np.array([s.cost - s.pixel_cost for s in solved]) + pool.predictor.costs(
             np.array([s.as_seen for s in solved])
         )
+        if hand is None:
+            costs = np.minimum(costs, pool.costs(np.array(starts[: len(solved)])))
     else:
         costs = comparable(solved, settings) + sight.costs(poses)
     return np.asarray(costs + beyond_rows(frame, pool.model, solved, settings))

@@ -66,6 +66,8 @@ class PlanSettings:
     # tolerance is asked for and vision alone may do: three led to the answer in every easy frame of `bench skipping`.
     refined: int = 24
     tolerant: int = 3
+    # Rows of vision with which minima are refined that the predicted picture is going to fit and judge.
+    refining_rows: int = 200
     # Most that a pose may cost for what the camera saw past it and what must hide it (negative log likelihood, see
     # vision.sight): 12 are an object all hidden, 16 a half hidden one of which 6 % were seen past.
     past: float = 16.0
@@ -103,16 +105,18 @@ def find_modes(
     rank: Callable[[Array, float], Array],
     settings: PlanSettings,
     mode_settings: ModeSettings,
+    refining_rows: int | None = None,
 ) -> Found:
     """Search from a few starts, and from the rest only when those leave a doubt.
 
     starts (n, 4, 4), the likeliest first or in random order; rank(poses, blur) -> (n,) costs beyond the rows', in
-    the same units. Modes are camera_from_object.
+    the same units. refining_rows: of vision, with which minima are refined; default all. Modes are camera_from_object.
     """
     few = settings.first_starts if settings.skipping and prior is not None else 0
     merged = mode_settings.merge_share * model.radius
     care = settings.wide if prior is None else settings.near
     doubt = ""
+    fine = rows if refining_rows is None else thin(rows, refining_rows)
     if 0 < few < len(starts):
         poses, standing = starts[:few], np.ones(few, dtype=np.float64)
         for stage in stages:
@@ -122,18 +126,18 @@ def find_modes(
             chosen, group = leaders(model, rough.poses[order], care.together * merged)
             poses, standing = rough.poses[order[chosen]], np.asarray(np.bincount(group, standing[order]))
         agreeing = float(standing[_displaced(model, poses, poses[0]) < merged].sum()) / few
-        first, past = _refined(model, rows, poses[: care.refined], prior, rank)
+        first, past = _refined(model, fine, poses[: care.refined], prior, rank)
         doubt = doubt_of(model, rows, first, past, agreeing, settings)
         if not doubt:
-            first = _with_valleys(model, rows, first, stages[0], prior, rank, settings, mode_settings)
+            first = _with_valleys(model, fine, first, stages[0], prior, rank, settings, mode_settings)
             modes = distinct_modes(model, first, mode_settings)
             return Found(modes, few, "the first agree and explain what was sensed")
     found = search(
         model, rows, starts, stages, prior, rank=rank, apart=settings.passes_together * merged, settled=SETTLED
     )
     chosen, _ = leaders(model, found.poses, care.together * merged)
-    refined, _ = _refined(model, rows, found.poses[chosen[: settings.refined]], prior, rank)
-    refined = _with_valleys(model, rows, refined, stages[0], prior, rank, settings, mode_settings)
+    refined, _ = _refined(model, fine, found.poses[chosen[: settings.refined]], prior, rank)
+    refined = _with_valleys(model, fine, refined, stages[0], prior, rank, settings, mode_settings)
     return Found(distinct_modes(model, refined, mode_settings), len(starts), doubt)
 
 

@@ -53,9 +53,9 @@ class TrackSettings:
         default_factory=lambda: JointSettings(steps=4, most_inducing=24, spacing=1.6, modes=1, rigs=RIGS)
     )
     level_frames: int = 3
-    # Factor on the variance that the solution takes for independent noise: it counts pixels by a part because neighbours
-    # share errors, and these stay from frame to frame. Of 19 sequences of `lab` the change of a frame's own answer to
-    # the next was 1.1 of what this says.
+    # Factor on the variance that the solution takes for independent noise: it counts pixels by a part because
+    # neighbours share errors, and these stay from frame to frame. Of 19 sequences of `lab` the squared change of a
+    # frame's own answer to the next was 1.1 of what this says.
     noise: float = 0.3
     # Variance that the next frame has, too, whatever is solved along, as a share of the independent: joint errors are
     # 0.8 mm at the fingertips where contact noise is 0.9 mm, the mesh's own error is 0.4 mm.

@@ -44,13 +44,13 @@ class HypothesisSettings:
     # Votes (no unit) without which a leader is not believed, however well it explains every frame: a track that has
     # begun wrong explains itself, and a search that is just sure enough gives 0.6.
     believed: float = 0.5
-    # Probability at most that such a leader is right: of four sequences of `lab` that stayed so, two were.
+    # Probability (no unit) at most that such a leader is right: of four sequences of `lab` that stayed so, two were.
     unvoted: float = 0.6
     # A search that is not sure, but this likely (a probability, no unit), gives this part of a vote to what it finds,
     # and takes none from the others: where each frame leaves several poses open, the same one again is worth something.
     likely: float = 0.75
     part: float = 0.3
-    # A search that is not even that gives this part of a vote to a hypothesis that was there before, up to so many in
+    # A search that is not even that gives this share of a vote to a hypothesis that was there before, up to so many in
     # all: searches that are wrong seldom agree with one another, but what makes one wrong may make the next wrong, too,
     # so that they never suffice to be believed.
     repeated: float = 0.25
@@ -101,6 +101,13 @@ def of_modes(modes: Sequence[Mode], votes: float, settings: HypothesisSettings) 
         Hypothesis(m.pose, m.covariance, float(np.log(max(m.weight, 1e-9))), votes if i == 0 else 0.0)
         for i, m in enumerate(modes[: settings.most])
     )
+
+
+def vote_of(verdict: str, sure: float, settings: HypothesisSettings) -> float:
+    """What a frame searched by itself is worth to what it has found, by its verdict and confidence."""
+    if verdict == "ok":
+        return max(0.0, 2.0 * sure - 1.0)
+    return settings.part if verdict == "ambiguous" and sure >= settings.likely else 0.0
 
 
 def moved(hypotheses: Hypotheses, motion: Array) -> Hypotheses:

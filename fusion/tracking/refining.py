@@ -19,6 +19,7 @@ from fusion.estimation.solve.rigs import solve_modes
 from fusion.estimation.solve.settings import JointSettings
 from fusion.estimation.verdict import contact_residuals, nats_of_contacts
 from fusion.tracking.answer import TrackSettings
+from fusion.tracking.filter import Measurement
 from fusion.tracking.hypotheses import Hypotheses, weighed
 from fusion.tracking.sensing import Sensed
 from scenes.evidence import table as tables
@@ -27,7 +28,7 @@ from scenes.evidence.modes import covariance_of
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
-from scenes.recordings.beliefs import Beliefs
+from scenes.recordings.beliefs import Beliefs, CalibrationModel
 from scenes.recordings.frames import Frame
 
 Array = NDArray[np.float64]
@@ -135,3 +136,26 @@ def solve_leader(
         solved, pose=start, as_seen=start, xi=xi, scale=0.0,
         covariance=solved.covariance + scatter, independent=solved.independent + scatter,
     )  # fmt: skip
+
+
+def measurement_of(
+    model: ObjectModel,
+    solved: JointResult,
+    nearest: Array,
+    blind: bool,
+    corrected: bool,
+    calibration: CalibrationModel,
+    settings: TrackSettings,
+) -> Measurement:
+    """The frame's own answer, the symmetric twin near `nearest` (4, 4). blind: told by the robot alone, whose error it
+    has; corrected: a camera has once said what that is.
+    """
+    s, shared = settings, solved.shared
+    pose = model.symmetries.nearest(solved.pose, nearest)
+    if blind:
+        angle = s.left_angle if corrected else calibration.rotation_sigma
+        lever = float(np.linalg.norm(se3.apply(pose, model.centroid[None])[0]))
+        distance = float(np.hypot(calibration.translation_sigma, calibration.rotation_sigma * lever))
+        distance = s.left_distance if corrected else distance
+        shared = shared + np.diag(np.repeat([angle, distance], 3) ** 2)
+    return Measurement.of(pose, solved.independent, shared, s.noise, s.lasting)

@@ -36,7 +36,7 @@ from fusion.tracking.judging import as_followed, judge
 from fusion.tracking.motion import HandMotion, HandState
 from fusion.tracking.occluders import Occluders
 from fusion.tracking.predicting import predict
-from fusion.tracking.refining import Refined, frame_nats, loose, refine, solve_leader
+from fusion.tracking.refining import Refined, frame_nats, loose, measurement_of, refine, solve_leader
 from fusion.tracking.sensing import Sensed, pool_near
 from fusion.tracking.slip import SlipWatch, Watched
 from fusion.tracking.state import TrackState
@@ -148,7 +148,9 @@ class Tracker:
         """Begin (again) from an estimate of this frame, wherever it comes from."""
         state, s = self._state, self.settings
         self._anchor(answer)
-        state.hypotheses = several.of_modes(answer.modes, self._vote(answer), s.hypotheses)
+        state.hypotheses = several.of_modes(
+            answer.modes, several.vote_of(answer.verdict, _sure(answer), s.hypotheses), s.hypotheses
+        )
         state.index, state.unseen, state.lost_for, state.usual, state.known = frame.index, 0, 0, None, None
         state.things = Occluders()
         state.renewal.restart(frame.index, s.renewal)
@@ -197,7 +199,7 @@ class Tracker:
         except CaptureError:
             state.renewal.found(frame.index, None, s.renewal)
             return answer
-        vote, against = self._vote(alone), alone.verdict == "ok"
+        vote, against = several.vote_of(alone.verdict, _sure(alone), s.hypotheses), alone.verdict == "ok"
         modes = tuple(replace(m, pose=self.model.symmetries.nearest(m.pose, answer.pose)) for m in alone.modes)
         leader = replace(state.hypotheses[0], pose=answer.pose, covariance=answer.modes[0].covariance)
         same, better = several.alike(self.model, leader, modes[0], s.hypotheses), self._prefers(answer, modes[0])
@@ -219,13 +221,6 @@ class Tracker:
         stage = replace(alone.trace[-1], name="search anew", ms=alone.time_ms, why=why)
         answer = replace(answer, trace=(*answer.trace, stage))
         return self._believed(answer)
-
-    def _vote(self, alone: Estimate) -> float:
-        """What a frame searched by itself is worth to what it has found."""
-        s, sure = self.settings.hypotheses, _sure(alone)
-        if alone.verdict == "ok":
-            return max(0.0, 2.0 * sure - 1.0)
-        return s.part if alone.verdict == "ambiguous" and sure >= s.likely else 0.0
 
     def _prefers(self, answer: TrackedEstimate, other: Mode) -> float:
         """Nats by which the frame prefers the track's pose to another."""
@@ -291,7 +286,9 @@ class Tracker:
             if found.switched:
                 prior = replace(prior, pose=leader)
             solved = self._solve(frame, leader, prior, found, sensed)
-            measured = self._measurement(solved, predicted, looked)
+            blind = self._state.hand is not None and not len(looked.pixels)
+            calibration, corrected = self._beliefs.calibration, self._looker.correction is not None
+            measured = measurement_of(self.model, solved, predicted.pose, blind, corrected, calibration, s)
             if looked.hand is not None and felt_rows:
                 felt = felt.corrected(solved.correct())
             off = 1e3 * _shift(felt.correction, self._middle(solved.pose))
@@ -376,21 +373,6 @@ class Tracker:
         """The rig that most of the first frames were taken for, the lesser of two."""
         usual = sorted(self._state.rigs)[(len(self._state.rigs) - 1) // 2]
         return next(rig for rig in self.settings.joint.rigs if rig.level == usual)
-
-    def _measurement(self, solved: JointResult, predicted: Belief, looked: Looked) -> Measurement:
-        """The frame's own answer; a frame without a camera has the robot's error of its own."""
-        s = self.settings
-        pose = self.model.symmetries.nearest(solved.pose, predicted.pose)
-        shared = solved.shared
-        if self._state.hand is not None and not len(looked.pixels):
-            left = self._looker.correction is not None
-            calibration = self._beliefs.calibration
-            angle = s.left_angle if left else calibration.rotation_sigma
-            lever = float(np.linalg.norm(self._middle(pose)))
-            distance = np.hypot(calibration.translation_sigma, calibration.rotation_sigma * lever)
-            distance = s.left_distance if left else float(distance)
-            shared = shared + np.diag(np.repeat([angle, distance], 3) ** 2)
-        return Measurement.of(pose, solved.independent, shared, s.noise, s.lasting)
 
     def _updated(
         self, frame: Frame, predicted: Belief, measured: Measurement, switched: bool, felt: Felt

@@ -153,7 +153,7 @@ def align(
         )
 
     run_chunks(work, count, smallest=max(1, 4000 // (len(evidence) * settings.iterations + 1)))
-    rotations = se3.project_to_rotation(rotations) if count else rotations
+    rotations = se3.straightened(rotations)
     return Alignment(_join(model, rotations, middles), out_costs, hessians, used)
 
 

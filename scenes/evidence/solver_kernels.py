@@ -11,7 +11,9 @@ import numba
 import numpy as np
 
 from scenes.evidence.kernels import cost_terms
-from scenes.evidence.row_kernels import prepare
+from scenes.evidence.row_kernels import PREPARED, prepare
+from scenes.evidence.table import GATE_ABOVE, OFFSET
+from scenes.geometry.lattice import value_at
 from scenes.geometry.rotation_kernels import exp_times
 
 # Levenberg-Marquardt: start, factors and limits of the damping (relative to the Hessian's own diagonal).
@@ -19,6 +21,53 @@ DAMPING_START = 1e-3
 DAMPING_DOWN = 0.25
 DAMPING_UP = 6.0
 DAMPING_MAX = 1e8
+
+# One-sided rows farther outside the surface than this (m) are left out while a pose stays near: most of the space that
+# was seen to be empty is far from every pose that is tried.
+REACH = 0.02
+# By how much more than its own motion a point's distance in the lattice may change: a difference of distances along
+# each axis is at most the way, so that a gradient of interpolated ones is at most the root of three long.
+STEEPEST = 1.75
+
+
+@numba.njit(cache=True, nogil=True)
+def silent_last(prepared):
+    """Prepared rows (n, PREPARED) with the one-sided ones last, otherwise in order; and how many come before these."""
+    out = np.zeros_like(prepared)
+    k = 0
+    for silent in range(2):
+        for n in range(prepared.shape[0]):
+            if (prepared[n, GATE_ABOVE] == 0.0) == (silent == 1):
+                out[k] = prepared[n]
+                k += 1
+        if silent == 0:
+            speaking = k
+    return out, speaking
+
+
+@numba.njit(cache=True, nogil=True)
+def near_rows(lattice, rows, speaking, rotation, middle, reach, active):
+    """Fill active after its first `speaking` rows with the one-sided rows (from there on, as in silent_last) that a
+    pose, or one near it, may have within the surface or nearer to it than reach (m); returns how many rows are active,
+    and how far (m) the farthest row left out is from the pose's middle.
+    """
+    values, origin, spacing, centroid = lattice
+    k = speaking
+    lever = 0.0
+    for n in range(speaking, rows.shape[0]):
+        yx = rows[n, 0] - middle[0]
+        yy = rows[n, 1] - middle[1]
+        yz = rows[n, 2] - middle[2]
+        qx = rotation[0, 0] * yx + rotation[1, 0] * yy + rotation[2, 0] * yz + centroid[0]
+        qy = rotation[0, 1] * yx + rotation[1, 1] * yy + rotation[2, 1] * yz + centroid[1]
+        qz = rotation[0, 2] * yx + rotation[1, 2] * yy + rotation[2, 2] * yz + centroid[2]
+        if value_at(values, origin, spacing, qx, qy, qz) - rows[n, OFFSET] > reach:
+            lever = max(lever, math.sqrt(yx * yx + yy * yy + yz * yz))
+            continue
+        for i in range(PREPARED):
+            active[k, i] = rows[n, i]
+        k += 1
+    return k, lever
 
 
 @numba.njit(cache=True, nogil=True)
@@ -71,10 +120,14 @@ def align_poses(lattice, rows, stage, prior, limits, rotations, middles, costs, 
     floor = np.zeros(6)
     rotation = np.zeros((3, 3))
     middle = np.zeros(3)
-    prepared = prepare(rows, blur, blur_normal)
+    prepared, speaking = silent_last(prepare(rows, blur, blur_normal))
+    active = prepared.copy()
     for b in range(rotations.shape[0]):
+        k, lever = near_rows(lattice, prepared, speaking, rotations[b], middles[b], REACH, active)
+        # how far (m) a row left out may have come since
+        spent = 0.0
         cost = cost_terms(
-            lattice, prepared, huber, bend, rotations[b], middles[b], prior, True, hessian, gradient, scratch
+            lattice, active[:k], huber, bend, rotations[b], middles[b], prior, True, hessian, gradient, scratch
         )
         damping = DAMPING_START
         count = 0
@@ -105,10 +158,15 @@ def align_poses(lattice, rows, stage, prior, limits, rotations, middles, costs, 
             exp_times(step, rotations[b], rotation)
             for i in range(3):
                 middle[i] = middles[b, i] + step[3 + i]
+            travel = shorten * (angle * (lever + spent) + distance)
+            begun = STEEPEST * (spent + travel) > REACH
+            if begun:
+                k, lever = near_rows(lattice, prepared, speaking, rotation, middle, REACH, active)
             new_cost = cost_terms(
-                lattice, prepared, huber, bend, rotation, middle, prior, True, new_hessian, new_gradient, scratch
+                lattice, active[:k], huber, bend, rotation, middle, prior, True, new_hessian, new_gradient, scratch
             )
             if new_cost <= cost:
+                spent = 0.0 if begun else spent + travel
                 gain = cost - new_cost
                 cost = new_cost
                 for i in range(3):
@@ -125,6 +183,8 @@ def align_poses(lattice, rows, stage, prior, limits, rotations, middles, costs, 
                 if gain < 1e-10 * (1.0 + cost) and shorten == 1.0 and damping < 1e-2:
                     break
             else:
+                # the pose stays; what is active was chosen about the one that was tried
+                spent = travel if begun else spent
                 damping *= DAMPING_UP
                 if damping > DAMPING_MAX or (angle < tolerance_angle and distance < tolerance_distance):
                     break

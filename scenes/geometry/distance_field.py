@@ -81,11 +81,8 @@ class DistanceField:
     def normals(self, points: Array) -> Array:
         """Smooth outward unit normals (n, 3) at points near the surface (the normal of contact evidence)."""
         points = lattice.check_finite(points, "normals")
-        out, gradient, hessian = np.zeros((len(points), 3)), np.zeros(3), np.zeros((3, 3))
-        for n, point in enumerate(points):
-            x, y, z = point
-            lattice.normal_at(self.values, self.origin, self.spacing, x, y, z, gradient, hessian)
-            out[n] = gradient / max(float(np.linalg.norm(gradient)), 1e-12)
+        out = np.zeros((len(points), 3))
+        lattice.normals(self.values, self.origin, self.spacing, points, out)
         return out
 
 

@@ -15,6 +15,8 @@ import numpy as np
 
 # Nodes are addressed by the lower corner of their cell; the last cell ends this little before the last node.
 _INSIDE = 1e-4
+# A gradient shorter than this has no direction.
+_SHORTEST = 1e-12
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
@@ -179,6 +181,18 @@ def normal_at(values, origin, spacing, x, y, z, gradient, hessian):
             hessian[m, 1] = 0.0
         if cw != w:
             hessian[m, 2] = 0.0
+
+
+@numba.njit(cache=True, nogil=True)
+def normals(values, origin, spacing, points, out):
+    """Fill out (n, 3) with the smooth unit normals at points (n, 3); zeros on the medial axis."""
+    gradient, hessian = np.zeros(3), np.zeros((3, 3))
+    for n in range(points.shape[0]):
+        normal_at(values, origin, spacing, points[n, 0], points[n, 1], points[n, 2], gradient, hessian)
+        square = gradient[0] * gradient[0] + gradient[1] * gradient[1] + gradient[2] * gradient[2]
+        length = max(math.sqrt(square), _SHORTEST)
+        for i in range(3):
+            out[n, i] = gradient[i] / length
 
 
 # Coordinates (m) whose squares overflow are no places.

@@ -63,6 +63,14 @@ def project_to_rotation(matrix: Array) -> Array:
     return u @ vt
 
 
+def straightened(rotations: Array) -> Array:
+    """Rotations (..., 3, 3) that rounding has bent by 1e-6 or less, made orthonormal to the last digits: a step of
+    Newton's iteration for the polar factor (Higham, SIAM J. Sci. Stat. Comput. 7, 1986), which squares the error.
+    """
+    gram = np.swapaxes(rotations, -1, -2) @ rotations
+    return np.asarray(rotations @ (1.5 * np.eye(3) - 0.5 * gram))
+
+
 def make_pose(rotation: ArrayLike | None = None, translation: ArrayLike | None = None) -> Array:
     """4x4 transform from a (3, 3) rotation (default identity) and a (3,) translation (default zero)."""
     pose = np.eye(4)

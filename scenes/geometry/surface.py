@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes._open3d import open3d
-from scenes.geometry.surface_kernels import in_cells, mark_cells
+from scenes.geometry.surface_kernels import feet, in_cells, mark_cells
 
 Array = NDArray[np.float64]
 
@@ -84,21 +84,15 @@ class Surface:
         found = self._scene.compute_closest_points(o3d.core.Tensor(local.astype(np.float32)))
         face = found["primitive_ids"].numpy().astype(np.int64)
         foot = found["points"].numpy().astype(np.float64)
-        normal = self._normals[face]
-        # float32 rounding lifts the foot off its triangle: put it back onto the plane
-        foot -= np.einsum("ni,ni->n", foot - self._corners[face, 0], normal)[:, None] * normal
-        offset = local - foot
-        length = np.linalg.norm(offset, axis=1)
-        side = np.einsum("ni,ni->n", offset, normal)
-        # closer than single precision resolves, the direction is noise: the triangle's normal stands in
-        near = length < 1e-6
-        inside = side < 0
-        slanted = ~near & (np.abs(side) < _UPRIGHT * length)
+        distance, slanted = np.zeros(len(local)), np.zeros(len(local), dtype=bool)
+        gradient = np.zeros((len(local), 3))
+        feet(local, face, self._corners, self._normals, _UPRIGHT, foot, distance, gradient, slanted)
         if slanted.any():
-            inside[slanted] = self._is_inside(local[slanted])
-        distance = np.where(inside, -length, length)
-        gradient = np.where(near[:, None], normal, offset / np.where(near, 1.0, distance)[:, None])
-        return np.where(near, side, distance), gradient, foot + self.middle
+            # their sign is that of the side that rays tell
+            wrong = np.flatnonzero(slanted)[self._is_inside(local[slanted]) != (distance[slanted] < 0)]
+            distance[wrong] *= -1.0
+            gradient[wrong] *= -1.0
+        return distance, gradient, foot + self.middle
 
     def _is_inside(self, local: Array) -> NDArray[np.bool_]:
         """(n,) whether points (n, 3) about the middle are inside: most of three rays cross the surface an odd number of

@@ -1,4 +1,6 @@
-"""Compiled: which cells of a coarse grid a mesh's triangles come near, which points lie in one, and mixing of cells."""
+"""Compiled: which cells of a coarse grid a mesh's triangles come near, which points lie in one, mixing of cells, and
+distances in double precision from closest points in single.
+"""
 
 from __future__ import annotations
 
@@ -64,3 +66,36 @@ def mix_cells(points, origin, cell, index, colours, out):
                         blue += weight * colours[which, 2]
         if total > 1e-6:
             out[n, 0], out[n, 1], out[n, 2] = red / total, green / total, blue / total
+
+
+# Nearer to the surface than this (m) the direction to it is noise of single precision.
+_TOO_NEAR = 1e-6
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def feet(points, face, corners, normals, upright, foot, distance, gradient, slanted):
+    """Signed distance (n,) and its unit gradient (n, 3) of points (n, 3) whose closest points are foot (n, 3), put back
+    in place onto the planes of their triangles, face (n,).
+
+    corners (m, 3, 3), normals (m, 3): of the triangles. slanted (n,): whether the foot is on an edge or a corner, so
+    that the side of one triangle does not tell the sign: its cosine with the normal is below `upright`.
+    """
+    for n in range(points.shape[0]):
+        f = face[n]
+        a, b, c = normals[f, 0], normals[f, 1], normals[f, 2]
+        off = 0.0
+        for i in range(3):
+            off += (foot[n, i] - corners[f, 0, i]) * normals[f, i]
+        for i in range(3):
+            # rounding has lifted the foot off its triangle
+            foot[n, i] -= off * normals[f, i]
+        x, y, z = points[n, 0] - foot[n, 0], points[n, 1] - foot[n, 1], points[n, 2] - foot[n, 2]
+        length = math.sqrt(x * x + y * y + z * z)
+        side = x * a + y * b + z * c
+        if length < _TOO_NEAR:
+            distance[n] = side
+            gradient[n, 0], gradient[n, 1], gradient[n, 2] = a, b, c
+            continue
+        distance[n] = -length if side < 0.0 else length
+        gradient[n, 0], gradient[n, 1], gradient[n, 2] = x / distance[n], y / distance[n], z / distance[n]
+        slanted[n] = abs(side) < upright * length

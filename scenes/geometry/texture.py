@@ -56,7 +56,7 @@ class Texture:
             raise MeshError(f"texture: expected colours of shape {self.points.shape}, got {self.colours.shape}")
 
     @cached_property
-    def _levels(self) -> list[tuple[float, Array, NDArray[np.int32], Array]]:
+    def levels(self) -> list[tuple[float, Array, NDArray[np.int32], Array]]:
         """Of each lattice: size of a cell (m), its origin (3,), number of each cell's colour + 1, 0 for none; colours
         (k, 3).
         """
@@ -79,13 +79,13 @@ class Texture:
 
     def at(self, points: Array, size: float = 0.0) -> Array:
         """(n, 3) colours at points (n, 3) of the surface, averaged over about `size` (m); NaN far from the surface."""
-        level = max((k for k, (cell, *_) in enumerate(self._levels) if cell <= max(size, 0.0)), default=0)
+        level = max((k for k, (cell, *_) in enumerate(self.levels) if cell <= max(size, 0.0)), default=0)
         out = np.full((len(points), 3), np.nan)
         for k in range(level, self.settings.levels):  # where the samples leave a gap, coarser cells have it
             open_ = np.isnan(out[:, 0])
             if not open_.any():
                 break
-            cell, origin, index, colours = self._levels[k]
+            cell, origin, index, colours = self.levels[k]
             mixed = np.full((int(open_.sum()), 3), np.nan)
             mix_cells(np.ascontiguousarray(points[open_], dtype=np.float64), origin, cell, index, colours, mixed)
             out[open_] = mixed

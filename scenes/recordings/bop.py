@@ -223,6 +223,13 @@ def camera_entry(entry: Any) -> SceneCamera:
     return SceneCamera(matrix, scale, world, size)
 
 
+def rgb_camera_entry(entry: Any) -> tuple[Array, Array]:
+    """Intrinsics (3, 3) of a frame's colour camera, and rgb_from_depth (4, 4) in metres, of rgb_camera.json."""
+    if not isinstance(entry, dict) or "cam_K" not in entry:
+        raise InputError(f"expected an object with cam_K, cam_R_d2c, cam_t_d2c, got {str(entry)[:60]}")
+    return camera_entry({"cam_K": entry["cam_K"]}).matrix, _rigid(entry, "cam_R_d2c", "cam_t_d2c")
+
+
 def camera(entry: SceneCamera, shape: tuple[int, ...] | None) -> Camera:
     """The pinhole camera of images of `shape` (h, w); without an image the size is the entry's, or twice the centre."""
     if shape is not None:

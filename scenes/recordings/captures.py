@@ -22,11 +22,13 @@ from scenes.files.framed import FramedTable
 from scenes.files.inside import refuse_links_outside, stays_inside
 from scenes.files.problems import Problem, Report, refuse
 from scenes.geometry import poses
+from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings import bop
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Contacts, EmptyRegions, Frame, GelImage, Wrench
 from scenes.recordings.manifest import read_manifest, read_model
+from scenes.recordings.registration import registered
 from scenes.recordings.writing import write_capture
 from scenes.robot.gels import image_problem
 from scenes.robot.hands import Hand
@@ -65,6 +67,7 @@ class Capture:
         self.manifest = read_manifest(self.path, report)
         self._tables = {name: self._table(name) for name in CSV_FILES}
         self._cameras = self._by_frame("scene_camera.json")
+        self._rgb_cameras = self._by_frame("rgb_camera.json")
         self._truths = self._by_frame("scene_gt.json")
         self._priors = self._by_frame("prior.json")
         self._tactile = self._tactile_files(".csv")
@@ -127,6 +130,7 @@ class Capture:
         entry = self._attempt("scene_camera.json", number, lambda: self._camera_entry(number))
         depth = self._image("depth", number, lambda path: images.read_depth(path, entry.depth_scale if entry else 1.0))
         rgb = self._image("rgb", number, images.read_rgb)
+        rgb = self._attempt("rgb_camera.json", number, lambda: self._registered(number, rgb, depth, entry))
         truth = self._attempt("scene_gt.json", number, lambda: self._truth(number))
         mask_name = f"mask_visib/{number:06d}_{truth[1] if truth else 0:06d}.png"
         mask = self._image_file(mask_name, number, images.read_mask)
@@ -207,6 +211,7 @@ class Capture:
         known = set(self.frame_ids)
         spoken = {name: set(map(int, np.unique(table.frames()))) for name, table in self._tables.items()}
         spoken |= {"scene_gt.json": set(self._truths), "prior.json": set(self._priors)}
+        spoken["rgb_camera.json"] = set(self._rgb_cameras)
         spoken |= {f"tactile/{sensor}": self._gels[sensor] | frames for sensor, frames in self._tactile.items()}
         for name, frames in spoken.items():
             for frame in sorted(frames - known):
@@ -224,6 +229,20 @@ class Capture:
         if self.world == "camera" and moved is not None and not np.allclose(moved, np.eye(4), atol=1e-6):
             raise CaptureError('expected no cam_R_w2c, cam_t_w2c when the world is "camera", got another pose')
         return entry
+
+    def _registered(
+        self,
+        number: int,
+        rgb: NDArray[np.uint8] | None,
+        depth: NDArray[np.float32] | None,
+        entry: bop.SceneCamera | None,
+    ) -> NDArray[np.uint8] | None:
+        """The colour image as the depth camera has it, where rgb_camera.json says that another camera took it."""
+        if number not in self._rgb_cameras or rgb is None or depth is None or entry is None:
+            return rgb
+        own = bop.rgb_camera_entry(self._rgb_cameras[number])
+        camera, other = bop.camera(entry, depth.shape), Camera.from_matrix(own[0], rgb.shape[1], rgb.shape[0])
+        return registered(rgb, other, depth, camera, own[1])
 
     def _truth(self, number: int) -> tuple[Array, int] | None:
         entry = self._truths.get(number)

@@ -6,6 +6,7 @@ import numpy as np
 
 from fusion.estimation.solve.system import FIXED, SCALE, XI
 from scenes.evidence import align as alignment
+from scenes.evidence import table as evidence
 from scenes.evidence.table import FACING, GATE_ABOVE, GATE_BELOW, NORMAL, OFFSET, POINT
 from scenes.geometry import poses as se3
 
@@ -62,3 +63,28 @@ def touch(system, pose, unknown):
     lever[3:, :3] = -se3.skew(pose[:3, :3] @ problem.model.centroid + pose[:3, 3] - system.centre)
     chain = np.concatenate([np.eye(6), -lever @ system.white_xi], axis=1)
     return cost, chain.T @ g, chain.T @ h @ chain
+
+
+def hand(system, unknown):
+    """The hand's pixels about (whitened xi, s, b): quadratic."""
+    constant, gradient, normal = system._hand_white
+    x = unknown[6:]
+    return constant + gradient @ x + 0.5 * x @ normal @ x, gradient + normal @ x, normal
+
+
+def terms(system, pose, unknown):
+    """Cost, gradient and Gauss-Newton matrix of the whole system."""
+    problem, size = system.problem, len(unknown)
+    normal, gradient = np.diag(np.concatenate([np.zeros(6), np.ones(size - 6)])), unknown.copy()
+    gradient[:6] = 0.0
+    cost = 0.5 * unknown[6:] @ unknown[6:]
+    parts = [(slice(None), vision(system, pose, unknown)), (slice(0, 12), touch(system, pose, unknown))]
+    if problem.hand is not None:
+        parts.append((slice(6, None), hand(system, unknown)))
+    if problem.prior is not None:
+        parts.append((slice(0, 6), alignment.terms(problem.model, evidence.empty(), pose, problem.prior)))
+    for where, (part, g, h) in parts:
+        cost += part
+        gradient[where] += g
+        normal[where, where] += h
+    return cost, gradient, normal

@@ -5,8 +5,10 @@ Success: ADD-S below 5 mm. The full suite (five objects, four shares, ten grasps
 
 import numpy as np
 import pytest
+from scipy.stats import binom, chi2
 
 from fusion import estimate
+from fusion.benchmarks.strata import freedom
 from fusion.truth.errors import Judge, JudgeSettings
 from scenes.synthesis import library
 from scenes.synthesis.hands import five_finger_hand
@@ -50,14 +52,35 @@ def pooled(few, hidden):
     return [result for (_, share), results in few.items() if share == hidden for result in results]
 
 
-# Nine trials a level: a method that succeeds 95 % of the time passes 7 of 9 in 99 of 100 draws of trials.
-@pytest.mark.parametrize(("hidden", "median"), [(0.3, 0.0025), (0.6, 0.003), (0.8, 0.004)])
+# Nine trials a level: a method that succeeds 98 % of the time passes 8 of 9 in 99 of 100 draws of trials. Measured: all
+# of them; medians of 0.8, 0.8 and 1.2 mm.
+@pytest.mark.parametrize(("hidden", "median"), [(0.3, 0.0015), (0.6, 0.0015), (0.8, 0.002)])
 def test_most_frames_succeed_behind_the_hand(few, hidden, median):
     results = pooled(few, hidden)
     share, middle = summary(results)
     assert len(results) == 9
-    assert share * 9 >= 7
+    assert share * 9 >= 8
     assert middle < median
+
+
+def test_answers_are_as_wrong_as_they_say_behind_the_hand(few):
+    """Coverage, NEES and confidence of the same frames, at each hidden share and together."""
+    inside = []
+    for hidden in (0.3, 0.6, 0.8):
+        ratios, sure = [], []
+        for (name, share), results in few.items():
+            if share != hidden:
+                continue
+            dof = freedom(library.make(name).symmetries)
+            ratios += [errors.nees / dof for errors, *_ in results]
+            inside += [chi2.cdf(errors.nees, dof) <= 0.95 for errors, *_ in results]
+            sure += [answer.confidence for _, answer, _ in results]
+        # measured: 0.6, 0.3 and 0.5, wider than need be; nine right covariances are within 0.5 and 1.7
+        assert 0.15 < np.mean(ratios) < 1.2
+        # all are right, which is said with 0.91, 0.86 and 0.84
+        assert np.mean(sure) > 0.7
+    # measured: all 27; the fewest that regions which hold 95 % hold, but for once in a thousand
+    assert sum(inside) >= int(binom.ppf(1e-3, len(inside), 0.95))
 
 
 def test_every_answer_is_a_finite_pose_with_a_positive_covariance(few):

@@ -132,3 +132,13 @@ def test_contacts_of_unknown_worth_are_believed_little_and_never_gated_out():
     felt = feel(Frame(0, contacts=Contacts(np.zeros((2, 3)))))
     assert (felt.rows.rows[:, evidence.SIGMA] > 0.002).all()
     assert (felt.rows.rows[:, evidence.GATE_ABOVE] == evidence.NO_GATE).all()
+
+
+def test_contacts_that_say_no_sigma_are_told_of(rng):
+    points = rng.normal(size=(4, 3))
+    (said,) = feel(Frame(0, contacts=Contacts(points))).untold
+    assert "4 mm" in said
+    wider = Beliefs(touch=replace(Beliefs().touch, unknown_sigma=0.007))
+    assert "7 mm" in feel(Frame(0, contacts=Contacts(points)), beliefs=wider).untold[0]
+    assert feel(Frame(0, contacts=Contacts(points, sigma_point=1e-3))).untold == ()
+    assert feel(Frame(0)).untold == ()

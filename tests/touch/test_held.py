@@ -22,7 +22,7 @@ def test_a_gripper_has_one_grip_as_wide_as_it_is_open():
 
 def test_a_can_is_as_thick_as_its_diameter_and_its_height():
     can = library.make("cylinder")
-    middles, lines, thick = thicknesses(can, HeldSettings(), np.random.default_rng(0))
+    middles, lines, thick = thicknesses(can, HeldSettings())
     np.testing.assert_allclose(np.linalg.norm(lines, axis=1), 1.0, atol=1e-6)
     size = np.ptp(can.vertices, axis=0)
     near = np.abs(thick[:, None] - np.array([size.min(), size.max()])).min(axis=1)

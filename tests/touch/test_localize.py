@@ -175,6 +175,14 @@ def test_noise_that_the_contacts_do_not_admit_is_inferred():
     assert errors(model, found.pose, truth)[1] < 6.0
 
 
+def test_what_is_believed_of_contacts_without_a_sigma_is_said():
+    model = library.make("box")
+    points = model.sample_surface(20, seed=1)[0]
+    assert "0.9 mm" in localize(model, Contacts(points[:4]), seed=0).notes[0]
+    assert localize(model, Contacts(points[:4], sigma_point=1e-3), seed=0).notes == ()
+    assert localize(model, Contacts(points), seed=0).notes == ()  # so many tell their noise
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_contacts_that_are_not_finite_are_refused(bad):
     with pytest.raises(InputError, match="expected finite points, got row 1"):

@@ -90,8 +90,8 @@ def test_many_contacts_know_more_and_do_not_claim_more_than_that(name):
                 assert found.notes == ("searched with 400 of 20000 contacts, settled with all",)
         moved[count] = np.mean(off)
     assert moved[20_000] < 0.5 * moved[400]
-    # measured: 0.4, 4.9 and 0.3; taken as independent, errors that neighbours share make it 23 on the mug
-    assert np.mean(nees) < 10.0
+    # measured: below 1, but 7.9 on the mug; taken as independent, errors that neighbours share make it 23 there
+    assert np.mean(nees) < {"drill": 1.0, "mug": 9.0, "box": 1.0}[name]
 
 
 def test_ten_thousand_contacts_take_less_than_a_second_of_the_processor(drill):

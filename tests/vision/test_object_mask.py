@@ -13,7 +13,7 @@ from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis import library
 from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
-from vision.look.mask import MaskSettings, find_plane, object_mask
+from vision.look.mask import MaskSettings, connected_pieces, find_plane, object_mask
 from vision.look.regions import find_region
 
 NOTHING = Contacts(np.zeros((0, 3)))
@@ -108,3 +108,28 @@ def test_frames_that_hold_nothing(scene, cylinder):
     assert object_mask(replace(scene, depth=broken), cylinder, start=scene.prior).any()
     nowhere = replace(scene, contacts=NOTHING, hand=None, joints=None, world_from_hand=None)
     assert find_region(nowhere, cylinder, None, 0.035) is None
+
+
+def test_pieces_are_those_of_a_graph_of_neighbours(rng):
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    settings = MaskSettings()
+    for _ in range(5):
+        z = 0.6 + 0.004 * rng.normal(size=(30, 40)).cumsum(axis=1) + 0.1 * (np.arange(40) > 20)
+        candidates = rng.random((30, 40)) < 0.8
+        index = np.arange(z.size).reshape(z.shape)
+        links = []
+        for later, earlier in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
+            near = np.abs(z[later] - z[earlier]) < settings.step + settings.step_share * z[later]
+            near &= candidates[later] & candidates[earlier]
+            links.append(np.stack([index[later][near], index[earlier][near]]))
+        rows, columns = np.concatenate(links, axis=1)
+        graph = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(z.size, z.size))
+        labels = connected_components(graph, directed=False)[1].reshape(z.shape)
+        _, first = np.unique(labels[candidates], return_index=True)
+        order = np.argsort(np.argsort(first))
+        expected = np.full(z.shape, -1)
+        expected[candidates] = order[np.searchsorted(np.unique(labels[candidates]), labels[candidates])]
+        np.testing.assert_array_equal(connected_pieces(z, candidates, settings), expected)
+    assert (connected_pieces(z, np.zeros(z.shape, dtype=bool), settings) == -1).all()

@@ -130,7 +130,7 @@ def test_one_piece_of_the_image_has_one_bounded_word():
 
 def test_pixels_inside_the_outline_lie_on_the_surface(lab_frame, drill):
     truth = lab_frame.camera_from_object_truth
-    pixels = predictor(lab_frame, drill).seen_pixels(truth)
+    pixels = predictor(lab_frame, drill).seen_and_empty(truth)[0]
     assert len(pixels) > 100
     local = poses.apply(poses.inverse(truth), pixels.points)
     assert np.median(np.abs(drill.field.distance(local))) < 0.004
@@ -142,11 +142,11 @@ def test_what_is_seen_past_is_empty():
     frame = replace(frame, depth=np.where(frame.depth > 0, frame.depth, 1.5).astype(np.float32))
     truth = frame.camera_from_object_truth
     shifted = poses.make_pose(None, [0.03, 0.0, 0.0]) @ truth
-    rows = predictor(frame, model).empty_rows(shifted)
+    rows = predictor(frame, model).seen_and_empty(shifted)[1]
     assert len(rows) > 10
     assert (model.field.distance(poses.apply(poses.inverse(truth), rows.points)) > 0).all()
     assert model.field.distance(poses.apply(poses.inverse(shifted), rows.points)).min() < 0
-    assert len(predictor(frame, model).empty_rows(truth)) < 0.2 * len(rows)
+    assert len(predictor(frame, model).seen_and_empty(truth)[1]) < 0.2 * len(rows)
 
 
 @pytest.mark.parametrize("place", [[5.0, 0.0, 0.5], [0.0, 0.0, -0.5], [0.0, 0.0, 0.02]])
@@ -156,7 +156,7 @@ def test_poses_that_no_camera_sees_cost_a_number(place):
     found = predictor(frame, model)
     assert np.isfinite(found.costs(pose[None])).all()
     assert found.costs(pose[None])[0] > found.costs(frame.camera_from_object_truth[None])[0]
-    assert len(found.seen_pixels(pose)) == 0
+    assert len(found.seen_and_empty(pose)[0]) == 0
 
 
 def test_without_an_image_every_pose_costs_nothing(drill):

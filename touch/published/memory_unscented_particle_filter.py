@@ -194,9 +194,11 @@ class UnscentedParticleFilter:
         """(4, 4): the particle where the posterior's mixture is highest (T2 eqs. 4.26 to 4.29)."""
         rotations, middles, covariances = self._drawn
         weights = self._log_estimate - self._log_estimate.max()
-        heavy = np.flatnonzero(weights > np.log(self.settings.least_weight))
+        # the heaviest first: beside them most of the others are soon seen to add nothing
+        order = np.argsort(-weights, kind="stable")
+        heavy = order[weights[order] > np.log(self.settings.least_weight)]
         components = (rotations[heavy], middles[heavy], covariances[heavy], weights[heavy])
-        asked = heavy[np.argsort(-weights[heavy], kind="stable")[: self.settings.candidates]]
+        asked = heavy[: self.settings.candidates]
         density = np.zeros(len(asked))
 
         def work(part: slice) -> None:

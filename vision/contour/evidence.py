@@ -216,9 +216,7 @@ def _hidden(
     nearest = inner_depths(model, frame.camera, pose, outline, settings.bulge)
     across = np.array(settings.looked)[:, None, None] * outline.normals[None]
     # what touches the object on the outer side may lie over it, unless it is the robot's own hand, which is drawn
-    room = (
-        settings.touching * (np.array(settings.looked) > 0.0) if not predictor.told_apart else np.zeros(len(across))
-    )
+    room = settings.touching * (np.array(settings.looked) > 0.0) if not predictor.told_apart else np.zeros(len(across))
     beyond = (nearest[None] + room[:, None]).ravel()
     hides = predictor.hides((outline.places[None] + across).reshape(-1, 2), beyond)
     return np.asarray(hides.reshape(len(across), -1).any(axis=0))

@@ -36,6 +36,8 @@ class LookSettings:
     # ones that are told apart from the hand: a closest-point query each.
     most: int = 40_000
     most_inside: int = 2500
+    # The same around a start: what shows the object is looked at again when poses are fitted.
+    most_near: int = 1500
     # Pixels of the whole image among which the hand is looked for.
     most_hand: int = 12_000
     # Pixels outside the region that are kept: more than the rays of free space are not used.
@@ -77,6 +79,8 @@ def look(
     one whose region is outside the image no pixels.
     """
     settings, beliefs = settings or LookSettings(), beliefs or Beliefs()
+    if start is not None:
+        settings = replace(settings, most_inside=min(settings.most_inside, settings.most_near))
     region = find_region(frame, model, start, settings.slack, frame.mask)
     if frame.depth is None or frame.camera is None:
         return _cloud(frame, region, settings)

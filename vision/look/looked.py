@@ -57,6 +57,10 @@ class Looked:
     how: str = ""
     plane: Array | None = None
     pieces: tuple[Pixels, ...] = ()
+    # rows by what they were made with: several steps ask for them
+    _made: dict[tuple[DepthModel, RowSettings], Evidence] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @property
     def seen_hand(self) -> HandView | None:
@@ -65,8 +69,10 @@ class Looked:
 
     def rows(self, depth: DepthModel, settings: RowSettings) -> Evidence:
         """Rows of the object's pixels, with the space before what was seen; none without such a pixel."""
-        seen = surface_rows(self, depth, settings)
-        return tables.stack(seen, free_space_rows(self, settings)) if len(seen) else seen
+        if (depth, settings) not in self._made:
+            seen = surface_rows(self, depth, settings)
+            self._made[depth, settings] = tables.stack(seen, free_space_rows(self, settings)) if len(seen) else seen
+        return self._made[depth, settings]
 
 
 def nothing_seen(region: Region | None, why: str | None = None, hand: HandView | None = None) -> Looked:

@@ -19,6 +19,7 @@ from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import Beliefs, DepthModel
 from scenes.recordings.frames import Frame
 from vision.look.hand import HandView, HandViewSettings, view_hand
+from vision.look.piece_kernels import number_pieces
 from vision.look.pixels import Region, read_pixels
 from vision.look.regions import find_region
 
@@ -267,22 +268,11 @@ def _colour_scores(
 
 def connected_pieces(z: Array, candidates: Mask, settings: MaskSettings) -> NDArray[np.int64]:
     """(h, w) number of the connected piece that each candidate pixel belongs to, from 0; -1 elsewhere."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    number = np.full(z.shape, -1, dtype=np.int64)
-    count = int(candidates.sum())
-    if not count:
-        return number
-    number[candidates] = np.arange(count)
-    pairs = []
-    for a, b in (((slice(None), slice(1, None)), (slice(None), slice(-1))), ((slice(1, None),), (slice(-1),))):
-        same = candidates[a] & candidates[b]
-        same &= np.abs(z[a] - z[b]) < settings.step + settings.step_share * z[a]
-        pairs.append(np.stack([number[a][same], number[b][same]]))
-    rows, columns = np.concatenate(pairs, axis=1)
-    graph = coo_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(count, count))
-    number[candidates] = connected_components(graph, directed=False)[1]
+    number = np.zeros(z.shape, dtype=np.int64)
+    known = np.asarray(candidates, dtype=bool)
+    number_pieces(
+        np.asarray(z, np.float64), known, settings.step, settings.step_share, np.zeros(z.size, np.int64), number
+    )
     return number
 
 

@@ -29,7 +29,7 @@ FACTOR_SIGMA, LEAST_VARIED = 1.5, 1e-6
 # Share of answers that are right or wrong for no reason that a feature tells: none costs more than 9 nats.
 LAPSE = 1e-4
 # Believed of `nearest`: ADD-S over the root mean square, the deviation of its logarithm, and bounds.
-NEAREST, NEAREST_SIGMA, NEAREST_BOUNDS = 0.7, 0.5, (0.3, 1.0)
+NEAREST, NEAREST_SIGMA, NEAREST_BOUNDS = 0.7, 0.5, (0.1, 1.5)
 # Fewest answers, and of either kind, that anything is fitted to.
 FEWEST, FEWEST_OF_A_KIND = 30, 5
 # Steps of the search, and the one in ln(nearest) by which its slope is taken.

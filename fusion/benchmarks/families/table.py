@@ -264,8 +264,13 @@ FAMILIES: dict[str, Family] = {
 
 
 def chosen(name: str | None, known: Iterable[str] | None = None) -> tuple[Family, ...]:
-    """The named families: one, "all", "tuning" or "report"; None is all. Raises InputError listing the names."""
+    """The named families: one, several with commas between, "all", "tuning" or "report"; None is all. Raises InputError
+    listing the names.
+    """
     names = list(FAMILIES if known is None else known)
+    if name is not None and "," in name:
+        several = {one for part in name.split(",") for one in chosen(part.strip(), names)}
+        return tuple(FAMILIES[one] for one in names if FAMILIES[one] in several)
     if name in (None, "all"):
         return tuple(FAMILIES[one] for one in names)
     if name in (TUNING, REPORT):

@@ -157,15 +157,16 @@ def _tried(
     spent = 1e3 * (time.process_time() - begin)
     gap, truth_add_s, costs = math.nan, math.nan, None
     with suppress(InputError):  # a frame that tells nothing of the object has no costs
-        # what is answered is a mean over what may be the case, which a joint solution may leave for another valley: that
-        # from which it was solved speaks for the search, too
+        # what is answered is a mean over what may be the case, which a joint solution may leave for another valley:
+        # that from which it was solved speaks for the search, too
         ends = [answer.pose, truth] if answer.searched is None else [answer.pose, truth, answer.searched]
         costs = judge(frame, made.model, np.array(ends), use=use, seed=cell.seed)
     if costs is not None:
         gap = float(np.delete(costs.costs, 1).min() - costs.costs[1])
         truth_add_s = true.errors(costs.poses[1], truth).add_s
     add_s = true.errors(answer.pose, truth).add_s
-    tried = Tried(cell.family.name, cell.level, made.key, sense, told, usual, add_s, truth_add_s, gap, answer.verdict)
+    times = answer.verdict, spent, beside
+    tried = Tried(cell.family.name, cell.level, made.key, sense, told, usual, add_s, truth_add_s, gap, *times)
     if tried.outcome == MISSED and cell.folder is not None and costs is not None:
         words = {
             "family": cell.family.name,
@@ -230,8 +231,8 @@ NOTE = (
     " lower; the rest is right. lower from the truth: whether right or wrong. Gaps: means."
 )
 TOLD_NOTE = (
-    " 95 % of missed: binomial interval (Wilson). CPU ms: processor time of an answer, median; ICP ms: of ICP on the usual"
-    " crop around the start, whatever the answer is told."
+    " 95 % of missed: binomial interval (Wilson). CPU ms: processor time of an answer, median; ICP ms: of ICP on the"
+    " usual crop around the start, whatever the answer is told."
 )
 
 

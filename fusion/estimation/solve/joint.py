@@ -27,6 +27,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation.solve.newton_kernels import JITTER
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.system import FIXED, POSE, SCALE, XI, System
 from scenes.geometry import poses as se3
@@ -109,46 +110,20 @@ def settle(
     # what is whitened by a level is in units of it
     here, unknown = pose, system.start() if after is None else after.unknown * (after.level / level)
     free = system.size if problem.ties_depth else SCALE
-    cost, gradient, normal = system.terms(here, unknown)
-    damping, refused = 1e-6, 0
-    for _ in range(problem.settings.steps):
-        damped = normal + np.diag(damping * np.diag(normal) + system.width)
-        step = np.zeros(system.size)
-        step[:free] = -np.linalg.solve(damped[:free, :free], gradient[:free])
-        shorten = min(1.0, 0.3 / max(np.abs(step[:3]).max(), 1e-12))
-        shorten = min(shorten, 0.3 * problem.model.radius / max(np.abs(step[3:6]).max(), 1e-12))
-        step *= shorten
-        if -float(step @ gradient) < 2.0 * problem.settings.worth:
-            break
-        trial_pose = se3.perturb(here, step[POSE], problem.model.centroid)
-        trial_unknown = unknown + step
-        trial_unknown[POSE] = 0.0
-        trial = system.terms(trial_pose, trial_unknown)
-        if trial[0] <= cost:
-            here, unknown, (cost, gradient, normal) = trial_pose, trial_unknown, trial
-            damping = max(damping * 0.1, 1e-9)
-            if np.abs(step[:3]).max() < 1e-5 and np.abs(step[3:6]).max() < 1e-6:
-                break
-        else:
-            refused += 1
-            if refused > problem.settings.refused:
-                break
-            damping = max(damping, 1e-5) * 100
-    _, log_det = _marginal((normal + np.diag(system.width))[:free, :free])
-    return Settled(system, here, unknown, float(cost), normal, float(-cost - 0.5 * log_det), level)
+    here, unknown, cost, normal, log_det = system.descend(here, unknown, free)
+    return Settled(system, here, unknown, cost, normal, -cost - 0.5 * log_det, level)
 
 
 def answered(settled: Settled) -> JointResult:
     """A solution with its covariances."""
     system, here, unknown, free = settled.system, settled.pose, settled.unknown, settled.free
-    problem = system.problem
     whole = settled.normal + np.diag(system.width)
-    gain, _ = _marginal(whole[:free, :free])
+    gain = _marginal(whole[:free, :free])
     covariance = gain
     if free < system.size:
         inverse = np.linalg.solve(whole[:free, :free], whole[:free, free:])[:6]
         covariance = gain + inverse @ inverse.T
-    vision = system.vision(here, unknown)[0] if len(problem.seen) else 0.0
+    system.terms(here, unknown)
     misfit = system.misfit()
     independent, shared, follows = _split(system, here, settled.normal)
     covariance = misfit * covariance + system.excess_spread(whole[:free, :free], misfit) + _mesh_spread(system)
@@ -161,7 +136,7 @@ def answered(settled: Settled) -> JointResult:
         settled.cost,
         settled.log_evidence,
         settled.level,
-        vision,
+        system.seen_cost,
         independent=misfit * independent,
         shared=misfit * shared,
         as_seen=_as_seen(system, here, unknown),
@@ -199,7 +174,7 @@ def _split(system: System, pose: Array, normal: Array) -> tuple[Array, Array, Ar
     """
     evidence = normal.copy()
     if system.problem.prior is not None:
-        evidence[POSE, POSE] -= system.believed(pose)[2]
+        evidence[POSE, POSE] -= system.believed(pose)
     believed = np.where(np.arange(len(normal)) < 6, system.width, 1.0)
     evidence[np.arange(6, len(normal)), np.arange(6, len(normal))] -= 1.0
     inverse = np.linalg.solve(evidence + np.diag(believed), np.eye(len(normal))[:, :6])
@@ -208,12 +183,11 @@ def _split(system: System, pose: Array, normal: Array) -> tuple[Array, Array, Ar
     return inverse.T @ evidence @ inverse, shared, follows
 
 
-def _marginal(normal: Array) -> tuple[Array, float]:
-    """(6, 6) covariance of the pose with all else marginalised, and the log-determinant of the whole system."""
+def _marginal(normal: Array) -> Array:
+    """(6, 6) covariance of the pose with all else marginalised."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scaled = normal * scale * scale[:, None]
     # unit diagonal: a billionth more keeps the factor of a singular system finite, and changes no digit of another
-    factor = np.linalg.cholesky(scaled + 1e-9 * np.eye(len(normal)))
+    factor = np.linalg.cholesky(scaled + JITTER * np.eye(len(normal)))
     half = np.linalg.solve(factor, np.eye(len(normal))[:, :6])
-    covariance = (half.T @ half) * scale[:6] * scale[:6, None]
-    return covariance, float(2.0 * np.log(np.diag(factor)).sum() - 2.0 * np.log(scale).sum())
+    return np.asarray((half.T @ half) * scale[:6] * scale[:6, None])

@@ -89,7 +89,13 @@ class JointProblem:
         count = len(rows)
         self.lattice = lattice_of(self.model)
         self.floors = row_kernels.loss_floors(rows)
-        self.room = np.zeros(count, dtype=np.int64), np.zeros((count, 7)), *np.zeros((3, count))
+        # what newton_kernels.terms fills
+        self.room = (
+            np.zeros(count, dtype=np.int64),
+            np.zeros((count, 7)),
+            *np.zeros((3, count)),
+            np.zeros((count, 7 + len(self.bias))),
+        )
         self.felt_rows = row_kernels.prepare(np.ascontiguousarray(self.felt.rows), 0.0, 0.0)
         self.prior_parts, self.no_prior = prior_of(self.model, self.prior), prior_of(self.model, None)
 

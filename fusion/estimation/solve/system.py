@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.solve import kernels as joint_kernels
+from fusion.estimation.solve import newton_kernels as kernels
+from fusion.estimation.solve.kernels import prior_row
 from fusion.estimation.solve.problem import JointProblem
 from scenes.evidence.table import FACING, NORMAL, WEIGHT
 from scenes.geometry import poses as se3
@@ -50,7 +51,8 @@ class System:
         self.width[POSE] = np.array([1.0] * 3 + [problem.model.radius] * 3) ** -2.0
         self._hand_white = self._whitened_hand() if problem.hand is not None else None
         self.normals, self.slope = self._facing(pose)
-        self._used, self._jac = 0, np.zeros((0, self.size))
+        # where `terms` last was: what the vision rows cost, and how many count
+        self.seen_cost, self._used = 0.0, 0
 
     def start(self) -> Array:
         """The unknowns (size,) as first guessed: the calibration as the hand is seen."""
@@ -59,32 +61,41 @@ class System:
             unknown[XI] = np.linalg.solve(self.white_xi, self.problem.hand.xi)
         return unknown
 
+    @property
+    def _arguments(self) -> tuple:
+        """The system as the kernels take it: see newton_kernels.terms."""
+        p, nothing = self.problem, (0.0, np.zeros(0), np.zeros((0, 0)))
+        scene = p.lattice, p.prior_parts, p.no_prior, p.settings.least_cosine, p.camera is not None, p.settings.bend
+        rows = p.seen.rows, p.floors, p.is_pixel, p.sigma, self.weight, self.normals, self.slope
+        touch = p.felt_rows, self.white_xi, self.centre
+        hand = nothing if self._hand_white is None else self._hand_white
+        return scene, (*rows, self.seen_white, float(self.white[SCALE])), touch, hand, p.room
+
+    def _place(self, pose: Array) -> tuple[Array, Array]:
+        """Rotation (3, 3) and place of the centroid (3,) at pose (4, 4)."""
+        return pose[:3, :3].copy(), pose[:3, :3] @ self.problem.model.centroid + pose[:3, 3]
+
     def terms(self, pose: Array, unknown: Array) -> tuple[float, Array, Array]:
         """Cost, gradient and Gauss-Newton matrix about (delta, whitened xi, s, b)."""
-        size = len(unknown)
-        normal, gradient = np.diag(np.concatenate([np.zeros(6), np.ones(size - 6)])), unknown.copy()
-        cost = 0.5 * float(unknown[6:] @ unknown[6:])
-        if len(self.problem.seen):
-            part, g, h = self.vision(pose, unknown)
-            cost += part
-            gradient += g
-            normal += h
-        if len(self.problem.felt):
-            part, g, h = self.touch(pose, unknown)
-            cost += part
-            gradient[:12] += g
-            normal[:12, :12] += h
-        if self.problem.hand is not None:
-            part, g, h = self.hand_terms(unknown)
-            cost += part
-            gradient[6:] += g
-            normal[6:, 6:] += h
-        if self.problem.prior is not None:
-            part, g, h = self.believed(pose)
-            cost += part
-            gradient[POSE] += g
-            normal[POSE, POSE] += h
+        normal, gradient = np.zeros((self.size, self.size)), np.zeros(self.size)
+        cost, self.seen_cost, self._used = kernels.terms(  # type: ignore[call-arg]
+            *self._arguments, *self._place(pose), unknown, normal, gradient
+        )
         return cost, gradient, normal
+
+    def descend(self, pose: Array, unknown: Array, free: int) -> tuple[Array, Array, float, Array, float]:
+        """Where Gauss-Newton on the first `free` unknowns ends: pose (4, 4), unknowns (size,), cost, Gauss-Newton
+        matrix (size, size), and log determinant of what was solved for.
+        """
+        s, model = self.problem.settings, self.problem.model
+        normal, gradient, there = np.zeros((self.size, self.size)), np.zeros(self.size), unknown.copy()
+        rotation, middle = self._place(pose)
+        limits = free, s.steps, s.worth, s.refused, model.radius
+        cost, log_det = kernels.descend(  # type: ignore[call-arg]
+            *self._arguments, limits, self.width, rotation, middle, there, normal, gradient
+        )
+        rotation = se3.straightened(rotation)
+        return se3.make_pose(rotation, middle - rotation @ model.centroid), there, cost, normal, log_det
 
     def _facing(self, pose: Array) -> tuple[Array, Array]:
         """Which way (n, 3) the surface looks where each pixel meets it at `pose`, object frame, and how much more noise
@@ -107,38 +118,8 @@ class System:
         slope = np.hypot(noise, problem.beliefs.mesh_sigma / cosine) / problem.sigma
         return normals, np.where(problem.is_pixel, slope, 1.0)
 
-    def vision(self, pose: Array, unknown: Array) -> tuple[float, Array, Array]:
-        """Pixels and free space: their residuals by the kernel, their products by linear algebra."""
-        scale = float(self.white[SCALE])
-        index, jac_fixed, along, residual, information = self.problem.room
-        cost, k = joint_kernels.vision_rows(
-            self.problem.lattice,
-            self.problem.seen.rows,
-            self.problem.floors,
-            self.problem.is_pixel,
-            self.problem.sigma,
-            self.weight,
-            self.normals,
-            self.slope,
-            self.problem.settings.least_cosine,
-            self.problem.camera is not None,
-            np.ascontiguousarray(pose[:3, :3]),
-            pose[:3, :3] @ self.problem.model.centroid + pose[:3, 3],
-            scale * float(unknown[SCALE]),
-            self.seen_white @ unknown[FIXED:],
-            *self.problem.room,
-        )
-        self._used = k
-        jac = np.zeros((k, len(unknown)))
-        jac[:, POSE] = jac_fixed[:k, :6]
-        jac[:, SCALE] = jac_fixed[:k, 6] * scale
-        jac[:, FIXED:] = along[:k, None] * self.seen_white[index[:k]]
-        weighted = jac * information[:k, None]
-        self._jac = jac
-        return float(cost), weighted.T @ residual[:k], weighted.T @ jac
-
     def misfit(self) -> float:
-        """By how much (a factor of variance) pixels are farther off, where `vision` last was, than their sigmas say: 1
+        """By how much (a factor of variance) pixels are farther off, where `terms` last was, than their sigmas say: 1
         for those that are as good as believed, and of rows that are no pixels.
 
         What is believed of a camera is one of many cameras; how large this one's errors are, the frame itself says.
@@ -150,7 +131,7 @@ class System:
         s = problem.settings
         if problem.camera is None or not k:
             return 1.0
-        index, _, _, residual, information = (part[:k] for part in problem.room)
+        index, _, _, residual, information, _ = (part[:k] for part in problem.room)
         mine = problem.on[index]
         width = (problem.sigma * self.slope)[index]
         weight = float((information * width**2)[mine].sum())
@@ -162,7 +143,7 @@ class System:
         return (s.believed_places + places * square) / (s.believed_places + places - 2.0)
 
     def mesh_variance(self) -> float:
-        """Square (m^2) of how far the surface is off, smoothly, from where the mesh says, where `vision` last was.
+        """Square (m^2) of how far the surface is off, smoothly, from where the mesh says, where `terms` last was.
 
         A scan that is bent, or of another copy of the product, leaves whole blocks of the image off together, whatever
         the pose. What is believed of meshes is the prior, an inverse gamma as for the pixels (`misfit`); what
@@ -172,7 +153,7 @@ class System:
         s, believed = problem.settings, problem.beliefs.mesh_sigma**2
         if problem.camera is None or not k:
             return believed
-        index, _, _, residual, information = (part[:k] for part in problem.room)
+        index, _, _, residual, information, _ = (part[:k] for part in problem.room)
         mine = problem.on[index] & (information > 0.0)
         if not mine.any():
             return believed
@@ -193,7 +174,7 @@ class System:
         return _blocks(uv, problem.settings.groups, problem.settings.block)
 
     def excess_spread(self, whole: Array, misfit: float) -> Array:
-        """(6, 6) by how much the pose would move with other pixels, beyond what their sigmas say, where `vision` last
+        """(6, 6) by how much the pose would move with other pixels, beyond what their sigmas say, where `terms` last
         was. whole (m, m): the information on the first m unknowns, all that is solved for; misfit: factor on the
         variance of a pixel.
 
@@ -206,20 +187,17 @@ class System:
         problem = self.problem
         if problem.camera is None or not self._used:
             return np.zeros((6, 6))
-        index, free = problem.room[0][: self._used], len(whole)
-        information, residual = problem.room[4][: self._used], problem.room[3][: self._used]
-        jac = self._jac[:, :free]
+        free = len(whole)
+        index, _, _, residual, information, design = (part[: self._used] for part in problem.room)
         group = self._blocks(index)
         groups = int(group.max()) + 1
         if groups < problem.settings.least_blocks:
             return np.zeros((6, 6))
-        parts, pulls = np.zeros((groups, free, free)), np.zeros((groups, free))
-        order = np.argsort(group, kind="stable")
-        for g, mine in enumerate(np.split(order, np.cumsum(np.bincount(group))[:-1])):
-            weighted = jac[mine] * information[mine, None]
-            parts[g], pulls[g] = weighted.T @ jac[mine], weighted.T @ residual[mine]
-        own = parts.sum(axis=0)
-        moved = np.linalg.solve(whole - parts * problem.settings.leave, pulls[:, :, None])[:, :6, 0]
+        columns = np.concatenate([np.arange(6), np.arange(SCALE, self.size)])
+        own, moved = np.zeros((free, free)), np.zeros((groups, 6))
+        rows = design, information, residual, group, groups, columns
+        if not kernels.left_out(*rows, np.ascontiguousarray(whole), problem.settings.leave, own, moved):
+            return np.zeros((6, 6))
         spread = moved.T @ moved * ((groups - 1.0) / groups)
         inverse = np.linalg.solve(whole, np.eye(free)[:, :6])
         said = misfit * (inverse.T @ own @ inverse)
@@ -230,43 +208,11 @@ class System:
         root = lower @ vectors * np.sqrt(np.maximum(values - 1.0, 0.0))
         return np.asarray(root @ root.T, dtype=np.float64)
 
-    def touch(self, pose: Array, unknown: Array) -> tuple[float, Array, Array]:
-        """Contacts and the space that links fill, as the robot reports them and xi moves them."""
-        middle = pose[:3, :3] @ self.problem.model.centroid + pose[:3, 3]
-        hessian, gradient = np.zeros((6, 6)), np.zeros(6)
-        cost = joint_kernels.touch_rows(
-            self.problem.lattice,
-            self.problem.felt_rows,
-            self.problem.settings.bend,
-            np.ascontiguousarray(pose[:3, :3]),
-            middle,
-            self.white_xi @ unknown[XI],
-            self.centre,
-            self.problem.no_prior,
-            hessian,
-            gradient,
-            np.zeros((10, 3)),
-        )
-        lever = np.eye(6)
-        lever[3:, :3] = -se3.skew(middle - self.centre)
-        chain = np.concatenate([np.eye(6), -lever @ self.white_xi], axis=1)
-        return float(cost), chain.T @ gradient, chain.T @ hessian @ chain
-
-    def believed(self, pose: Array) -> tuple[float, Array, Array]:
-        """The prior on the pose."""
-        hessian, gradient = np.zeros((6, 6)), np.zeros(6)
-        middle = pose[:3, :3] @ self.problem.model.centroid + pose[:3, 3]
-        rotation = np.ascontiguousarray(pose[:3, :3])
-        cost = joint_kernels.prior_row(rotation, middle, self.problem.prior_parts, hessian, gradient)
-        return float(cost), gradient, hessian
-
-    def hand_terms(self, unknown: Array) -> tuple[float, Array, Array]:
-        """The hand's pixels: quadratic in the unknowns, whitened once per level."""
-        assert self._hand_white is not None
-        cost, gradient, normal = self._hand_white
-        x = unknown[6:]
-        along = normal @ x
-        return cost + float(gradient @ x + 0.5 * x @ along), gradient + along, normal
+    def believed(self, pose: Array) -> Array:
+        """(6, 6) what the prior tells of the pose."""
+        information = np.zeros((6, 6))
+        prior_row(*self._place(pose), self.problem.prior_parts, information, np.zeros(6))
+        return information
 
     def _whitened_hand(self) -> tuple[float, Array, Array]:
         """Terms of the hand's pixels about x = 0 in the whitened unknowns (xi, s, b)."""
@@ -281,8 +227,7 @@ class System:
         normal[:6] = self.white_xi.T @ normal[:6]
         normal[:, :6] = normal[:, :6] @ self.white_xi
         gradient[:6] = self.white_xi.T @ gradient[:6]
-        normal *= scale * scale[:, None]
-        return constant, gradient * scale, normal
+        return constant, gradient * scale, normal * (scale * scale[:, None])
 
 
 def _blocks(uv: Array, count: float, least: float) -> NDArray[np.int64]:

@@ -138,13 +138,24 @@ def unread(facing: Facing) -> tuple[str, ...]:
 
 
 def turned_as_printed(sensed: Sensed, mode: Mode, facing: Facing, settings: PrintSettings) -> tuple[Mode, Facing]:
-    """The answer turned about the object's own axis to where the print has it, and sure of that as far as it is."""
-    model = sensed.pool.model
-    if not model.symmetries.axes or not facing.decides(settings):
+    """The answer turned about the object's own axis to where the print has it, and sure of that as far as it is.
+
+    A print that was not found before anything was solved is looked for once more, where the object is now.
+    """
+    model, missed = sensed.pool.model, bool(unread(facing))
+    if not (missed or (model.symmetries.axes and facing.decides(settings))):
         return mode, facing
     seen = see_print(sensed.viewed, model, sensed.pool.predictor, mode.pose, settings)
     if isinstance(seen, str):
         return mode, facing
+    if missed:
+        ways = _ways(seen, mode.pose, sensed.pool.prior)
+        if ways.why_not:
+            return mode, facing
+        facing = Facing(ways.share, ways.turn, len(seen.points), f"{ways.share:.0%} of {ways.count} ways")
+        mode = replace(mode, pose=ways.pose)
+        if not (model.symmetries.axes and facing.decides(settings)):
+            return mode, facing
     pose, turn = _finest(seen, mode.pose, settings.same)
     axis, rotation = model.symmetries.axes[0], pose[:3, :3]
     along = rotation @ axis.direction
@@ -180,6 +191,11 @@ def _ways(seen: SeenPrint, pose: Array, prior: Prior | None) -> _Ways:
     prints = seen.predicted(at)
     left = seen.left(prints)
     gains = seen.nats(left)
+    beside, left_beside = seen.shifted(prints)
+    unregistered = bool(beside.max() > s.shift_gain * gains.max() + s.prefers)
+    if unregistered and not model.symmetries.axes:
+        # no shift makes one face another, as it does one turn: faces are told wherever the print is
+        gains, left = beside, left_beside
     start = np.zeros(len(at)) if prior is None else costs(model, tables.empty(), at, prior)
     logs = np.maximum(gains - gains.max(), -s.most) - np.minimum(start - start.min(), s.most_start)
     lead = int(np.argmax(logs))
@@ -198,7 +214,7 @@ def _ways(seen: SeenPrint, pose: Array, prior: Prior | None) -> _Ways:
         swapped = seen.left(prints, swapped=True)
         if seen.nats(swapped, swapped=True).max() - gains.max() > s.prefers:
             why_not = "red and blue of the image seem swapped: the print is not used"
-    if seen.unregistered(prints):
+    if unregistered and model.symmetries.axes:
         why_not = "the print is seen beside where depth has it: image and depth may not be registered"
     return _Ways(best, gain, share, turn, len(model.symmetries.discrete), explained, why_not)
 

@@ -127,4 +127,4 @@ def solve_together(sensed: Sensed, poses: list[Array], asked: Asked) -> Solved:
     known = sensed.felt.reported_rows, asked.prior, hand, asked.beliefs, settings.joint
     results = solve_modes([JointProblem.of(pool.model, sensed.frame, rows, *known) for rows in shown], poses)
     results = guarded(pool, results, poses, hand, settings)
-    return Solved(results, joint_costs(sensed.touched, pool, results, sensed.sight, settings), shown)
+    return Solved(results, joint_costs(sensed.touched, pool, results, poses, hand, sensed.sight, settings), shown)

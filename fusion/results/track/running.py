@@ -119,7 +119,7 @@ class TrackRun:
         how, numbers = self.options, self.capture.frame_ids
         if self.done >= len(numbers):
             return
-        self._warm_up()
+        self._look_before(how.hertz is not None)
         pace = InTurn(numbers, self.done) if how.hertz is None else RealTime(numbers, how.hertz, self.done)
         for one in pace:
             yield self._step(one, pace)
@@ -143,11 +143,15 @@ class TrackRun:
         Checkpoint(self._asked, self.done, self._last, self.answered, sizes, state).write(self.out)
         self._saved_at = time.monotonic()
 
-    def _warm_up(self) -> None:
-        """Load the compiled kernels and the lattice, of a first frame and of a later: times should tell of frames."""
+    def _look_before(self, in_real_time: bool) -> None:
+        """Whether the first frame can be what it says. Where a clock will run, the compiled kernels and the lattice are
+        loaded, too, by a throw-away tracker: times should tell of frames. Otherwise no frame is searched twice.
+        """
         with _reporting(self.capture, refuse):
             first = self._prepare(self.capture[0], self.model)
         check_scale(first, self.model)
+        if not in_real_time:
+            return
         tracker = self._new_tracker()
         tracker.step(first)
         with contextlib.suppress(PalpateError):

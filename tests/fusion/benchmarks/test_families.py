@@ -48,6 +48,7 @@ def test_every_family_has_one_role():
     assert all(family.stands_for for family in FAMILIES.values())
     with pytest.raises(InputError, match="neighbours"):
         chosen("kitchen")
+    assert [family.name for family in chosen("desk, lab")] == ["lab", "desk"]
 
 
 def test_report_families_share_no_number_of_any_error_with_tuning_ones():

@@ -279,6 +279,15 @@ def test_bad_captures(tmp_path, capsys):
     assert "shadow_FFJ3" in refused(capsys, "estimate", _damaged(tmp_path, "hand", held, hand=hand))
 
 
+def test_a_frame_with_a_start_is_answered_without_scipy(capture, tmp_path):
+    # a tenth to a third of a second each, where an answer takes a tenth
+    argv = ["estimate", str(capture), "--out", str(tmp_path / "out"), "-q"]
+    code = f"import sys, fusion.cli.main as m; m.main({argv!r}); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    heavy = {"scipy.linalg", "scipy.spatial", "scipy.special", "scipy.stats", "numpy.f2py", "trimesh"}
+    assert heavy & set(done.stdout.split()) == set()
+
+
 def test_help_is_quick_to_load_and_the_pipe_may_close():
     code = "import sys, fusion.cli.parser as p; p.build_parser(); print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout

@@ -159,3 +159,10 @@ def test_the_gamma_distribution_is_scipys_near_enough():
         exact = gamma.cdf((tolerance / 0.6) ** 2, mean**2 / variance, scale=variance / mean)
         np.testing.assert_allclose(below(mean, variance, tolerance, 0.6), exact, atol=0.01)
     np.testing.assert_array_equal(below([0.0, np.inf, np.nan, 1.0], [0.0, 1.0, 1.0, 0.0], 0.005, 0.6), [1, 0, 0, 0])
+
+
+def test_one_confidence_is_as_one_of_many():
+    means, variances = np.array([1e-6, 4e-6, 1e-4]), np.array([1e-13, 9e-12, 1e-9])
+    many = below(means, variances, 0.003, 0.7)
+    alone = [float(below(mean, variance, 0.003, 0.7)) for mean, variance in zip(means, variances)]
+    np.testing.assert_allclose(alone, many, rtol=1e-12)

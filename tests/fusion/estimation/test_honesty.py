@@ -33,8 +33,8 @@ from touch.localization import localize
 # Of chance alone: once in a thousand runs.
 RARE = 1e-3
 # What the benchmark measures in the large on the family `lab`: 95 % regions hold at least this share, and the mean NEES
-# per degree of freedom is at most so much.
-HELD, LARGEST = 0.90, 1.5
+# per degree of freedom is at most so much; and at least, where answers are wider than they need be.
+HELD, LARGEST, LEAST = 0.93, 1.2, 0.2
 
 
 def held_at_least(count: int, share: float = HELD) -> int:
@@ -42,7 +42,7 @@ def held_at_least(count: int, share: float = HELD) -> int:
     return int(binom.ppf(RARE, count, share))
 
 
-def bounds(count: int, dof: int, largest: float = LARGEST, least: float = 0.2) -> tuple[float, float]:
+def bounds(count: int, dof: int, largest: float = LARGEST, least: float = LEAST) -> tuple[float, float]:
     """Least and largest mean NEES per degree of freedom of `count` right answers, times what is measured."""
     low, high = chi2.ppf([RARE, 1.0 - RARE], count * dof) / (count * dof)
     return least * float(low), largest * float(high)
@@ -69,7 +69,11 @@ def test_regions_hold_the_truth_at_every_hidden_share(hidden, start):
             sure.append(answer.confidence)
     count = len(shares)
     assert sum(share <= REGION for share in shares) >= held_at_least(count)
-    assert np.median(ratios) <= bounds(count, 6)[1]
+    # the middle: without a start one answer in another minimum outweighs all others
+    low, high = bounds(count, 6)
+    assert np.median(ratios) <= LARGEST
+    assert low <= np.mean(ratios)
+    assert np.mean(ratios) <= high or not start
     # what is said of being right: no more sure than right, but for chance (Poisson-binomial, one-sided)
     spread = math.sqrt(sum(p * (1.0 - p) for p in sure))
     assert sum(right) >= sum(sure) - 3.1 * spread - 0.5
@@ -83,27 +87,32 @@ def thin(rng, centre, widest=0.02, narrow=0.0005):
     return 0.5 * (covariance + covariance.T)
 
 
-@pytest.mark.parametrize("count", [7, 9, 12])
-def test_few_contacts_and_a_correlated_prior_are_as_wrong_as_they_say(count):
+def few_contacts(count, seed):
+    """NEES per degree of freedom of one answer to `count` contacts of 1 mm, with such a prior."""
+    drill, rng = library.make("drill"), np.random.default_rng([count, seed])
+    truth = poses.make_poses(poses.random_rotations(1, rng), 0.1 * rng.normal(size=(1, 3)))[0]
+    points, directions = drill.sample_surface(count, seed=seed)
+    points = poses.apply(truth, points + 0.001 * rng.normal(size=points.shape))
+    directions = (directions + 0.09 * rng.normal(size=points.shape)) @ truth[:3, :3].T
+    covariance = thin(rng, drill.centroid)
+    start = poses.perturb(truth, rng.multivariate_normal(np.zeros(6), covariance), drill.centroid)
+    prior = Prior(start, np.linalg.inv(covariance))
+    found = localize(drill, Contacts(points, directions, 0.001, 0.09), seed=seed, prior=prior)
+    return nees(poses.difference(found.pose, truth, drill.centroid), found.covariance) / 6
+
+
+def test_few_contacts_and_a_correlated_prior_are_as_wrong_as_they_say():
     """7 to 12 contacts of 1 mm, a start from a prior of 20 mm along one direction, half a millimetre across."""
-    drill = library.make("drill")
-    ratios, shares = [], []
-    for seed in range(12):
-        rng = np.random.default_rng([count, seed])
-        truth = poses.make_poses(poses.random_rotations(1, rng), 0.1 * rng.normal(size=(1, 3)))[0]
-        points, directions = drill.sample_surface(count, seed=seed)
-        points = poses.apply(truth, points + 0.001 * rng.normal(size=points.shape))
-        directions = (directions + 0.09 * rng.normal(size=points.shape)) @ truth[:3, :3].T
-        covariance = thin(rng, drill.centroid)
-        start = poses.perturb(truth, rng.multivariate_normal(np.zeros(6), covariance), drill.centroid)
-        prior = Prior(start, np.linalg.inv(covariance))
-        found = localize(drill, Contacts(points, directions, 0.001, 0.09), seed=seed, prior=prior)
-        delta = poses.difference(found.pose, truth, drill.centroid)
-        ratios.append(nees(delta, found.covariance) / 6)
-        shares.append(float(chi2.cdf(6 * ratios[-1], 6)))
-    low, high = bounds(len(ratios), 6, largest=2.0)
-    assert low < np.median(ratios) < high
-    assert sum(share <= REGION for share in shares) >= held_at_least(len(shares), 0.85)
+    ratios = {count: [few_contacts(count, seed) for seed in range(12)] for count in (7, 9, 12)}
+    # measured: means of 1.2, 0.8 and 1.3; a right one is 1
+    for found in ratios.values():
+        low, high = bounds(len(found), 6, largest=1.3, least=0.8)
+        assert low < np.mean(found) < high
+    every = np.concatenate(list(ratios.values()))
+    low, high = bounds(len(every), 6, largest=1.2, least=0.9)
+    assert low < np.mean(every) < high
+    # measured: 32 of 36
+    assert np.sum(chi2.cdf(6 * every, 6) <= REGION) >= held_at_least(len(every))
 
 
 def turned(model, turn, shift):

@@ -15,7 +15,7 @@ from fusion.estimation.solve.rigs import solve_modes
 from fusion.estimation.solve.settings import JointSettings
 from fusion.estimation.solve.system import FIXED, POSE, SCALE, XI, System
 from scenes.evidence import table as evidence
-from scenes.evidence.align import Prior, terms
+from scenes.evidence.align import Prior
 from scenes.evidence.row_kernels import loss_floor
 from scenes.evidence.row_kernels import robust as compiled_robust
 from scenes.evidence.table import NO_GATE, TOUCH, VISION
@@ -128,13 +128,8 @@ def test_the_kernels_agree_with_their_twins(drill, seed, camera):
     unknown = np.zeros(FIXED + len(problem.bias))
     unknown[SCALE], unknown[FIXED:], unknown[XI] = 0.01, 0.3 * rng.normal(size=len(unknown) - FIXED), 0.2
     pose = poses.perturb(pose, 0.02 * rng.normal(size=6), drill.centroid)
-    for mine, twin in (
-        (system.vision(pose, unknown), joint_twin.vision(system, pose, unknown)),
-        (system.touch(pose, unknown), joint_twin.touch(system, pose, unknown)),
-        (system.believed(pose), terms(drill, evidence.empty(), pose, problem.prior)),
-    ):
-        for one, other in zip(mine, twin):
-            np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-9 * np.abs(other).max())
+    for mine, twin in zip(system.terms(pose, unknown), joint_twin.terms(system, pose, unknown)):
+        np.testing.assert_allclose(mine, twin, rtol=1e-6, atol=1e-9 * np.abs(twin).max())
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -156,7 +151,7 @@ def test_the_hands_block_is_that_of_its_pixels(exact_frame, drill):
     system = System(problem, exact_frame.camera_from_object_truth, 1.0, problem.settings.least_weight)
     rng = np.random.default_rng(0)
     unknown = 0.3 * rng.normal(size=FIXED + len(problem.bias))
-    cost, gradient, normal = system.hand_terms(unknown)
+    cost, gradient, normal = joint_twin.hand(system, unknown)
     view = problem.hand
     xi = system.white_xi @ unknown[XI]
     ray = view.points / view.points[:, 2:]
@@ -173,9 +168,9 @@ def test_the_hands_block_is_that_of_its_pixels(exact_frame, drill):
     for i in rng.choice(len(gradient), 6, replace=False):
         shifted = unknown.copy()
         shifted[6 + i] += step
-        up = system.hand_terms(shifted)[0]
+        up = joint_twin.hand(system, shifted)[0]
         shifted[6 + i] -= 2 * step
-        assert gradient[i] == pytest.approx((up - system.hand_terms(shifted)[0]) / (2 * step), rel=1e-5, abs=1e-5)
+        assert gradient[i] == pytest.approx((up - joint_twin.hand(system, shifted)[0]) / (2 * step), rel=1e-5, abs=1e-5)
 
 
 def frame_problem(frame, model):
@@ -288,7 +283,7 @@ def test_a_surface_that_is_off_smoothly_speaks_of_the_mesh(drill, rng):
     found = []
     for one in (problem, off):
         system = System(one, pose, 1.0, 0.22)
-        system.vision(pose, np.zeros(system.size))
+        system.terms(pose, np.zeros(system.size))
         found.append(system.mesh_variance())
     believed = problem.beliefs.mesh_sigma**2
     assert found[0] < believed < found[1]

@@ -7,19 +7,22 @@ import numpy as np
 import pytest
 
 from fusion import estimate
+from fusion.estimation.asked import Asked
 from fusion.estimation.confidence import ConfidenceSettings, chances, spread_of, whole_covariance, within
 from fusion.estimation.pool import Pool, PoolSettings
 from fusion.estimation.proposals import ProposalSettings, search_stages
-from fusion.estimation.propose import modes_near
+from fusion.estimation.propose import Competition, modes_near
 from fusion.estimation.ranking import guarded
 from fusion.estimation.search import Found, PlanSettings
 from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.solve.joint import JointResult
+from fusion.estimation.steps.sense import look_once, sense
 from fusion.estimation.trace import Trace
 from fusion.truth.errors import Judge
 from scenes.evidence import table as tables
 from scenes.evidence.align import Alignment, Prior
 from scenes.evidence.modes import Mode, ModeSettings
+from scenes.evidence.near_symmetries import quarter_turns
 from scenes.geometry import poses
 from scenes.synthesis import library
 from scenes.synthesis.recording import synthesize_frames
@@ -68,6 +71,61 @@ def test_few_starts_that_convince_end_the_search(lab_frame, drill):
     assert search.why.startswith(f"{PlanSettings().rounds[0]} of 320 starts")
 
 
+def test_without_a_start_what_explains_the_image_at_a_glance_ends_the_search(drill):
+    frame = synthesize_frames(drill, None, 1, 0.0, noise="clean", seed=3, occluders="none", settings=SETTINGS)[0]
+    frame = replace(frame, prior=None)
+    settings = EstimateSettings()
+    everything = replace(settings, plan=replace(settings.plan, skipping=False))
+    quick, slow = (estimate(frame, drill, settings=s) for s in (settings, everything))
+    asked = [{stage.name: stage for stage in answer.trace} for answer in (quick, slow)]
+    assert asked[0]["search"].why.startswith("pairs of pixels")
+    skipped = {name for name, stage in asked[0].items() if name.startswith("propose: ") and not stage.ran}
+    assert {"propose: rows, 0 starts", "propose: each piece alone"} < skipped
+    assert any(name.startswith("propose: rows") and stage.ran for name, stage in asked[1].items())
+    assert all(add_s(drill, answer, frame) < 0.003 for answer in (quick, slow))
+
+
+@pytest.fixture(scope="module")
+def sensed(lab_frame, drill):
+    """What judges poses of one frame."""
+    asked = Asked.of(lab_frame)
+    return sense(lab_frame, drill, asked, Trace(), look_once(lab_frame, drill, asked, Trace()))
+
+
+def test_what_was_fitted_is_not_fitted_again(sensed, lab_frame, monkeypatch):
+    pool, truth = sensed.pool, lab_frame.camera_from_object_truth
+    known = pool.fitted(truth[None])
+    monkeypatch.setattr("fusion.estimation.pool.align", lambda *_: pytest.fail("nothing is to be fitted"))
+    again = pool.fitted(known.poses, known=known)
+    np.testing.assert_array_equal(again.poses, known.poses)
+    np.testing.assert_array_equal(again.costs, known.costs)
+    none = pool.fitted(np.zeros((0, 4, 4)), known=known)
+    np.testing.assert_array_equal(none.hessians, known.hessians)
+
+
+def test_draws_around_the_best_cast_doubt_where_one_is_likelier(sensed, lab_frame, drill):
+    pool, truth = sensed.pool, lab_frame.camera_from_object_truth
+    off = poses.perturb(truth, np.array([0.0, 0.0, 0.15, 0.012, 0.0, 0.0]), drill.centroid)
+    asked = Competition(pool, Trace())
+    asked.fitted = Alignment(off[None], pool.costs(off[None]), np.eye(6)[None], np.zeros(1, dtype=np.int64))
+    asked.modes, asked.convinced = (Mode(off, 1.0, float(asked.fitted.costs[0]), np.eye(6)),), True
+    asked.look_around()
+    assert not asked.convinced
+    assert asked.modes[0].cost < pool.costs(off[None])[0] - PoolSettings().bettered
+    assert asked.trace.stages[-1].name == "propose: around the best"
+
+
+def test_turned_poses_lie_on_what_is_seen(sensed, lab_frame, drill):
+    pool = sensed.pool
+    best = pool.compete(lab_frame.camera_from_object_truth[None])[0]
+    turned = pool.turned(best)
+    assert len(turned) < 23
+    assert (pool.walking(turned) < best.cost + PoolSettings().promising).all()
+    flipped = best.pose @ quarter_turns(drill)[0]
+    back = pool.turned(replace(best, pose=flipped, cost=best.cost))
+    assert np.abs(back - best.pose).max(axis=(1, 2)).min() < 0.05  # and the right way round is among them
+
+
 class Rounds:
     """A pool in which nothing happens but rounds: the ends of the searches, one a round, and whether they convince."""
 
@@ -90,6 +148,9 @@ class Rounds:
 
     def sifted(self, candidates):
         return candidates
+
+    def glanced(self, rows):
+        return np.zeros((0, 4, 4))
 
     def costs(self, candidates):
         return np.full(len(candidates), np.inf)
@@ -169,9 +230,20 @@ def sure(model, sigma, **shares):
 def test_confidence_falls_with_spread_and_contradictions(drill):
     good = sure(drill, 0.0005)
     assert good > ConfidenceSettings().sure
-    assert sure(drill, 0.005) < good
-    assert sure(drill, 0.0005, past=0.5, agree=0.4) < 0.5 * good
-    assert sure(drill, 0.0005, agree=0.3, outline=0.5) < 0.9 * good
+    # what is within the tolerance is no less than what is seen at the depth predicted
+    worse = [
+        [sure(drill, spread) for spread in (0.0005, 0.002, 0.005, 0.01)],
+        [sure(drill, 0.0005, agree=0.95 - past, seen=0.9 - past, past=past) for past in (0.0, 0.05, 0.1, 0.2, 0.3)],
+        [sure(drill, 0.0005, agree=0.6, seen=0.5, past=0.1, outline=outline) for outline in (0.0, 0.05, 0.1, 0.15)],
+    ]
+    for falling in worse:
+        assert np.all(np.diff(falling) <= 0)
+        assert falling[-1] < falling[0]
+    assert sure(drill, 0.0005, past=0.5, agree=0.4, seen=0.35) < 0.1 * good
+    assert sure(drill, 0.0005, past=0.2, agree=0.3, seen=0.25, outline=0.5) < 0.1 * good
+    assert sure(drill, 0.0005, agree=0.3, seen=0.25, outline=0.5) < 0.9 * good
+    # hidden is not contradicted
+    assert sure(drill, 0.0005, agree=0.3, seen=0.28, hidden=0.7) > 0.5 * good
     for extreme in (0.0, 1e-9, 1e3):
         assert 0.0 <= sure(drill, extreme) <= 1.0
 

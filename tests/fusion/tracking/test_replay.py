@@ -92,7 +92,7 @@ def test_the_command_tells_latencies_and_what_was_left_out(tmp_path, hand, capsy
 
     monkeypatch.setattr(Tracker, "step", slow)
     monkeypatch.setattr("fusion.results.track.running.RealTime", lambda n, h, f: RealTime(n, h, f, clock, clock.sleep))
-    monkeypatch.setattr(TrackRun, "_warm_up", lambda self: None)
+    monkeypatch.setattr(TrackRun, "_look_before", lambda self, in_real_time: None)
     out = tmp_path / "out"
     assert run("track", folder, "--out", out, "--no-report", "--realtime", 10) == 0
     content = json.loads((out / "result.json").read_text())

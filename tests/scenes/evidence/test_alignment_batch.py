@@ -203,6 +203,20 @@ def test_outside_rows_push_the_object_away():
     assert costs(model, outside, np.eye(4)[None])[0] == 0.0
 
 
+@pytest.mark.parametrize("far", [0.05, 0.3])
+def test_empty_space_left_out_while_it_is_far_is_not_forgotten(scene, far):
+    """Wherever a descent ends, all rows have been heard: those that began far from the surface, too."""
+    model, truth, table, _ = scene
+    rng = np.random.default_rng(1)
+    empty = poses.apply(truth, model.centroid + rng.uniform(-0.15, 0.15, size=(400, 3)))
+    rows = evidence.stack(evidence.outside(empty, 2e-3, VISION, gate=4.0), table)
+    delta = rng.normal(size=(40, 6)) * np.repeat([2.0 * far, far], 3)
+    found = align(model, rows, poses.perturb(truth, delta, model.centroid))
+    np.testing.assert_allclose(found.costs, costs(model, rows, found.poses), rtol=1e-7)
+    for pose, hessian in zip(found.poses[:8], found.hessians):
+        np.testing.assert_allclose(hessian, terms(model, rows, pose)[2], rtol=1e-5, atol=1e-6 * np.abs(hessian).max())
+
+
 def test_a_contact_deep_inside_still_finds_a_way_out():
     model = library.make("box")
     table = evidence.make(model.centroid[None] + [[0.003, 0.002, 0.001]], 1e-3, TOUCH)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scenes.evidence.near_symmetries import NearSettings, find_near_symmetries, near_symmetries
+from scenes.evidence.near_symmetries import NearSettings, find_near_symmetries, near_symmetries, quarter_turns
 from scenes.geometry import poses as se3
 from scenes.synthesis import library
 
@@ -41,3 +41,16 @@ def test_same_bits_again_and_kept_with_the_object():
     assert (find_near_symmetries(model) == find_near_symmetries(library.make("drill"))).all()
     assert near_symmetries(model) is near_symmetries(model)
     assert (_angles(model) > 8).all()
+
+
+def test_quarter_turns_are_a_cube_s_about_the_centroid():
+    model = library.make("drill")
+    turns = quarter_turns(model)
+    assert turns.shape == (23, 4, 4)
+    np.testing.assert_allclose(se3.apply(turns[5], model.centroid[None])[0], model.centroid, atol=1e-12)
+    angles = np.sort(np.degrees(se3.rotation_angle(turns[:, :3, :3])).round(6))
+    np.testing.assert_array_equal(np.unique(angles, return_counts=True)[1], [6, 8, 9])  # 90, 120 and 180 degrees
+    # one after the other they are another one of them, or none
+    every = np.concatenate([turns, np.eye(4)[None]])
+    for product in turns[3] @ every:
+        assert np.abs(every - product).max(axis=(1, 2)).min() < 1e-9

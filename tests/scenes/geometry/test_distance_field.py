@@ -119,6 +119,16 @@ def test_smooth_normals_match_the_meshs():
     assert (np.sum(model.field.normals(points) * normals, axis=1) > np.cos(np.deg2rad(3))).all()
 
 
+def test_normals_are_unit_gradients():
+    model = library.make("mug")
+    field = model.field
+    points = np.concatenate([near_points(model, 40, field.spacing, seed=3), box_points(model, 20, 0.05)])
+    for point, normal in zip(points, field.normals(points)):
+        gradient = np.zeros(3)
+        lattice.normal_at(field.values, field.origin, field.spacing, *point, gradient, np.zeros((3, 3)))
+        np.testing.assert_allclose(normal, gradient / max(np.linalg.norm(gradient), 1e-12), rtol=1e-12)
+
+
 def test_the_jacobian_of_the_smooth_gradient():
     model = library.make("mug")
     field = model.field

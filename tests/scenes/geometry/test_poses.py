@@ -222,3 +222,13 @@ def test_one_rotation_is_what_it_is_among_many():
         assert np.allclose(poses.to_quaternion(turn), quaternion, atol=2e-15)
     half = poses.exp_rotation(np.pi * np.eye(3))
     assert np.allclose([poses.to_quaternion(turn) for turn in half], poses.to_quaternion(half), atol=1e-15)
+
+
+@given(seeds)
+def test_what_rounding_bent_is_straightened(seed):
+    rng = np.random.default_rng(seed)
+    exact = poses.random_rotations(5, rng)
+    bent = exact + 1e-8 * rng.normal(size=exact.shape)
+    found = poses.straightened(bent)
+    assert np.abs(np.swapaxes(found, 1, 2) @ found - np.eye(3)).max() < 1e-14
+    np.testing.assert_allclose(found, poses.project_to_rotation(bent), atol=1e-14)

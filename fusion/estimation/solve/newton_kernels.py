@@ -1,0 +1,329 @@
+"""The compiled joint solution: all terms of a system in one pass over its rows, and Gauss-Newton steps on them.
+
+Unknowns (m,): turn and move of the pose, the whitened calibration, scale and bias (see fusion.estimation.solve.joint).
+Only lower triangles are added up, four rows at a time, so that what is added to stays in registers.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from fusion.estimation.solve.kernels import prior_row, touch_rows, vision_rows
+from scenes.geometry.rotation_kernels import exp_times
+
+# Unknowns before the scale: pose and calibration; what pixels tell of the pose, and of pose and scale.
+BEFORE, POSE, FIRST = 12, 6, 7
+# Added to a unit diagonal: keeps the factor of a singular system finite, and changes no digit of another.
+JITTER = 1e-9
+# Longest step: rad, and as a share of the object's radius; and where steps end (rad, m).
+LONGEST, SHORTEST_TURN, SHORTEST_MOVE = 0.3, 1e-5, 1e-6
+
+
+@numba.njit(cache=True, nogil=True)
+def factorize(a, n):
+    """Cholesky of the symmetric a (n, n), upper triangle in place: a = U^T U; False where it is not positive."""
+    for k in range(n):
+        pivot = a[k, k]
+        if not pivot > 0.0:
+            return False
+        root = math.sqrt(pivot)
+        for j in range(k, n):
+            a[k, j] /= root
+        for i in range(k + 1, n):
+            factor = a[k, i]
+            for j in range(i, n):
+                a[i, j] -= factor * a[k, j]
+    return True
+
+
+@numba.njit(cache=True, nogil=True)
+def solved(u, n, x):
+    """Solve U^T U x = x in place, of the first n unknowns."""
+    for i in range(n):
+        x[i] /= u[i, i]
+        for j in range(i + 1, n):
+            x[j] -= u[i, j] * x[i]
+    for i in range(n - 1, -1, -1):
+        total = x[i]
+        for j in range(i + 1, n):
+            total -= u[i, j] * x[j]
+        x[i] = total / u[i, i]
+
+
+@numba.njit(cache=True, nogil=True)
+def add_products(design, information, residuals, count, normal, gradient):
+    """Add design^T diag(information) design to the lower triangle of normal, and its product with residuals to
+    gradient, over the first `count` rows.
+    """
+    m = design.shape[1]
+    n = 0
+    while n + 4 <= count:
+        for i in range(m):
+            c0, c1 = design[n, i] * information[n], design[n + 1, i] * information[n + 1]
+            c2, c3 = design[n + 2, i] * information[n + 2], design[n + 3, i] * information[n + 3]
+            gradient[i] += c0 * residuals[n] + c1 * residuals[n + 1] + c2 * residuals[n + 2] + c3 * residuals[n + 3]
+            for j in range(i + 1):
+                normal[i, j] += (
+                    c0 * design[n, j] + c1 * design[n + 1, j] + c2 * design[n + 2, j] + c3 * design[n + 3, j]
+                )
+        n += 4
+    for k in range(n, count):
+        for i in range(m):
+            c = design[k, i] * information[k]
+            gradient[i] += c * residuals[k]
+            for j in range(i + 1):
+                normal[i, j] += c * design[k, j]
+
+
+@numba.njit(cache=True, nogil=True)
+def design_of(index, jac, along, seen_white, scale, count, design):
+    """Fill design (n, 7 + k): what pixels say of (turn, move), the whitened scale and bias; see vision_rows."""
+    for n in range(count):
+        for i in range(6):
+            design[n, i] = jac[n, i]
+        design[n, 6] = jac[n, 6] * scale
+        row = index[n]
+        for j in range(seen_white.shape[1]):
+            design[n, FIRST + j] = along[n] * seen_white[row, j]
+
+
+@numba.njit(cache=True, nogil=True)
+def terms(scene, seen, touch, hand, room, rotation, middle, unknown, normal, gradient):
+    """Cost of a system, what of it the vision rows say, and how many of these count; fills normal (m, m) and gradient
+    (m,).
+
+    scene: lattice, prior, a prior that says nothing, least cosine, whether there is a camera, bend of contacts.
+    seen: rows, floors, is_pixel, sigma, weight, normals, slope as of vision_rows, the whitened bias (n, k) of every row
+    and the whitening of the scale. touch: prepared rows, whitening (6, 6) of the calibration and its centre (3,). hand:
+    constant, gradient and normal matrix of its pixels in the whitened (calibration, scale, bias), of no length for
+    none. room: what vision_rows fills, and design (n, 7 + k).
+    """
+    lattice, prior, no_prior, least_cosine, has_camera, bend = scene
+    rows, floors, is_pixel, sigma, weight, normals, slope, seen_white, scale = seen
+    felt, white_xi, centre = touch
+    index, jac, along, residuals, information, design = room
+    m = unknown.shape[0]
+    total = seen_cost = 0.0
+    count = 0
+    for i in range(m):
+        gradient[i] = unknown[i]
+        for j in range(m):
+            normal[i, j] = 0.0
+        if i >= POSE:
+            normal[i, i] = 1.0
+            total += 0.5 * unknown[i] * unknown[i]
+        else:
+            gradient[i] = 0.0
+    if rows.shape[0]:
+        bias = np.zeros(rows.shape[0])
+        for n in range(rows.shape[0]):
+            for j in range(seen_white.shape[1]):
+                bias[n] += seen_white[n, j] * unknown[BEFORE + 1 + j]
+        seen_cost, count = vision_rows(
+            lattice,
+            rows,
+            floors,
+            is_pixel,
+            sigma,
+            weight,
+            normals,
+            slope,
+            least_cosine,
+            has_camera,
+            rotation,
+            middle,
+            scale * unknown[BEFORE],
+            bias,
+            index,
+            jac,
+            along,
+            residuals,
+            information,
+        )
+        total += seen_cost
+        design_of(index, jac, along, seen_white, scale, count, design)
+        part, pull = np.zeros((design.shape[1], design.shape[1])), np.zeros(design.shape[1])
+        add_products(design, information, residuals, count, part, pull)
+        for i in range(design.shape[1]):
+            a = i if i < POSE else i + POSE
+            gradient[a] += pull[i]
+            for j in range(i + 1):
+                normal[a, j if j < POSE else j + POSE] += part[i, j]
+    if felt.shape[0]:
+        total += _touch(lattice, felt, bend, rotation, middle, white_xi, unknown, centre, no_prior, normal, gradient)
+    constant, hand_gradient, hand_normal = hand
+    if hand_gradient.shape[0]:
+        total += constant
+        for i in range(hand_gradient.shape[0]):
+            along_x = 0.0
+            for j in range(hand_gradient.shape[0]):
+                along_x += hand_normal[i, j] * unknown[POSE + j]
+            total += unknown[POSE + i] * (hand_gradient[i] + 0.5 * along_x)
+            gradient[POSE + i] += hand_gradient[i] + along_x
+            for j in range(i + 1):
+                normal[POSE + i, POSE + j] += hand_normal[i, j]
+    hessian, slope_of_prior = np.zeros((6, 6)), np.zeros(6)
+    total += prior_row(rotation, middle, prior, hessian, slope_of_prior)
+    for i in range(6):
+        gradient[i] += slope_of_prior[i]
+        for j in range(i + 1):
+            normal[i, j] += hessian[i, j]
+    for i in range(m):
+        for j in range(i):
+            normal[j, i] = normal[i, j]
+    return total, seen_cost, count
+
+
+@numba.njit(cache=True, nogil=True)
+def _touch(lattice, felt, bend, rotation, middle, white_xi, unknown, centre, no_prior, normal, gradient):
+    """Add what touch says of pose and whitened calibration; returns its cost. Moving all contacts by the calibration's
+    correction is moving the object back, about the calibration's centre.
+    """
+    xi = np.zeros(6)
+    for i in range(6):
+        for j in range(6):
+            xi[i] += white_xi[i, j] * unknown[POSE + j]
+    hessian, slope = np.zeros((6, 6)), np.zeros(6)
+    cost = touch_rows(lattice, felt, bend, rotation, middle, xi, centre, no_prior, hessian, slope, np.zeros((10, 3)))
+    x, y, z = middle[0] - centre[0], middle[1] - centre[1], middle[2] - centre[2]
+    chain = np.zeros((6, 12))
+    for i in range(6):
+        chain[i, i] = 1.0
+        for j in range(6):
+            chain[i, POSE + j] = -white_xi[i, j]
+    for j in range(6):
+        # the lever -[middle - centre]x in the rows of the move
+        chain[3, POSE + j] -= z * white_xi[1, j] - y * white_xi[2, j]
+        chain[4, POSE + j] -= x * white_xi[2, j] - z * white_xi[0, j]
+        chain[5, POSE + j] -= y * white_xi[0, j] - x * white_xi[1, j]
+    product = np.zeros((6, 12))
+    for i in range(6):
+        for k in range(6):
+            for j in range(12):
+                product[i, j] += hessian[i, k] * chain[k, j]
+    for i in range(12):
+        for k in range(6):
+            gradient[i] += chain[k, i] * slope[k]
+            for j in range(i + 1):
+                normal[i, j] += chain[k, i] * product[k, j]
+    return cost
+
+
+@numba.njit(cache=True, nogil=True)
+def descend(scene, seen, touch, hand, room, limits, width, rotation, middle, unknown, normal, gradient):
+    """Gauss-Newton in place on rotation (3, 3), middle (3,) of the centroid and unknown (m,), of which the first six
+    stay zero; fills normal and gradient there. Returns (cost, log determinant of what is solved for).
+
+    limits: how many unknowns are solved for, steps, gain (nats) below which none is taken, how many may be refused, and
+    the object's radius (m). width (m,): information believed of the pose beside the prior.
+    """
+    free, steps, worth, most_refused, radius = limits
+    m = unknown.shape[0]
+    cost, _, _ = terms(scene, seen, touch, hand, room, rotation, middle, unknown, normal, gradient)
+    damping, refused = 1e-6, 0
+    damped, step = np.zeros((m, m)), np.zeros(m)
+    new_normal, new_gradient = np.zeros((m, m)), np.zeros(m)
+    new_rotation, new_middle, new_unknown = np.zeros((3, 3)), np.zeros(3), np.zeros(m)
+    for _ in range(steps):
+        for i in range(free):
+            step[i] = -gradient[i]
+            for j in range(i, free):
+                damped[i, j] = normal[i, j]
+            damped[i, i] += damping * normal[i, i] + width[i]
+        if not factorize(damped, free):
+            break
+        solved(damped, free, step)
+        turn = max(abs(step[0]), abs(step[1]), abs(step[2]))
+        move = max(abs(step[3]), abs(step[4]), abs(step[5]))
+        shorten = min(1.0, LONGEST / max(turn, 1e-12))
+        shorten = min(shorten, LONGEST * radius / max(move, 1e-12))
+        gain = 0.0
+        for i in range(m):
+            step[i] *= shorten
+            gain -= step[i] * gradient[i]
+        if gain < 2.0 * worth:
+            break
+        exp_times(step, rotation, new_rotation)
+        for i in range(3):
+            new_middle[i] = middle[i] + step[3 + i]
+        for i in range(POSE, m):
+            new_unknown[i] = unknown[i] + step[i]
+        trial, _, _ = terms(
+            scene, seen, touch, hand, room, new_rotation, new_middle, new_unknown, new_normal, new_gradient
+        )
+        if trial <= cost:
+            cost = trial
+            rotation[:], middle[:], unknown[:] = new_rotation, new_middle, new_unknown
+            normal[:], gradient[:] = new_normal, new_gradient
+            damping = max(damping * 0.1, 1e-9)
+            if shorten * turn < SHORTEST_TURN and shorten * move < SHORTEST_MOVE:
+                break
+        else:
+            refused += 1
+            if refused > most_refused:
+                break
+            damping = max(damping, 1e-5) * 100.0
+    # of a system of unit diagonal
+    log_scales = 0.0
+    for i in range(free):
+        scale = 1.0 / math.sqrt(max(normal[i, i] + width[i], 1e-300))
+        log_scales += math.log(scale)
+        step[i] = scale
+    for i in range(free):
+        for j in range(i, free):
+            damped[i, j] = normal[i, j] * step[i] * step[j]
+        damped[i, i] += width[i] * step[i] * step[i] + JITTER
+    log_det = -2.0 * log_scales
+    if factorize(damped, free):
+        for i in range(free):
+            log_det += 2.0 * math.log(damped[i, i])
+    return cost, log_det
+
+
+@numba.njit(cache=True, nogil=True)
+def left_out(design, information, residuals, group, groups, columns, whole, share, own, moved):
+    """How the pose would move without each of the groups, one Gauss-Newton step away: fills moved (groups, 6); and own
+    (m, m): the information of all rows. Returns whether every system could be solved.
+
+    design (n, c), information (n,), residuals (n,): of rows; group (n,): of each, below `groups`. columns (c,): the
+    unknown of each column of the design, m and more for those that are not solved for. whole (m, m): the information on
+    all unknowns; share: of a group that is left out.
+    """
+    m, c = whole.shape[0], design.shape[1]
+    parts, pulls = np.zeros((groups, c, c)), np.zeros((groups, c))
+    order = np.argsort(group, kind="mergesort")
+    at = 0
+    rows, info, res = np.zeros_like(design), np.zeros_like(information), np.zeros_like(residuals)
+    for n in range(order.shape[0]):
+        rows[n], info[n], res[n] = design[order[n]], information[order[n]], residuals[order[n]]
+    for g in range(groups):
+        end = at
+        while end < order.shape[0] and group[order[end]] == g:
+            end += 1
+        add_products(rows[at:end], info[at:end], res[at:end], end - at, parts[g], pulls[g])
+        at = end
+    left, pull = np.zeros((m, m)), np.zeros(m)
+    good = True
+    for g in range(groups):
+        left[:], pull[:] = whole, 0.0
+        for i in range(c):
+            if columns[i] >= m:
+                continue
+            pull[columns[i]] = pulls[g, i]
+            for j in range(i + 1):
+                if columns[j] >= m:
+                    continue
+                left[columns[j], columns[i]] -= share * parts[g, i, j]
+                own[columns[i], columns[j]] += parts[g, i, j]
+        good = good and factorize(left, m)
+        if good:
+            solved(left, m, pull)
+            for i in range(POSE):
+                moved[g, i] = pull[i]
+    for i in range(m):
+        for j in range(i):
+            own[j, i] = own[i, j]
+    return good

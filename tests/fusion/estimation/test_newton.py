@@ -1,0 +1,56 @@
+"""The compiled linear algebra of the joint solution against NumPy's."""
+
+import numpy as np
+import pytest
+
+from fusion.estimation.solve import newton_kernels as kernels
+
+
+def positive(rng, size):
+    a = rng.normal(size=(size + 3, size))
+    return a.T @ a + 0.1 * np.eye(size)
+
+
+@pytest.mark.parametrize(("size", "first"), [(1, 1), (7, 7), (40, 12), (53, 53)])
+def test_systems_are_solved(rng, size, first):
+    matrix, right = positive(rng, size), rng.normal(size=size)
+    factor, found = matrix.copy(), right.copy()
+    assert kernels.factorize(factor, first)
+    kernels.solved(factor, first, found)
+    np.testing.assert_allclose(found[:first], np.linalg.solve(matrix[:first, :first], right[:first]), rtol=1e-8)
+    np.testing.assert_array_equal(found[first:], right[first:])
+
+
+def test_what_is_not_positive_has_no_factor():
+    assert not kernels.factorize(np.diag([1.0, -1.0]), 2)
+    assert not kernels.factorize(np.zeros((2, 2)), 2)
+
+
+@pytest.mark.parametrize("count", [0, 1, 4, 11])
+def test_products_are_added_up(rng, count):
+    design, information, residuals = rng.normal(size=(count, 9)), rng.uniform(size=count), rng.normal(size=count)
+    normal, gradient = np.zeros((9, 9)), np.zeros(9)
+    kernels.add_products(design, information, residuals, count, normal, gradient)
+    weighted = design * information[:, None]
+    np.testing.assert_allclose(normal, np.tril(weighted.T @ design), atol=1e-12)
+    np.testing.assert_allclose(gradient, weighted.T @ residuals, atol=1e-12)
+
+
+@pytest.mark.parametrize("free", [12, 15])
+def test_leaving_groups_out_is_a_step_of_the_rest(rng, free):
+    """Columns stand for the pose, and for scale and bias, which are solved for or not."""
+    count, groups, share = 60, 7, 0.9
+    design, information, residuals = rng.normal(size=(count, 9)), rng.uniform(size=count), rng.normal(size=count)
+    group, columns = rng.integers(0, groups, count), np.array([0, 1, 2, 3, 4, 5, 12, 13, 14])
+    rows = np.zeros((count, 15))
+    rows[:, columns] = design
+    rows = rows[:, :free]
+    whole = rows.T @ (rows * information[:, None]) + positive(rng, free)
+    own, moved = np.zeros((free, free)), np.zeros((groups, 6))
+    given = design, information, residuals, group, groups, columns
+    assert kernels.left_out(*given, whole, share, own, moved)
+    np.testing.assert_allclose(own, rows.T @ (rows * information[:, None]), atol=1e-10)
+    for g in range(groups):
+        mine = rows[group == g] * information[group == g, None]
+        step = np.linalg.solve(whole - share * mine.T @ rows[group == g], mine.T @ residuals[group == g])
+        np.testing.assert_allclose(moved[g], step[:6], atol=1e-9)

@@ -1,0 +1,53 @@
+"""Compiled: which pixels hang together."""
+
+from __future__ import annotations
+
+import numba
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _root(parent, n):  # type: ignore[no-untyped-def]
+    """The first pixel of the piece that n belongs to; the way there is halved."""
+    while parent[n] != n:
+        parent[n] = parent[parent[n]]
+        n = parent[n]
+    return n
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def number_pieces(z, candidates, step, step_share, parent, out):  # type: ignore[no-untyped-def]
+    """Fill out (h, w) with the number, from 0 in row-major order, of each candidate pixel's piece, -1 elsewhere.
+
+    Neighbours in a row or a column hang together where depths z (h, w) differ by less than step (m) + step_share times
+    the later one's. parent (h * w,): working room. Union-find: Galler and Fischer, CACM 7, 1964.
+    """
+    height, width = z.shape
+    for i in range(height):
+        for j in range(width):
+            n = i * width + j
+            parent[n] = n
+            if not candidates[i, j]:
+                continue
+            for up in range(2):
+                a, b = (i - 1, j) if up == 1 else (i, j - 1)
+                if a < 0 or b < 0 or not candidates[a, b]:
+                    continue
+                if abs(z[i, j] - z[a, b]) < step + step_share * z[i, j]:
+                    first, second = _root(parent, n), _root(parent, a * width + b)
+                    # the earlier pixel leads, so that pieces are numbered by their first
+                    if first < second:
+                        parent[second] = first
+                    else:
+                        parent[first] = second
+    count = 0
+    for i in range(height):
+        for j in range(width):
+            if not candidates[i, j]:
+                out[i, j] = -1
+                continue
+            root = _root(parent, i * width + j)
+            if root == i * width + j:
+                out[i, j] = count
+                count += 1
+            else:
+                out[i, j] = out[root // width, root % width]
