@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,7 +65,7 @@ class PatchSlipSettings:
 class PatchMotion:
     """shift (3,): x and y (m) in the sensor's plane and turn (rad) about its z of what presses, from one image to the
     next; covariance (3, 3); left: RMS (m) of the heights that it leaves; deeper: how much deeper (m) it presses;
-    measured: by heights that both images tell.
+    measured: by heights that both images tell; explained: share of the change, in the mean square, that is this motion.
     """
 
     shift: Array
@@ -73,12 +73,13 @@ class PatchMotion:
     left: float
     deeper: float
     measured: bool = True
+    explained: float = 1.0
 
 
 @dataclass(frozen=True)
 class PatchChange:
-    """What the gels say of one frame: slipped; statistic, above 1 is a slip; sigmas: how far each patch is from what a
-    held object's may do, by sensor.
+    """What the gels say of one frame: slipped; statistic, above 1 is a slip, the lesser of two frames; sigmas: how far
+    each patch is from what a held object's may do, by sensor.
     """
 
     slipped: bool
@@ -93,10 +94,11 @@ class PatchWatch:
         """Cheap."""
         self.settings = settings or PatchSlipSettings()
         self._before: dict[str, deque[Patch]] = {}
+        self._last = 0.0
 
     def restart(self) -> None:
         """Forget what the patches were."""
-        self._before = {}
+        self._before, self._last = {}, 0.0
 
     def step(self, patches: Sequence[Patch]) -> PatchChange:
         """The patches of the next frame, in a frame that goes with the palm."""
@@ -115,7 +117,9 @@ class PatchWatch:
             past.append(patch)
             kept[patch.sensor] = past
         second, first = sorted([0.0, 0.0, *sigmas.values()])[-2:]
-        statistic = max(first / s.alone, second / s.together)
+        now = max(first / s.alone, second / s.together)
+        # one image that is odd is no slip: two in a row must say so
+        statistic, self._last = min(now, self._last), now
         if statistic > 1.0:  # what comes next is compared with where the object has come to
             kept = {name: deque([past[-1]], maxlen=s.memory) for name, past in kept.items()}
         self._before = kept
@@ -138,7 +142,9 @@ def carried(before: Patch, after: Patch) -> Array:
 
 
 def sigmas_off(motion: PatchMotion, palm: Array, settings: PatchSlipSettings) -> float:
-    """How many sigmas a motion is from the nearest of what a held object's may be: 0 to `palm` (3,)."""
+    """How many sigmas a motion is from the nearest of what a held object's may be: 0 to `palm` (3,); a change that is
+    mostly none of this motion counts as little of one.
+    """
     spread = settings.spread * motion.deeper
     creep, twist = settings.creep, settings.twist
     if not motion.measured:
@@ -149,7 +155,7 @@ def sigmas_off(motion: PatchMotion, palm: Array, settings: PatchSlipSettings) ->
     off, way = half @ motion.shift, half @ palm
     length = float(way @ way)
     share = float(np.clip(off @ way / length, 0.0, 1.0)) if length > 1e-12 else 0.0
-    return float(np.linalg.norm(off - share * way))
+    return motion.explained * float(np.linalg.norm(off - share * way))
 
 
 def patch_motion(
@@ -196,10 +202,14 @@ def patch_motion(
     information = hessian * scale * scale[:, None] / (together * (left**2 + s.noise**2)) + weak
     covariance = np.linalg.inv(information) * scale * scale[:, None]
     metres = np.array([pixel * before.gel.spacing, pixel * before.gel.spacing, 1.0])
-    deepest = (np.percentile(p.depth[p.touched], 90.0) for p in (before, after))
-    deeper = float(abs(np.subtract(*deepest)))
+    was, now = (float(np.percentile(p.depth[p.touched], 90.0)) for p in (before, after))
     both = before.measured and after.measured
-    return PatchMotion(found * metres, covariance * metres * metres[:, None], float(left), deeper, both)
+    a, b = (np.asarray(cv2.GaussianBlur(z, (0, 0), s.blurs[-1]), dtype=np.float32) for z in (old, new))
+    unmoved = _fit(a, b, had_moved, has_moved > 0.5, middle, np.zeros(3), replace(s, steps=1))[1]
+    explained = float(np.clip(1.0 - (left / max(unmoved, 1e-12)) ** 2, 0.0, 1.0))
+    return PatchMotion(
+        found * metres, covariance * metres * metres[:, None], float(left), abs(now - was), both, explained
+    )
 
 
 def _shrunk(pressed: Indentation, pixel: float) -> tuple[Image, Image, Image]:
