@@ -47,7 +47,7 @@ class PatchSlipSettings:
     # How far a held object may creep (m) and turn (rad) on soft skin without slipping, standard deviations.
     creep: float = 0.00008
     twist: float = float(np.deg2rad(1.5))
-    # The same of heights that an outline and its own colours tell: they flicker from image to image.
+    # The same (m, rad) of heights that an outline and its own colours tell: they flicker from image to image.
     outline_creep: float = 0.0004
     outline_twist: float = float(np.deg2rad(6.0))
     # A press that is deeper or lighter rolls and spreads over the skin by so many times the difference, and turns by

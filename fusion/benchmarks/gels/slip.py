@@ -66,7 +66,8 @@ def add_slides(report: Report, settings: BenchSettings) -> None:
         f" skin by half of it; along planes and cylinders none does. In time: up to {SLIP_DELAY} frames after its end."
     )
     trials = settings.count(12, 2)
-    shown, still, alarms = [], 0, 0
+    shown: list[bool] = []
+    still, alarms = 0, 0
     names = settings.some(OBJECTS, 2)
     cells = [(name, trial) for name in names for trial in range(trials)]
     by: dict[str, list[tuple[bool, int | None, int, int, float]]] = {name: [] for name in names}
