@@ -50,9 +50,9 @@ class GelSearchSettings:
     # Shaken by this much (rad, share of the radius), so that other seeds look at other places.
     jitter: float = 0.03
     modes: ModeSettings = field(default_factory=ModeSettings)
-    # Share of the rows' weight (GelRowSettings) that covariances are taken from: with 0.45, 95 % regions of simulated
-    # presses with a coarse start hold 93 % of the truths, with 0.6 91 %, with 1 84 % (90 presses of seeds that
-    # `palpate bench gel` does not use).
+    # Share of the rows' weight (GelRowSettings) that covariances are taken from: 95 % regions of simulated presses with
+    # a coarse start hold 93 % of the truths with 0.45, 91 % with 0.6, 84 % with 1 (90 presses of seeds that
+    # `palpate bench gel` does not use); a little less for what those do not show.
     belief: float = 0.4
     # Several gels hold an object near its middle: standard deviation of their contacts' mean from the centroid, as a
     # share of its radius. Wide: it decides only between poses that the gels cannot tell apart, along a can or a handle.
