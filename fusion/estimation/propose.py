@@ -84,11 +84,16 @@ class Competition:
     @property
     def settled(self) -> str:
         """Why nothing more need be asked where nothing is known; "" while there is doubt. Where nobody says what hides
-        the object, a picture that convinces may be another thing's.
+        the object, a picture that convinces may be another thing's; one that touch agrees with is not.
         """
         if self.explained:
             return "the best explains what is seen"
-        return CONVINCED if self.convinced and self.pool.predictor.told_apart else ""
+        return CONVINCED if self.convinced and self.trusted else ""
+
+    @property
+    def trusted(self) -> bool:
+        """Whether what convinces is to be believed: it is known what hides the object, or it is felt where it is."""
+        return self.pool.predictor.told_apart or self.contacts >= self.pool.settings.tying_contacts
 
     @property
     def explained(self) -> bool:
@@ -176,7 +181,7 @@ def modes_near(
         if not begin:
             if pool.predictor.told_apart:
                 asked.look_around()
-            before, known = asked.modes, plan.skipping and (pool.predictor.told_apart or asked.explained)
+            before, known = asked.modes, plan.skipping and (asked.trusted or asked.explained)
             asked.enter(f"a walk{' and the hand' * (pool.held is not None)}", walked, asked.enough if known else "")
         begin = end
         # a walk from everywhere is a round, too
