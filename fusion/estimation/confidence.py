@@ -28,9 +28,9 @@ Array = NDArray[np.float64]
 class Regression:
     """Factors of a logistic regression, no unit: what each observation adds to the log odds that a mode is right.
 
-    Tuned on 1176 answers of seven tuning families, all but `clean` and `d435` (docs/evaluation.md), with a start and
-    without: the product of both factors of the probability, at tolerances of 3, 5 and 10 mm, by maximum likelihood,
-    factors held to the sign that they must have. Those of 0 were of no use beside the others.
+    Tuned on 1984 answers to 352 frames of all nine tuning families (docs/evaluation.md; `palpate fit-confidence`), with
+    a start and without: the product of both factors of the probability, at tolerances of 3, 5 and 10 mm, by maximum
+    likelihood, factors held to the sign that they must have. Those of 0 were of no use beside the others.
     """
 
     # Of the logarithm of the first mode's odds against the others, held within `most_odds`.
@@ -100,26 +100,25 @@ class ConfidenceSettings:
     # Error (ADD-S, m) that is good enough when the caller does not say.
     tolerance: float = 0.005
     # Confidence (a probability, no unit) from which an answer is `ok`.
-    sure: float = 0.85
+    sure: float = 0.9
     # Whether the first mode is the right one, with a picture of it and by touch alone.
     seen: Regression = Regression(
-        weight=0.05,
-        alone=1.88,
-        agree=22.1,
-        visible=0.9,
-        sharp=2.44,
-        past=-35.3,
-        behind_hand=2.48,
-        outline=-22.5,
-        touch=2.82,
-        outliers=-4.63,
-        contact_nats=-0.21,
-        spread=-1.33,
-        anywhere=-1.36,
-        constant=-3.0,
-        nearest=0.55,
+        alone=1.48,
+        agree=22.2,
+        visible=0.564,
+        sharp=1.99,
+        past=-30.7,
+        behind_hand=1.72,
+        outline=-30.9,
+        touch=4.71,
+        outliers=-2.72,
+        contact_nats=-0.698,
+        spread=-1.0,
+        anywhere=-1.03,
+        constant=-2.01,
+        nearest=0.286,
     )
-    felt: Regression = Regression(weight=0.25, constant=1.29, nearest=0.36)
+    felt: Regression = Regression(weight=0.27, contact_nats=-0.638, constant=1.96, nearest=0.306)
     # Share of the picture above which agreement speaks for an answer, and the most of what is seen past and of the
     # outline that runs on (shares) that speaks against one: cameras that blend edges draw surfaces on.
     agreeing: float = 0.8
@@ -140,7 +139,7 @@ class ConfidenceSettings:
     anywhere_share: float = 2.0
     # By how much (a factor of variance) an answer is off, beside what its Gaussian says, where so little (share) of the
     # predicted picture agrees: what hides the rest smears the pixels beside it, and a few patches leave more than one
-    # basin. The mean square of the normalised errors of 1176 answers of the tuning families, by that share.
+    # basin. The mean square of the normalised errors of 1176 earlier answers of the tuning families, by that share.
     shown: tuple[float, ...] = (0.03, 0.1, 0.4, 0.6)
     widening: tuple[float, ...] = (5.0, 3.0, 2.5, 0.9)
     # A region of 95 % need not hold this share of the probability.

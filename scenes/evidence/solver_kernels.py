@@ -12,7 +12,7 @@ import numpy as np
 
 from scenes.evidence.kernels import cost_terms
 from scenes.evidence.row_kernels import PREPARED, prepare
-from scenes.evidence.table import GATE_ABOVE, OFFSET
+from scenes.evidence.table import FACING, GATE_ABOVE, OFFSET
 from scenes.geometry.lattice import value_at
 from scenes.geometry.rotation_kernels import exp_times
 
@@ -32,12 +32,15 @@ STEEPEST = 1.75
 
 @numba.njit(cache=True, nogil=True)
 def silent_last(prepared):
-    """Prepared rows (n, PREPARED) with the one-sided ones last, otherwise in order; and how many come before these."""
+    """Prepared rows (n, PREPARED), otherwise in order, with the one-sided ones last that say nothing where they are
+    outside; and how many come before these.
+    """
     out = np.zeros_like(prepared)
     k = 0
     for silent in range(2):
         for n in range(prepared.shape[0]):
-            if (prepared[n, GATE_ABOVE] == 0.0) == (silent == 1):
+            # with a side that it must be seen from, a point may be inside from far away
+            if (prepared[n, GATE_ABOVE] == 0.0 and prepared[n, FACING] == 0.0) == (silent == 1):
                 out[k] = prepared[n]
                 k += 1
         if silent == 0:

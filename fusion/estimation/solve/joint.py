@@ -179,7 +179,11 @@ def _split(system: System, pose: Array, normal: Array) -> tuple[Array, Array, Ar
     evidence[np.arange(6, len(normal)), np.arange(6, len(normal))] -= 1.0
     inverse = np.linalg.solve(evidence + np.diag(believed), np.eye(len(normal))[:, :6])
     shared = inverse.T @ (believed[:, None] * inverse)
-    follows = system.white_xi @ np.linalg.solve(inverse[POSE].T, inverse[XI].T).T
+    # by its own widths the pose's block is a correlation, singular where a direction is known to the last digit
+    variance = np.diag(inverse[POSE])
+    width = 1.0 / np.sqrt(np.maximum(variance, 1e-12 * max(float(variance.max()), 1e-280)))
+    correlation = np.linalg.pinv(inverse[POSE] * width * width[:, None], rcond=1e-12, hermitian=True)
+    follows = system.white_xi @ ((inverse[XI] * width) @ correlation * width)
     return inverse.T @ evidence @ inverse, shared, follows
 
 
