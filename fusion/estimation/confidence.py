@@ -142,6 +142,8 @@ class ConfidenceSettings:
     # basin. The mean square of the normalised errors of 1176 earlier answers of the tuning families, by that share.
     shown: tuple[float, ...] = (0.03, 0.1, 0.4, 0.6)
     widening: tuple[float, ...] = (5.0, 3.0, 2.5, 0.9)
+    # Most that is ever said of a mode being the right one (a probability, no unit): 1984 answers tell no more.
+    surest: float = 0.999
     # A region of 95 % need not hold this share of the probability.
     left_out: float = 0.05
 
@@ -204,7 +206,7 @@ def chances(
     read = observations(model, modes, picture, contacts, contact_nats, s, anywhere)
     factors = s.seen if "agree" in read else s.felt
     score = sum(getattr(factors, name) * value for name, value in read.items())
-    right = float(1.0 / (1.0 + np.exp(-np.clip(score, -40.0, 40.0))))
+    right = min(float(1.0 / (1.0 + np.exp(-np.clip(score, -40.0, 40.0)))), s.surest)
     limit = s.tolerance if tolerance is None else tolerance
     return right, within(model, modes[0].pose, modes[0].covariance, limit, factors.nearest)
 

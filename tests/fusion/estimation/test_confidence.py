@@ -148,7 +148,8 @@ def test_an_answer_tells_what_its_confidence_was_read_from(box):
     score = sum(getattr(settings.seen, name) * value for name, value in answer.observed.items())
     squares = mean_square(box, answer.pose, answer.modes[0].covariance)
     near = below(*squares, settings.tolerance, settings.seen.nearest)
-    assert answer.confidence == pytest.approx(near / (1.0 + np.exp(-score)), rel=1e-9)
+    right = min(1.0 / (1.0 + np.exp(-score)), settings.surest)
+    assert answer.confidence == pytest.approx(near * right, rel=1e-9)
     everywhere = estimate(replace(plain_view(), prior=None), box)
     assert (answer.observed["anywhere"], everywhere.observed["anywhere"]) == (0.0, 1.0)
 
