@@ -1,1 +1,1 @@
-"""The command `palpate`: one module a subcommand, imported light, working parts loaded when a command runs."""
+"""The command `palpate`: parser, options, and the one place for errors; working parts load when a command runs."""

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from types import ModuleType
 from typing import NoReturn
 
-from fusion.cli import (
+from fusion.cli.commands import (
     batch,
     bench,
     calibrate_gel,

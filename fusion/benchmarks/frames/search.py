@@ -68,7 +68,8 @@ class Told:
 @dataclass(frozen=True)
 class Tried:
     """One answer. usual: told what its family tells; add_s (m) of it and of what the truth refines to; gap: nats by
-    which the answer costs more than that, NaN where nothing was sensed; lost: it said so.
+    which the lower of the answer and of what the search found costs more than that, NaN where nothing was sensed;
+    own_gap: those of the answer alone.
     """
 
     family: str
@@ -83,6 +84,12 @@ class Tried:
     verdict: str
     ms: float = math.nan
     icp_ms: float = math.nan
+    own_gap: float = math.nan
+
+    @property
+    def given_up(self) -> bool:
+        """The search had found a place no higher than the truth's, and what was made of it is wrong and higher."""
+        return self.add_s >= WRONG and self.own_gap > NATS and self.outcome != MISSED
 
     @property
     def outcome(self) -> str:
@@ -155,17 +162,17 @@ def _tried(
     begin = time.process_time()
     answer = estimate(frame, made.model, use=use, seed=cell.seed)
     spent = 1e3 * (time.process_time() - begin)
-    gap, truth_add_s, costs = math.nan, math.nan, None
+    gap, own_gap, truth_add_s, costs = math.nan, math.nan, math.nan, None
     with suppress(InputError):  # a frame that tells nothing of the object has no costs
         # what is answered is a mean over what may be the case, which a joint solution may leave for another valley:
         # that from which it was solved speaks for the search, too
         ends = [answer.pose, truth] if answer.searched is None else [answer.pose, truth, answer.searched]
         costs = judge(frame, made.model, np.array(ends), use=use, seed=cell.seed)
     if costs is not None:
-        gap = float(np.delete(costs.costs, 1).min() - costs.costs[1])
+        gap, own_gap = (float(cost - costs.costs[1]) for cost in (np.delete(costs.costs, 1).min(), costs.costs[0]))
         truth_add_s = true.errors(costs.poses[1], truth).add_s
     add_s = true.errors(answer.pose, truth).add_s
-    times = answer.verdict, spent, beside
+    times = answer.verdict, spent, beside, own_gap
     tried = Tried(cell.family.name, cell.level, made.key, sense, told, usual, add_s, truth_add_s, gap, *times)
     if tried.outcome == MISSED and cell.folder is not None and costs is not None:
         words = {
@@ -219,6 +226,7 @@ _OUTCOMES = (
     Column("< 5 mm"),
     Column("missed"),
     Column("missed, of all", 0),
+    Column("found, given up", 0),
     Column("objective prefers wrong"),
     Column("data cannot tell"),
     Column("lower from the truth"),
@@ -226,7 +234,9 @@ _OUTCOMES = (
     Column("gap of preferred", 1),
 )
 NOTE = (
-    "missed: refining from the truth ends more than one nat lower than the answer and elsewhere; objective prefers"
+    "missed: refining from the truth ends more than one nat lower than the answer, and than the pose that the search"
+    " handed to the joint solution, and elsewhere; found, given up: the search had found a place as low as the truth's,"
+    " and what the joint solution and the mean made of it is wrong and higher; objective prefers"
     " wrong: the answer, 5 mm off or more, ends more than one nat lower; data cannot tell: it is wrong, and neither is"
     " lower; the rest is right. lower from the truth: whether right or wrong. Gaps: means."
 )
@@ -306,6 +316,7 @@ def _outcomes(found: Sequence[Tried]) -> list[Any]:
         Rate.of([t.add_s < WRONG for t in found]),
         missed,
         missed.hits,
+        sum(t.given_up for t in found),
         Rate.of([t.outcome == PREFERRED for t in found]),
         Rate.of([t.outcome == ALIKE for t in found]),
         Rate.of([t.gap > NATS for t in found]),

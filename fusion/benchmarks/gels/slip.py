@@ -4,6 +4,7 @@ object is carried or slips.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -12,9 +13,8 @@ from numpy.typing import NDArray
 
 from fusion.benchmarks.gels.presses import calibrated_digit, place
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Quantile, Rate, Report, Table, own_seed
-from fusion.benchmarks.tracking.methods import Said
-from fusion.benchmarks.tracking.sequences import recorded
-from fusion.benchmarks.tracking.tally import SLIP_DELAY, Tally, count_slips
+from fusion.benchmarks.tracking.slips import SlipBench, add_slip_table
+from fusion.benchmarks.tracking.tally import SLIP_DELAY
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.synthesis import library
@@ -40,9 +40,7 @@ JITTER = 0.00005, float(np.deg2rad(0.05))
 # does.
 SHOWS = 0.5
 # Tracks: as the benchmark of arrays has them.
-TRACKED, MOTIONS, TRACK_FRAMES = ("drill", "hammer"), ("slip", "carry"), 24
-SCALE, OCCLUSION, TOUCH = 0.25, 0.5, ("point", "gel")
-METHODS = ("patches alone", "track without gels", "track with gels")
+TRACKED, TRACK_FRAMES = ("drill", "hammer"), 24
 
 
 def add_slides(report: Report, settings: BenchSettings) -> None:
@@ -130,8 +128,8 @@ def _slid(model: ObjectModel, rng: np.random.Generator) -> tuple[bool, int | Non
     return _shows(model, at, gel), said, alarms, still, took / (2 * FRAMES)
 
 
-def _shows(model: ObjectModel, at, gel: Gel) -> bool:  # type: ignore[no-untyped-def]  # a closure of the caller
-    """Whether the slide moves the true indentation over the skin."""
+def _shows(model: ObjectModel, at: Callable[[float, float], Array], gel: Gel) -> bool:
+    """Whether the slide moves the true indentation over the skin. at (moved m, deeper m): the gel's pose."""
     work, step = gel.working, gel.working_step
     true = [
         from_depth(bridged(pressed_by(model, at(moved, 0.0), gel), gel)[::step, ::step], work, PatchSettings().heights)
@@ -143,57 +141,25 @@ def _shows(model: ObjectModel, at, gel: Gel) -> bool:  # type: ignore[no-untyped
 
 def add_tracks(report: Report, settings: BenchSettings) -> None:
     """Hands with a camera, and what is asked of their tracks."""
-    from scenes.synthesis.recording import SynthesisSettings
-
-    columns = [Column("motion"), Column("method"), Column("sequences", 0), Column("slips", 0), Column("said in time")]
-    columns += [Column("false alarms", 0), Column("as moved_in_hand"), Column("its false alarms", 0)]
-    columns += [Column("steady frames", 0)]
-    table = Table("Slips in the hand (gels on five fingertips, lab noise)", columns)
-    table.note = (
-        f"{TRACK_FRAMES} frames at 30 a second. Gels without a calibration. As"
-        " for arrays (`palpate bench arrays`), slips about an axis of symmetry are not counted."
+    bench = SlipBench(
+        name="gels",
+        folder="gel",
+        title="Slips in the hand (gels on five fingertips, lab noise)",
+        note=f"{TRACK_FRAMES} frames at 30 a second. Gels without a calibration. As"
+        " for arrays (`palpate bench arrays`), slips about an axis of symmetry are not counted.",
+        objects=tuple(settings.some(TRACKED, 1)),
+        trials=settings.count(2, 1),
+        frames=TRACK_FRAMES,
+        touch=("point", "gel"),
+        alone=_patches_alone,
+        without=lambda frame: replace(frame, gels={}),
+        words="patches",
     )
-    trials = settings.count(2, 1)
-    names = settings.some(TRACKED, 1)
-    ours = Tally()
-    folder = settings.folder / "gel" if settings.folder is not None else None
-    coarse = SynthesisSettings(camera=SynthesisSettings().camera.scaled(SCALE), rgb=False)
-    for motion in MOTIONS:
-        tallies, made = {method: Tally() for method in METHODS}, 0
-        cells = [(name, trial) for name in names for trial in range(trials)]
-        for name, trial in settings.progress(cells, len(cells), f"slips: {motion}"):
-            seed = own_seed(settings.seed, "gels", motion, name, trial)
-            sequence = recorded(name, motion, TRACK_FRAMES, seed, folder, OCCLUSION, coarse, touch=TOUCH)
-            if sequence is None:
-                continue
-            made += 1
-            model, frames, notes = sequence
-            for method, tally in tallies.items():
-                count_slips(tally, model, frames, _said(method, model, frames), notes)
-        for method, tally in tallies.items():
-            rates = [Rate(tally.hits, tally.slips), Rate(tally.moved_hits, tally.slips)]
-            table.add(
-                motion, method, made, tally.slips, rates[0], tally.alarms, rates[1], tally.moved_alarms, tally.steady
-            )
-        for word in ("slips", "hits", "alarms", "steady"):
-            setattr(ours, word, getattr(ours, word) + getattr(tallies["track with gels"], word))
-    report.tables.append(table)
-    settings.show(table)
-    if ours.slips:
-        share, wrong = 100 * ours.hits / ours.slips, 1000 * ours.alarms / max(ours.steady, 1)
-        report.claims.append(Claim("slips said in time by a track with gels, %", share, 90.0, True, 0))
-        report.claims.append(Claim("its false alarms in 1000 steady frames", wrong, 1.0, False, 1))
+    add_slip_table(report, settings, bench)
 
 
-def _said(method: str, model: ObjectModel, frames: list[Frame]) -> list[Said]:
-    """What a method says of each frame."""
-    from fusion.tracking.tracker import Tracker
+def _patches_alone(frames: list[Frame]) -> list[bool]:
     from touch.gels.patches import patches_of
 
-    if method == "patches alone":
-        watch = PatchWatch()
-        words = [watch.step(in_palm(frame, patches_of(frame))).slipped for frame in frames]
-        return [Said(np.eye(4), slip=word, moved=word) for word in words]
-    tracker = Tracker(model)
-    answers = [tracker.step(frame if method == "track with gels" else replace(frame, gels={})) for frame in frames]
-    return [Said(a.pose, slip=a.slip, moved=a.moved_in_hand) for a in answers]
+    watch = PatchWatch()
+    return [watch.step(in_palm(frame, patches_of(frame))).slipped for frame in frames]

@@ -76,7 +76,8 @@ def test_a_method_of_slips_says_something_of_every_frame():
     frames = synthesize_frames(
         model, five_finger_hand(), 4, 0.4, ("point", "array"), "lab", 3, settings=small, taxels="pad", motion="carry"
     )
-    for method in arrays_slip.METHODS:
-        said = arrays_slip._said(method, model, frames)
+    bench = arrays_slip.slip_bench(SETTINGS)
+    for method in bench.methods:
+        said = bench.said(method, model, frames)
         assert len(said) == len(frames)
         assert not any(word.slip for word in said)

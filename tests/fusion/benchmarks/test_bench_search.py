@@ -29,6 +29,21 @@ def test_whose_fault_an_answer_is():
     assert tried(0.020, math.nan, math.nan).outcome == search.ALIKE
 
 
+def test_what_the_search_found_and_the_answer_left_is_told():
+    told = search.Told(True, False, True)
+
+    def made(add_s, gap, own_gap):
+        return search.Tried(
+            "lab", 0.3, "mug/0", "fused", told, True, add_s, 0.001, gap, "ok", math.nan, math.nan, own_gap
+        )
+
+    assert made(0.020, 0.2, 6.0).given_up
+    assert not made(0.020, 6.0, 6.0).given_up  # missed
+    assert not made(0.001, 0.2, 6.0).given_up  # right all the same
+    assert not made(0.020, -5.0, -5.0).given_up  # what the objective prefers
+    assert not tried(0.020, 0.001, 0.2).given_up  # not known
+
+
 def test_tables_count_what_they_say():
     found = [tried(0.001, 0.001, 0.0), tried(0.02, 0.001, 4.0), tried(0.02, 0.001, 2.0), tried(0.02, 0.001, -8.0)]
     table = search.by_family(found, "fused", True)

@@ -139,7 +139,7 @@ def test_every_command_of_the_page_works(place, monkeypatch, capsys):
 
 
 def test_the_page_names_every_format_and_option():
-    from fusion.cli.convert import SOURCES, TARGETS
+    from fusion.cli.commands.convert import SOURCES, TARGETS
     from fusion.cli.parser import build_parser
     from scenes.formats.ros.topics import FRAMES, KEYS, REQUIRABLE, ROLES
 

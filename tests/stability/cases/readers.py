@@ -61,7 +61,7 @@ def _sensors(path: Path) -> None:
 
 
 def _loose(path: Path) -> None:
-    from fusion.cli.localize import read_contacts
+    from fusion.cli.commands.localize import read_contacts
 
     read_contacts(path, 0)
 

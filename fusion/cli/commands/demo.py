@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when the fused answer is lost."""
-    from fusion.cli.compare import show
+    from fusion.cli.commands.compare import show
     from fusion.results.report.page import write_report
     from fusion.truth.compare import METHODS, compare, summarise
     from scenes.synthesis import library

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fusion.cli.localize import read_contacts
+from fusion.cli.commands.localize import read_contacts
 from fusion.cli.options import number, progress, say, show_table, write_json
 
 if TYPE_CHECKING:

@@ -209,7 +209,7 @@ def _import(kind: str, args: argparse.Namespace) -> Converted:
     if kind == "images":
         return image_folder.convert_images(source, out, _needed(args, "a folder of images"), _intrinsics(args))
     if kind == "contacts":
-        from fusion.cli.localize import read_contacts
+        from fusion.cli.commands.localize import read_contacts
 
         model = _needed(args, f"a capture (or OUT ending in {', '.join(TABLES)})")
         return tacman.convert_contacts(read_contacts(source), out, model, str(source))
@@ -401,7 +401,7 @@ def _convert_file(source: Path, out: Path) -> Path:
     if kinds[0] == ".off":
         data = read_off(source)
     elif kinds[0] == ".csv":
-        from fusion.cli.localize import read_contacts
+        from fusion.cli.commands.localize import read_contacts
 
         felt = read_contacts(source)
         data = OffData(felt.points, tables.NO_FACES, None, felt.normals if felt.has_normal.all() else None)
