@@ -62,6 +62,8 @@ class LocalizeSettings:
     agreeing_least: int = 8
     # Inferred noise has an unknown shape: residuals beyond this many sigmas count linearly.
     huber: float = 0.3
+    # So many standard deviations above its usual, what contacts leave over contradicts the answer: 1 in 1000 by chance.
+    contradicted_sigmas: float = 3.09
     # Share of the posterior that the first mode must hold to be the answer, and standard deviations (rad, m) of its
     # directions beyond which it is none: as in the verdict on both senses.
     sure_share: float = 0.9

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from scenes.evidence import table as tables
 from scenes.evidence.align import Alignment, AlignSettings, Prior, align, costs
-from scenes.evidence.modes import ModeSettings, covariance_of, distinct_modes
+from scenes.evidence.modes import Mode, ModeSettings, covariance_of, distinct_modes
 from scenes.evidence.point_pairs import pair_table
 from scenes.evidence.search import SearchStage, rotation_grid, search
 from scenes.evidence.table import Evidence
@@ -187,18 +187,38 @@ def multistart(
         modes = distinct_modes(model, settled, ModeSettings())
         notes = (f"searched with {len(few)} of {len(contacts)} contacts, settled with all",)
     if not contacts.sigma_known and inferred is None:
-        believed = f"{1e3 * sigma:.1f} mm and {np.rad2deg(contacts.sigma_normal[0]):.0f} degrees"
-        notes += (f"the contacts say no sigma, and so few do not tell: {believed} believed of each",)
-    pose = modes[0].pose
+        usual = f"{1e3 * sigma:.1f} mm and {np.rad2deg(contacts.sigma_normal[0]):.0f} degrees"
+        notes += (f"the contacts say no sigma, and so few do not tell: {usual} believed of each",)
+    pose, verdict = modes[0].pose, verdict_of(modes, model, settings)
+    believed = inferred is None and some_false is None and few is contacts
+    if believed and _contradicted(model, modes[0], contacts, prior, settings):
+        # no noise was inferred that would explain it, and no contact was called false
+        verdict = "ambiguous"
+        notes += ("the contacts contradict every pose: another mesh, or worse contacts than they say",)
     return Localization(
         pose,
         modes,
         contact_index(model, contacts, pose),
         sigma,
-        verdict_of(modes, model, settings),
+        verdict,
         time.perf_counter() - begin,
         notes=notes,
     )
+
+
+def _contradicted(
+    model: ObjectModel, mode: Mode, contacts: Contacts, prior: Prior | None, settings: LocalizeSettings
+) -> bool:
+    """Whether contacts leave over more than their own sigmas do by chance: the mode's cost (nats) is half a chi-square
+    of their numbers and the prior's, less those that a pose fits (Wilson and Hilferty 1931). Rows beyond them are met,
+    and cost nothing, or contradict it, too.
+    """
+    fitted = int(np.linalg.matrix_rank(model.symmetries.quotient(mode.pose[:3, :3], model.centroid)))
+    free = len(contacts) + 2 * int(contacts.has_normal.sum()) + (6 if prior is not None else 0) - fitted
+    if free < 1:
+        return False
+    spread = 2.0 / (9.0 * free)
+    return bool(2.0 * mode.cost > free * (1.0 - spread + settings.contradicted_sigmas * np.sqrt(spread)) ** 3)
 
 
 def _some_false(

@@ -358,3 +358,20 @@ def test_claims_that_are_far_too_good_are_still_doubted(drill):
     noisy = Contacts(points + 0.006 * rng.normal(size=points.shape), None, 0.0003)
     found = localize(drill, noisy, seed=0, prior=Prior.isotropic(np.eye(4), 0.1, 0.01))
     assert 0.001 < found.sigma < 0.02
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_few_contacts_that_contradict_every_pose_are_no_answer(seed):
+    """Five contacts with normals on a drill, and its mesh a tenth too large: nothing fits as well as they claim."""
+    model = library.make("drill")
+    large = ObjectModel.from_mesh(1.1 * model.vertices, model.faces, "large")
+    rng = np.random.default_rng([seed, 5])
+    points, normals = model.sample_surface(5, seed=int(rng.integers(1e9)))
+    points = points + 0.001 * rng.normal(size=points.shape)
+    pose = poses.make_pose(poses.random_rotations(1, rng)[0], 0.3 * rng.normal(size=3))
+    normals = normals @ pose[:3, :3].T + 0.05 * rng.normal(size=normals.shape)
+    contacts = Contacts(poses.apply(pose, points), normals / np.linalg.norm(normals, axis=1, keepdims=True))
+    assert localize(model, contacts, seed=seed).verdict == "ok"
+    wrong = localize(large, contacts, seed=seed)
+    assert wrong.verdict == "ambiguous"
+    assert "contradict every pose" in " ".join(wrong.notes)
