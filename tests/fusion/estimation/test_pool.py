@@ -261,10 +261,10 @@ def test_without_a_picture_the_posterior_speaks(drill):
 def test_the_chance_of_being_near_is_that_of_sampled_errors(drill, seed):
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(6, 6)) * np.repeat([0.02, 0.002], 3)[:, None]
-    points, _ = drill.sample_surface(400, seed=1)
+    points, normals = drill.sample_surface(400, seed=1)
     steps = rng.normal(size=(1500, 6)) @ root.T
     moved = [poses.apply(poses.perturb(np.eye(4), step, drill.centroid), points) - points for step in steps]
-    off = np.sqrt(np.mean(np.sum(np.square(moved), axis=2), axis=1))
+    off = np.sqrt(np.mean(np.square(np.sum(moved * normals, axis=2)), axis=1))
     for limit in np.quantile(off, [0.2, 0.5, 0.9]):
         assert within(drill, np.eye(4), root @ root.T, limit, 1.0) == pytest.approx(np.mean(off < limit), abs=0.12)
 
