@@ -249,3 +249,41 @@ def test_lines_that_scatter_by_whole_blocks_count_less():
     )
     evidence.temper(np.zeros(6))
     assert evidence.share.max() < 0.7 * before.max()
+
+
+def test_a_pose_that_may_be_anywhere_is_not_read():
+    frame, model = coloured("box")
+    evidence = evidence_at(frame, model, frame.camera_from_object_truth)
+    known, unknown = (np.diag([0.01] * 3 + [sigma] * 3) ** 2 for sigma in (0.001, 0.05))
+    assert evidence.uncertain(known) == ""
+    assert "looked for within 12 px" in evidence.uncertain(unknown)
+
+
+def test_what_a_colour_image_is_shifted_by_is_learned_from_the_frame():
+    """Four pixels beside depth that is sure of the place: the lines' shared shift is believed, not the object's."""
+    frame, model = coloured("box")
+    pose, sure = frame.camera_from_object_truth, np.diag([1e-3] * 3 + [3e-4] * 3) ** 2
+    moved = []
+    for shift in (0, 4):
+        evidence = evidence_at(replace(frame, rgb=np.roll(frame.rgb, shift, axis=1)), model, pose)
+        believed = evidence.common_information[0, 0] ** -0.5
+        for _ in range(3):  # lines are read where the shift that is found so far has them
+            evidence.terms(np.zeros(6))
+            evidence.register(np.zeros(6), np.zeros(6), np.linalg.inv(sure))
+        moved.append(evidence.common_information[0, 0] ** -0.5)
+        assert believed == ContourSettings().shift_colour
+    assert moved[0] == ContourSettings().shift_colour
+    assert 2.0 < moved[1] < 4.0
+
+
+def test_lines_that_scatter_more_than_they_say_count_less():
+    frame, model = coloured("box")
+    evidence = evidence_at(frame, model, frame.camera_from_object_truth)
+    assert evidence.lines is not None
+    evidence.temper(np.zeros(6))
+    calm = evidence.share.mean()
+    rng = np.random.default_rng(1)
+    rolled = [np.roll(row, int(by)) for row, by in zip(evidence.lines.log_p, rng.choice([-2, 2], len(evidence.lines)))]
+    evidence.lines = replace(evidence.lines, log_p=np.array(rolled))
+    evidence.temper(np.zeros(6))
+    assert evidence.share.mean() < 0.7 * calm

@@ -44,7 +44,7 @@ class LineSettings:
     temper: float = 1.5
     # Samples (px from the outline, first and last) on either side that must look like that side, and how clearly (nats
     # a sample): an edge within the object is no border, however clear it is.
-    near: tuple[int, int] = (2, 9)
+    near: tuple[int, int] = (2, 5)
     clear: float = 0.1
     # An edge whose change is this share of the contrast is half as strong as any.
     edge_share: float = 0.2
