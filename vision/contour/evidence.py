@@ -22,8 +22,6 @@ from vision.predicted import Predictor
 
 Array = NDArray[np.float64]
 
-# Standard deviation of a Gaussian over the median of its absolute value.
-MEDIAN_TO_SIGMA = 1.4826
 # Share of what is believed of common errors that is left in while the frame is asked for them: keeps what it does not
 # tell from being divided by zero.
 UNTIED = 1e-3
@@ -125,11 +123,12 @@ class ContourEvidence:
         self.shift = s.shift if self.lines.grey else s.shift_colour
         self.believed = np.array([self.shift, self.shift, fatter]) ** 2.0
         self.common_information = np.diag(1.0 / self.believed)
-        u, v = outline.places.T
-        near = np.square(u[:, None] - u) + np.square(v[:, None] - v) < (0.5 * s.apart) ** 2
-        self.alone = self.share = 1.0 / near.sum(axis=1)
+        alone = np.zeros(len(place))
+        kernels.neighbours(outline.places, 0.5 * s.apart, alone)
+        self.alone = self.share = 1.0 / alone
         blocks = np.floor(outline.places / s.block).astype(np.int64)
-        self._block = np.unique(blocks, axis=0, return_inverse=True)[1].ravel()
+        blocks -= blocks.min(axis=0)
+        self._block = blocks[:, 0] * (int(blocks[:, 1].max()) + 1) + blocks[:, 1]
         self._common = np.zeros(3)
 
     @property
@@ -137,35 +136,44 @@ class ContourEvidence:
         """Lines that are open."""
         return 0 if self.lines is None else len(self.lines)
 
-    def temper(self, delta: Array) -> None:
-        """Make all lines less sure by as much as their pulls scatter more than they should at the pose moved by delta
-        (6,): by the median of the lines, or from block to block of the image, for patterns, shades and a projector's
-        dots along an outline are shared beyond neighbours.
+    def terms(self, delta: Array, others: tuple[Array, Array] | None = None) -> tuple[Array, Array]:
+        """Gradient (6,) and Gauss-Newton matrix (6, 6) of the lines' cost (nats) at the pose moved by delta (6,).
+
+        What the lines share is marginalised. Each line is the Gaussian that stands for it where it is expected, with
+        the probability that it is none of the wrong ones as its weight. others: gradient and matrix of all else there;
+        where they are given, what the lines are worth in all is learned first (see `_register` and `_temper`).
         """
         left, weight = self._weighted(delta)
-        told = weight > 0.0
-        off = left + self.common @ self._common
-        share = np.where(told, self.share, 1.0)
-        scatter = np.abs(off[told]) * np.sqrt(weight[told] / share[told])
-        misfit = (MEDIAN_TO_SIGMA * float(np.median(scatter))) ** 2 if told.any() else 1.0
-        count = int(self._block.max()) + 1
-        information = np.bincount(self._block, weight * self.alone / share, minlength=count)
-        pulls = np.bincount(self._block, weight * self.alone / share * off, minlength=count)
-        some = information > 0.0
-        spare = int(some.sum()) - 5  # what a pose and the lines' common errors fit of an outline, about
-        if spare >= self.settings.least_blocks:
-            misfit = max(misfit, float(np.sum(np.square(pulls[some]) / information[some])) / spare)
-        self.share = self.alone / max(misfit, 1.0)
+        if others is not None:
+            self._register(left, weight, *others)
+            before = self.share
+            self._temper(left, weight)
+            weight = weight * self.share / before
+        shared = (self.common * weight[:, None]).T @ self.common + self.common_information
+        cross = (self.jacobian * weight[:, None]).T @ self.common
+        pull = self.common.T @ (weight * left)
+        self._common = -np.linalg.solve(shared, pull)
+        gradient = self.jacobian.T @ (weight * left) + cross @ self._common
+        hessian = (self.jacobian * weight[:, None]).T @ self.jacobian - cross @ np.linalg.solve(shared, cross.T)
+        return gradient, 0.5 * (hessian + hessian.T)
 
-    def register(self, delta: Array, gradient: Array, information: Array) -> None:
-        """Widen what a colour image's shift against depth may be to what this frame shows of it, near the pose moved by
-        delta (6,), where all else has gradient (6,) and information (6, 6): the likeliest variance (empirical Bayes),
-        which all lines share, and no less than is believed.
+    def _temper(self, left: Array, weight: Array) -> None:
+        """Make all lines less sure by as much as their pulls scatter more than they should: by the median of the lines,
+        or from block to block of the image, for patterns, shades and a projector's dots are shared beyond neighbours.
+        """
+        off = left + self.common @ self._common
+        blocks = int(self._block.max()) + 1
+        # a pose and the lines' common errors fit five of an outline's blocks, about
+        ratio = kernels.misfit(off, weight, self.share, self.alone, self._block, blocks, 5, self.settings.least_blocks)
+        self.share = self.alone / max(float(ratio), 1.0)
+
+    def _register(self, left: Array, weight: Array, gradient: Array, information: Array) -> None:
+        """Widen what a colour image's shift against depth may be to what this frame shows of it, where all else has
+        gradient (6,) and information (6, 6): the likeliest variance (empirical Bayes), no less than is believed.
         """
         assert self.lines is not None
         if self.lines.grey:
             return
-        left, weight = self._weighted(delta)
         everything = np.concatenate([self.jacobian, self.common], axis=1)
         hessian = (everything * weight[:, None]).T @ everything
         pull = everything.T @ (weight * left)
@@ -176,21 +184,6 @@ class ContourEvidence:
         found, spread = -(inverse @ pull)[6:8], np.diag(inverse)[6:8]
         shown = 0.5 * float(found @ found - spread.sum())
         self.common_information = np.diag(1.0 / np.maximum(self.believed, [shown, shown, 0.0]))
-
-    def terms(self, delta: Array) -> tuple[Array, Array]:
-        """Gradient (6,) and Gauss-Newton matrix (6, 6) of the lines' cost (nats) at the pose moved by delta (6,).
-
-        What the lines share is marginalised. Each line is the Gaussian that stands for it where it is expected, with
-        the probability that it is none of the wrong ones as its weight.
-        """
-        left, weight = self._weighted(delta)
-        shared = (self.common * weight[:, None]).T @ self.common + self.common_information
-        cross = (self.jacobian * weight[:, None]).T @ self.common
-        pull = self.common.T @ (weight * left)
-        self._common = -np.linalg.solve(shared, pull)
-        gradient = self.jacobian.T @ (weight * left) + cross @ self._common
-        hessian = (self.jacobian * weight[:, None]).T @ self.jacobian - cross @ np.linalg.solve(shared, cross.T)
-        return gradient, 0.5 * (hessian + hessian.T)
 
     def _weighted(self, delta: Array) -> tuple[Array, Array]:
         """How far (n,) px each predicted place, moved by delta (6,), is from what its line says, what all share left

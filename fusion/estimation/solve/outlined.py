@@ -69,11 +69,9 @@ def outlined(
         before = se3.difference(at, mode.pose, model.centroid)
         delta = np.zeros(6)
         for step in range(how.steps):
-            if step > 0:
-                evidence.register(delta, information @ (before + delta), information)
-                evidence.temper(delta)
-            gradient, hessian = evidence.terms(delta)
-            delta = delta - np.linalg.solve(information + hessian, gradient + information @ (before + delta))
+            others = information @ (before + delta)
+            gradient, hessian = evidence.terms(delta, (others, information) if step > 0 else None)
+            delta = delta - np.linalg.solve(information + hessian, gradient + others)
         at = se3.perturb(at, delta, model.centroid)
         if evidence.shift_of(delta) < how.anew:
             break
