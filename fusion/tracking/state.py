@@ -30,7 +30,7 @@ class GlanceSettings:
     # Frames from one look in full to the next, at most (1: all are looked at in full); frames that a hypothesis must
     # have led before; frames that may be missing between two.
     every: int = 6
-    settled: int = 5
+    settled: int = 3
     gap: int = 2
     # Share of the posterior (no unit) that the leader must hold; where it holds less than the second share, frames are
     # looked at in full every so many.
@@ -47,7 +47,8 @@ class GlanceSettings:
     sight: float = 4.0
     # Millimetres that contacts are off, root mean square: so many more. A false contact is off by more than twice that.
     contacts: float = 1.5
-    # Squared innovation (chi-square, 6 degrees of freedom): one in a thousand by chance.
+    # Squared innovation (chi-square, 6 degrees of freedom), one in a thousand by chance: above it the object is glanced
+    # at again where it seems to be, and looked at in full when the two differ by as much.
     surprise: float = 22.5
 
 

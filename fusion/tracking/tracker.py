@@ -307,7 +307,7 @@ class Tracker:
             self._accept(frame, felt, belief, found.hypotheses, said.share)
             self._state.right = said.right
             now = replace(sensed, felt=felt, seen=found.seen)
-            settled = not watched.slip and not found.switched and frame.index == self._state.index
+            settled = not found.switched and frame.index == self._state.index
             self._state.known = known_of(self.model, prior, now, measured, said, self._beliefs, s) if settled else None
             self._learn(sensed, belief.pose, found.switched)
         answer = as_followed(frame, belief, predicted, said, watched, replace(sensed, felt=felt), trace.stages, s)
@@ -333,7 +333,6 @@ class Tracker:
             said = as_judged(self.model, known, carried, belief, found, s)
             if watched.slip:
                 said = replace(said, why=f"slips in the hand ({watched.by}); {said.why}")
-                state.known = None
         self._accept(frame, felt, belief, carried, found.share)
         return self._believed(as_followed(frame, belief, predicted, said, watched, found.sensed, trace.stages, s))
 
