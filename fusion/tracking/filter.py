@@ -154,6 +154,11 @@ class SlipTest:
         self._quiet = 1_000_000
         self.statistic = 0.0
 
+    @property
+    def going_on(self) -> bool:
+        """Whether the last step was in a slip or just after it."""
+        return self._quiet <= self.settings.lasts
+
     def restart(self, belief: Belief | None, pixel: Array | None) -> None:
         """Forget; the object is held as `belief` has it, seen at `pixel` (2,) (None without a camera)."""
         self._held, self._pixel = belief, pixel

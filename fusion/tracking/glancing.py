@@ -5,8 +5,8 @@ to frame none of that changes: a calibration stays, a camera's bias and scale st
 stays closed. So between two looks in full a frame is fitted by its rows alone, a few steps from the prediction; what
 the whole solution of the last look added to such a fit is added again, and what it said of its own certainty still
 holds, in the object's own axes. Whatever is otherwise than expected (pixels, what is seen past the object, contacts)
-asks for a look in full at this very frame; a pose that nobody predicted, for a second glance at where it seems to be.
-Camera frame, metres, radians.
+asks for a look in full at this very frame, and so does a pose that nobody predicted; while the object slips, a second
+glance at where it seems to be will do. Camera frame, metres, radians.
 """
 
 from __future__ import annotations
@@ -83,14 +83,17 @@ def glance(
     predicted: Belief,
     known: Known,
     things: Occluders,
+    moving: bool,
     beliefs: Beliefs,
     settings: TrackSettings,
 ) -> Glanced:
-    """Look at a frame near the prediction; felt_frame: the same as far as touch may tell."""
+    """Look at a frame near the prediction; felt_frame: the same as far as touch may tell; moving: the object is known
+    to move in the hand, so that a surprise is none.
+    """
     found = _glanced_at(model, frame, felt_frame, looker, predicted.pose, predicted, known, things, beliefs, settings)
-    if not found.surprised:
+    if not (found.surprised and moving):
         return found
-    # it has moved otherwise than predicted, and all else is as it was: pixels are chosen anew where it is now
+    # it goes on moving otherwise than predicted, and all else is as it was: pixels are chosen anew where it is now
     here = found.measured.pose
     again = _glanced_at(model, frame, felt_frame, looker, here, predicted, known, things, beliefs, settings)
     if again.otherwise and not again.surprised:

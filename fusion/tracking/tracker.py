@@ -323,8 +323,9 @@ class Tracker:
         with trace.stage("glance", True, "") as stage:
             felt_frame = self._felt_frame(frame)
             found = glance(
-                self.model, viewed, felt_frame, self._looker, predicted, known, state.things, self._beliefs, s
-            )
+                self.model, viewed, felt_frame, self._looker, predicted, known, state.things, self._watch.going_on,
+                self._beliefs, s,
+            )  # fmt: skip
             seen, felt = found.sensed.seen, found.sensed.felt
             stage.note(len(seen) + len(felt.reported_rows), found.otherwise or "nothing is otherwise than expected")
             if found.otherwise or not len(seen):
