@@ -47,8 +47,8 @@ class GlanceSettings:
     sight: float = 4.0
     # Millimetres that contacts are off, root mean square: so many more. A false contact is off by more than twice that.
     contacts: float = 1.5
-    # Squared innovation (chi-square, 6 degrees of freedom), one in a thousand by chance. Of an object that slips already
-    # two glances must differ by as much.
+    # Squared innovation (chi-square, 6 degrees of freedom), one in a thousand by chance; of an object that slips, two
+    # glances must differ by as much.
     surprise: float = 22.5
 
 

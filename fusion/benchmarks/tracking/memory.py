@@ -1,8 +1,8 @@
 """How much memory does a track take that goes on and on? Megabytes that the process holds, after so many frames.
 
-A recording of an object that is carried to and fro, a quarter of VGA a side, is tracked as `palpate track` does it: read
-frame by frame from its folder, answers, pictures and checkpoints written as they come, and a report at the end. Few of
-its frames differ, all are read.
+A recording of an object that is carried to and fro, a quarter of VGA a side, is tracked as `palpate track` does it:
+read frame by frame from its folder, answers, pictures and checkpoints written as they come, and a report at the end.
+Few of its frames differ, all are read.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def _recorded(folder: Path, count: int, seed: int) -> Capture:
 
 
 def _megabytes() -> float:
-    """What the process holds now, where the system tells it; elsewhere the most that it ever held, NaN where unknown."""
+    """What the process holds now, where the system tells it; elsewhere the most that it ever held, or NaN."""
     status = Path("/proc/self/status")
     if status.is_file():
         line = next(one for one in status.read_text(encoding="ascii").splitlines() if one.startswith("VmRSS"))

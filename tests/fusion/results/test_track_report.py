@@ -187,7 +187,8 @@ function spaceInk() {  // pixels that the 3-D view has drawn
   const scene = document.getElementById("scene"), flat = document.createElement("canvas");
   flat.width = scene.width; flat.height = scene.height;
   flat.getContext("2d").drawImage(scene, 0, 0);
-  return flat.getContext("2d").getImageData(0, 0, flat.width, flat.height).data.filter((v, i) => i % 4 === 3 && v > 0).length;
+  const { data } = flat.getContext("2d").getImageData(0, 0, flat.width, flat.height);
+  return data.filter((v, i) => i % 4 === 3 && v > 0).length;
 }
 addEventListener("load", () => setTimeout(() => {
   const where = () => document.getElementById("where").textContent, seen = [where()];
