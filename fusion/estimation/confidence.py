@@ -54,6 +54,9 @@ class Regression:
     touch: float = 0.0
     outliers: float = 0.0
     contact_nats: float = 0.0
+    # Of how blunt the fingertips are said to be: logarithm of a contact's sigma over the finest (see
+    # ConfidenceSettings). What carries blunt ones is as badly calibrated, of which contacts alone show nothing.
+    blunt: float = 0.0
     # Of the logarithm of the spread over the object's radius, held within bounds (see ConfidenceSettings).
     spread: float = 0.0
     # Of there having been no start: it was looked for everywhere.
@@ -89,6 +92,7 @@ FEATURES = (
     Feature("touch", +1),
     Feature("outliers", -1),
     Feature("contact_nats", -1, felt=True),
+    Feature("blunt", -1, seen=False, felt=True),
     Feature("spread", -1),
     Feature("anywhere"),
     Feature("constant", felt=True),
@@ -120,7 +124,7 @@ class ConfidenceSettings:
         constant=-2.91,
         nearest=0.547,
     )
-    felt: Regression = Regression(weight=0.281, contact_nats=-0.639, constant=1.97, nearest=0.567)
+    felt: Regression = Regression(weight=0.176, contact_nats=-0.546, blunt=-2.94, constant=1.96, nearest=0.5)
     # Share of the picture above which agreement speaks for an answer, and the most of what is seen past and of the
     # outline that runs on (shares) that speaks against one: cameras that blend edges draw surfaces on.
     agreeing: float = 0.8
@@ -133,6 +137,10 @@ class ConfidenceSettings:
     # Bounds on the log odds of modes, on nats a contact, and on the spread over the radius, whose logarithm counts.
     most_odds: float = 12.0
     most_nats: float = 8.0
+    # Bounds (m) on the sigma of contacts whose logarithm counts: those of the answers that were fitted, beyond which
+    # nothing is known.
+    finest: float = 0.9e-3
+    bluntest: float = 1.6e-3
     narrowest: float = 0.03
     widest: float = 1.0
     # Where the object is, as far as is known, when the first mode is not the right one: rad, and shares of its radius,
@@ -178,6 +186,7 @@ def observations(
         found["touch"] = 1.0
         found["outliers"] = float(np.mean([c.outlier for c in contacts]))
         found["contact_nats"] = min(contact_nats / len(contacts), s.most_nats)
+        found["blunt"] = _blunt(contacts, s)
     if picture is not None and picture.count[0] > 0:
         found["agree"] = max(float(picture.agree[0]) - s.agreeing, 0.0)
         found["visible"] = float(np.log(max(float(picture.agree[0]), s.least_agreeing)))
@@ -186,6 +195,15 @@ def observations(
         found["outline"] = min(float(picture.outline[0]), s.most_outline)
         found["hidden"], found["behind_hand"] = float(picture.hidden[0]), float(picture.behind_hand[0])
     return found
+
+
+def _blunt(contacts: tuple[ContactResidual, ...], settings: ConfidenceSettings) -> float:
+    """Logarithm of the contacts' sigma (root mean square) over the finest; 0 where none tells of one."""
+    told = [contact.sigma_mm**2 for contact in contacts if math.isfinite(contact.sigma_mm)]
+    if not told:
+        return 0.0
+    sigma = 1e-3 * math.sqrt(sum(told) / len(told))
+    return math.log(min(max(sigma, settings.finest), settings.bluntest) / settings.finest)
 
 
 def chances(

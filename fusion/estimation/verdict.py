@@ -65,8 +65,10 @@ def contact_residuals(
     limit = np.maximum(settings.outlier_sigmas * contacts.sigma_point, settings.outlier_distance)
     outlier = np.abs(distance) > limit
     return tuple(
-        ContactResidual(sensor, 1e3 * off, angle, bool(false))
-        for sensor, off, angle, false in zip(contacts.sensors, distance.tolist(), turned.tolist(), outlier)
+        ContactResidual(sensor, 1e3 * off, angle, bool(false), 1e3 * sigma)
+        for sensor, off, angle, false, sigma in zip(
+            contacts.sensors, distance.tolist(), turned.tolist(), outlier, contacts.sigma_point.tolist()
+        )
     )
 
 
