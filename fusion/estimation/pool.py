@@ -345,6 +345,11 @@ class Pool:
         at = self.walking(np.concatenate([pose[None], pose @ near_symmetries(self.model)]))
         return bool((at[1:] > at[0] + s.glance_apart).all())
 
+    def shows_most(self, pose: Array) -> bool:
+        """Whether most of what nothing hides at pose (4, 4), which convinces, agrees with what is seen."""
+        s = self.settings
+        return self._shows(pose, s.least_shown, s.least_agree, s.most_past, s.most_runs_on_unknown)
+
     @property
     def contacts(self) -> int:
         """How many are felt."""

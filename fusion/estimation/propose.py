@@ -147,6 +147,9 @@ def glance(pool: Pool, rows: Evidence, starts: Array, trace: Trace) -> Found | N
     elif asked.convinced and asked.contacts >= s.tying_contacts:
         asked.look_beside()
         why = asked.enough
+    elif asked.convinced and pool.predictor.told_apart and pool.shows_most(asked.modes[0].pose):
+        asked.look_around()
+        why = asked.enough
     for source in ("rows", "touch and descents", walk_of(pool)) if why else ():
         asked.enter(source, lambda: np.zeros((0, 4, 4)), why)
     return asked.found(pool.proposals.starts_glanced) if why else None
