@@ -257,6 +257,9 @@ def modes_anywhere(
         return begun[-1]
 
     asked.enter(f"rows, {counted(len(starts), 'start')}", searched, enough)
+    if not enough and plan.skipping and asked.settled:
+        asked.look_beside()
+        enough = asked.settled
     asked.enter("touch", felt_alone, enough or ("" if asked.contacts else "nothing is felt"))
     if not enough:
         asked.look_beside()
