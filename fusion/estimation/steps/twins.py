@@ -49,8 +49,7 @@ def with_twins(
     if not len(turned):
         return modes
     laid = align(model, thin(rows, ROWS), turned, prior, AlignSettings(iterations=STEPS)).poses
-    off = moved(model, first.pose, laid)[0] <= tolerance
-    kept, poses = [first.pose, *(mode.pose for mode in modes[1:])], np.concatenate([first.pose[None], laid[off]])
+    kept, poses = [first.pose, *(mode.pose for mode in modes[1:])], np.concatenate([first.pose[None], laid])
     pixels, rest = rows.of(VISION), rows.take(rows.sense != VISION)
     total = costs(model, rest, poses, prior) + costs(model, pixels, poses) / settings.pixel_temperature
     # a twin cannot be likelier than the one that was solved with everything
