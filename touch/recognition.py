@@ -75,10 +75,10 @@ class RecognitionSettings:
     # Share of touched things that are none of the candidates, before anything is felt.
     strangers: float = 0.005
     # Nats by which what the best leaves over must speak for it and against all that is plainly another object,
-    # candidate or not: a thousand to one. A hundred is decisive (Jeffreys 1961) between two that both are what they are
+    # candidate or not: 500 to one. A hundred is decisive (Jeffreys 1961) between two that both are what they are
     # said to be; a relative is nearer than a Gaussian field has it, and of 108 draws in which one was named for want of
     # the tool itself, two reached 6.0. Fewer independent contacts than these cannot tell: twice what a pose can fit.
-    decisive: float = 6.9
+    decisive: float = 6.2
     least_independent: float = 12.0
     misfit: MisfitSettings = field(default_factory=MisfitSettings)
 
