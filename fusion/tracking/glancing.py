@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import ContactResidual, Mode
-from fusion.estimation.confidence import whole_covariance, within
+from fusion.estimation.confidence import told_covariance, within
 from fusion.estimation.verdict import contact_residuals, pixel_agreement
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Belief, Measurement
@@ -158,9 +158,7 @@ def as_judged(
     word, why, sure = known.verdict, known.why, known.right * near
     if word == "ok" and sure < confident.sure:
         word, why = "ambiguous", f"only {sure:.0%} sure to be within {1e3 * confident.tolerance:.3g} mm"
-    covariance = belief.covariance
-    if word != "ok":
-        covariance = whole_covariance(model, modes, known.right, None, confident)
+    covariance = told_covariance(model, modes, word, known.right, None, confident)
     return Judged(
         word, why, covariance, known.right, sure, modes, glanced.residuals, glanced.share, glanced.rms,
         known.visible, known.unobservable,
