@@ -93,7 +93,7 @@ def as_believed(
     if answer.verdict == "lost" or hypotheses[0].votes >= how.believed:
         return answer
     sure = min(answer.confidence, how.unvoted)
-    wide = whole_covariance(model, answer.modes, sure, None, settings.first.confidence)
+    wide = told_covariance(model, answer.modes, "ambiguous", sure, None, settings.first.confidence)
     notes = (_DOUBTED, *answer.notes)
     return replace(answer, verdict="ambiguous", covariance=wide, confidence=sure, notes=notes)
 
