@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.answer import Mode
+from fusion.estimation.answer import Estimate, Mode
 from fusion.tracking.filter import block
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -101,6 +101,11 @@ def of_modes(modes: Sequence[Mode], votes: float, settings: HypothesisSettings) 
         Hypothesis(m.pose, m.covariance, float(np.log(max(m.weight, 1e-9))), votes if i == 0 else 0.0)
         for i, m in enumerate(modes[: settings.most])
     )
+
+
+def sure_of(answer: Estimate) -> float:
+    """Confidence of an answer; of one that does not say, its first mode's weight."""
+    return answer.confidence if np.isfinite(answer.confidence) else answer.modes[0].weight
 
 
 def vote_of(verdict: str, sure: float, settings: HypothesisSettings) -> float:

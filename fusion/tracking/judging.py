@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ from vision.predicted import Prediction
 from vision.visibility import Visibility, visibility
 
 Array = NDArray[np.float64]
+
+_DOUBTED = "no frame searched by itself has found the object there"
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,19 @@ def judge(
     # what is lost is not to be trusted at all
     sure = 0.0 if word == "lost" else sure
     return Judged(word, why, covariance, right, sure, modes, residuals, share, rms, seeing.visible, unknown)
+
+
+def as_believed(
+    model: ObjectModel, answer: TrackedEstimate, hypotheses: Hypotheses, settings: TrackSettings
+) -> TrackedEstimate:
+    """The answer, which is not ok while no frame searched by itself speaks for it."""
+    how = settings.hypotheses
+    if answer.verdict == "lost" or hypotheses[0].votes >= how.believed:
+        return answer
+    sure = min(answer.confidence, how.unvoted)
+    wide = told_covariance(model, answer.modes, "ambiguous", sure, None, settings.first.confidence)
+    notes = (_DOUBTED, *answer.notes)
+    return replace(answer, verdict="ambiguous", covariance=wide, confidence=sure, notes=notes)
 
 
 def as_seen(picture: Prediction) -> Visibility:

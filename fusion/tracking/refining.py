@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.answer import Mode
+from fusion.estimation.answer import Estimate, Mode
 from fusion.estimation.confidence import chances
 from fusion.estimation.solve.joint import JointResult
 from fusion.estimation.solve.problem import JointProblem
@@ -92,6 +92,15 @@ def frame_nats(poses: Array, widths: Sequence[Array], sensed: Sensed, settings: 
     return out
 
 
+def prefers(answer: Estimate, other: Mode, sensed: Sensed | None, settings: TrackSettings) -> float:
+    """Nats by which a frame prefers an answer's pose to another; 0 without an image."""
+    if sensed is None or sensed.pool is None:
+        return 0.0
+    widths = answer.modes[0].covariance, other.covariance
+    mine, its = frame_nats(np.array([answer.pose, other.pose]), widths, sensed, settings)
+    return float(its - mine)
+
+
 def _fitted(
     model: ObjectModel, prior: Prior, sensed: Sensed, leads: bool, settings: TrackSettings
 ) -> tuple[Array, Evidence, Array, float]:
@@ -159,3 +168,8 @@ def measurement_of(
         distance = s.left_distance if corrected else distance
         shared = shared + np.diag(np.repeat([angle, distance], 3) ** 2)
     return Measurement.of(pose, solved.independent, shared, s.noise, s.lasting)
+
+
+def shift(correction: Array, point: Array) -> float:
+    """How far a correction (4, 4) moves a point (3,), metres."""
+    return float(np.linalg.norm(se3.apply(correction, point[None])[0] - point))

@@ -98,9 +98,9 @@ class RenewalSettings:
     # found what its frame prefers to it.
     doubting: int = 5
     doubtful: int = 30
-    # Standard deviations of a start (rad, m) from which a frame is searched, too, around a track that nothing has spoken
-    # for: from a track of `lab` 26 degrees and 26 mm off these found the object in three frames of five, half the
-    # angle in one, and a search without a start in none.
+    # Standard deviations of a start (rad, m) from which a frame is searched, too, around a track that nothing has
+    # spoken for: from a track of `lab` 26 degrees and 26 mm off these found the object in three frames of five, half
+    # the angle in one, and a search without a start in none.
     around_angle: float = float(np.deg2rad(40.0))
     around_distance: float = 0.03
 

@@ -31,12 +31,12 @@ from fusion.tracking import hypotheses as several
 from fusion.tracking.answer import TrackedEstimate, TrackSettings, as_carried, as_tracked
 from fusion.tracking.filter import Belief, Measurement, update
 from fusion.tracking.glancing import as_judged, glance, known_of, may_glance
-from fusion.tracking.hypotheses import Hypotheses
-from fusion.tracking.judging import as_followed, judge
+from fusion.tracking.hypotheses import Hypotheses, Hypothesis
+from fusion.tracking.judging import as_believed, as_followed, judge
 from fusion.tracking.motion import HandMotion, HandState
 from fusion.tracking.occluders import Occluders
 from fusion.tracking.predicting import predict
-from fusion.tracking.refining import Refined, frame_nats, loose, measurement_of, refine, solve_leader
+from fusion.tracking.refining import Refined, loose, measurement_of, prefers, refine, shift, solve_leader
 from fusion.tracking.sensing import Sensed, pool_near
 from fusion.tracking.slip import SlipWatch, Watched
 from fusion.tracking.state import TrackState
@@ -56,8 +56,6 @@ from vision.look.warm import Looker
 from vision.tracking.by_vision import ConstantVelocity
 
 Array = NDArray[np.float64]
-
-_DOUBTED = "no frame searched by itself has found the object there"
 
 
 def track(
@@ -149,13 +147,13 @@ class Tracker:
         state, s = self._state, self.settings
         self._anchor(answer)
         state.hypotheses = several.of_modes(
-            answer.modes, several.vote_of(answer.verdict, _sure(answer), s.hypotheses), s.hypotheses
+            answer.modes, several.vote_of(answer.verdict, several.sure_of(answer), s.hypotheses), s.hypotheses
         )
         state.index, state.unseen, state.lost_for, state.usual, state.known = frame.index, 0, 0, None, None
         state.things = Occluders()
         state.renewal.restart(frame.index, s.renewal)
         near = self._near(answer.modes[0])
-        state.right = min(1.0, _sure(answer) / near) if near > 1e-9 else 0.0
+        state.right = min(1.0, several.sure_of(answer) / near) if near > 1e-9 else 0.0
         state.sure = answer.verdict == "ok"
         felt = self._feel(frame)
         state.hand = HandState.of(frame, felt.reported_contacts)
@@ -199,10 +197,11 @@ class Tracker:
         except CaptureError:
             state.renewal.found(frame.index, None, s.renewal)
             return answer
-        vote, against = several.vote_of(alone.verdict, _sure(alone), s.hypotheses), alone.verdict == "ok"
+        vote, against = several.vote_of(alone.verdict, several.sure_of(alone), s.hypotheses), alone.verdict == "ok"
         modes = tuple(replace(m, pose=self.model.symmetries.nearest(m.pose, answer.pose)) for m in alone.modes)
-        leader = replace(state.hypotheses[0], pose=answer.pose, covariance=answer.modes[0].covariance)
-        same, better = several.alike(self.model, leader, modes[0], s.hypotheses), self._prefers(answer, modes[0])
+        leader = self._leader(answer)
+        same = several.alike(self.model, leader, modes[0], s.hypotheses)
+        better = prefers(answer, modes[0], self._sensed, s)
         if better > s.hypotheses.missed:  # it has not even found the best that is near it
             vote = 0.0
         carried = (leader, *state.hypotheses[1:])
@@ -214,7 +213,7 @@ class Tracker:
         believed = state.hypotheses[0].votes >= s.hypotheses.believed and (agrees or better > 0.0)
         state.renewal.found(frame.index, agrees if vote and against else None, s.renewal, believed)
         where = "agrees" if agrees else "finds it elsewhere"
-        why = f"{where}, {_sure(alone):.0%} sure; {better:+.0f} nats for the track; {vote:.1f} votes"
+        why = f"{where}, {several.sure_of(alone):.0%} sure; {better:+.0f} nats for the track; {vote:.1f} votes"
         if same and vote and better < -s.anchor:
             self._anchor(replace(alone, pose=modes[0].pose))
             why += "; it goes on from there"
@@ -225,44 +224,30 @@ class Tracker:
         return self._believed(answer)
 
     def _search_around(self, frame: Frame, answer: TrackedEstimate) -> str:
-        """Search a frame around a track that nothing has spoken for; what is found, in words.
-
-        What agrees with the track says nothing, for it began there. What is surely elsewhere, although it began there,
-        and is preferred by the frame, has a vote.
+        """Search a frame around a track that nothing has spoken for; what came of it, in words. Only what is surely
+        elsewhere has a vote: the search began at the track, and finds it gladly.
         """
-        state, s = self._state, self.settings
+        s = self.settings
         prior = Prior.isotropic(answer.pose, s.renewal.around_angle, s.renewal.around_distance)
         try:
             found = self._estimated(replace(frame, prior=None), prior)
         except CaptureError:
             return ""
         mode = replace(found.modes[0], pose=self.model.symmetries.nearest(found.pose, answer.pose))
-        leader = replace(state.hypotheses[0], pose=answer.pose, covariance=answer.modes[0].covariance)
-        same = several.alike(self.model, leader, mode, s.hypotheses)
-        better = self._prefers(answer, mode)
-        if found.verdict != "ok" or same or better > 0.0:
-            return f"; around it {'the same' if same else 'nothing surer'}"
-        vote = several.vote_of(found.verdict, _sure(found), s.hypotheses)
-        state.hypotheses, _ = several.voted(self.model, state.hypotheses, (mode,), vote, True, s.hypotheses)
-        return f"; around it another, {_sure(found):.0%} sure, {-better:.0f} nats better"
+        better = prefers(answer, mode, self._sensed, s)
+        vote = several.vote_of(found.verdict, several.sure_of(found), s.hypotheses) if found.verdict == "ok" else 0.0
+        carried = (self._leader(answer), *self._state.hypotheses[1:])
+        if better > 0.0 or not vote or several.alike(self.model, carried[0], mode, s.hypotheses):
+            return "; nothing surer around it"
+        self._state.hypotheses, _ = several.voted(self.model, carried, (mode,), vote, True, s.hypotheses)
+        return f"; around it another, {several.sure_of(found):.0%} sure, {-better:.0f} nats better"
 
-    def _prefers(self, answer: TrackedEstimate, other: Mode) -> float:
-        """Nats by which the frame prefers the track's pose to another."""
-        if self._sensed is None or self._sensed.pool is None:
-            return 0.0
-        widths = answer.modes[0].covariance, other.covariance
-        mine, its = frame_nats(np.array([answer.pose, other.pose]), widths, self._sensed, self.settings)
-        return float(its - mine)
+    def _leader(self, answer: TrackedEstimate) -> Hypothesis:
+        """The leading hypothesis where the answer has it."""
+        return replace(self._state.hypotheses[0], pose=answer.pose, covariance=answer.modes[0].covariance)
 
     def _believed(self, answer: TrackedEstimate) -> TrackedEstimate:
-        """The answer, which is not ok while no frame searched by itself speaks for it."""
-        how = self.settings.hypotheses
-        if answer.verdict == "lost" or self._state.hypotheses[0].votes >= how.believed:
-            return answer
-        sure = min(answer.confidence, how.unvoted)
-        wide = whole_covariance(self.model, answer.modes, sure, None, self.settings.first.confidence)
-        notes = (_DOUBTED, *answer.notes)
-        return replace(answer, verdict="ambiguous", covariance=wide, confidence=sure, notes=notes)
+        return as_believed(self.model, answer, self._state.hypotheses, self.settings)
 
     def _estimated(self, frame: Frame, prior: Prior | None) -> Estimate:
         """The frame by itself."""
@@ -315,7 +300,7 @@ class Tracker:
             measured = measurement_of(self.model, solved, predicted.pose, blind, corrected, calibration, s)
             if looked.hand is not None and felt_rows:
                 felt = felt.corrected(solved.correct())
-            off = 1e3 * _shift(felt.correction, self._middle(solved.pose))
+            off = 1e3 * shift(felt.correction, self._middle(solved.pose))
             stage.note(len(found.seen) + felt_rows, f"calibration off by {off:.1f} mm")
         with trace.stage("judge", True, "") as stage:
             belief, watched = self._updated(frame, predicted, measured, found.switched, felt)
@@ -461,13 +446,3 @@ class Tracker:
         sure = state.right * self._near(answer.modes[0]) if held else 0.0
         wide = whole_covariance(self.model, answer.modes, state.right if held else 0.0, None, how)
         return replace(answer, covariance=wide, confidence=sure, sure_within=how.tolerance)
-
-
-def _shift(correction: Array, point: Array) -> float:
-    """How far a correction (4, 4) moves a point (3,), metres."""
-    return float(np.linalg.norm(se3.apply(correction, point[None])[0] - point))
-
-
-def _sure(answer: Estimate) -> float:
-    """Confidence of an answer; of one that does not say, its first mode's weight."""
-    return answer.confidence if np.isfinite(answer.confidence) else answer.modes[0].weight

@@ -86,7 +86,9 @@ def synthesize(
     made = (replace(frame, beliefs=_told(noise)) for frame in recording.frames(frames, motion))
     notes |= {"motion": recording.motion_notes} if motion else {}
     told = recording.hand if recording.staging.hand_known else None
-    write_capture(folder, made, given, hand=told, depth_scale=settings.depth_unit * 1e3, notes=notes)
+    # a camera that moves is in a world that does not
+    world = "robot base" if motion == "camera" else "camera"
+    write_capture(folder, made, given, hand=told, world=world, depth_scale=settings.depth_unit * 1e3, notes=notes)
     return read_capture(folder)
 
 

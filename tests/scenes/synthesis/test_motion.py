@@ -154,6 +154,15 @@ def test_a_camera_moves_while_hand_and_object_rest():
     assert np.abs(MODEL.field.distance(local)).max() < 2e-4  # contacts are told in the world
 
 
+def test_a_camera_that_moves_is_written_and_read_in_a_world_that_rests(tmp_path):
+    capture = synthesize(tmp_path / "moves", MODEL, five_finger_hand(), 3, 0.3, seed=7, motion="camera", settings=TINY)
+    assert capture.world == "robot base"
+    frames = list(capture)
+    assert not np.allclose(frames[-1].camera_from_world, np.eye(4), atol=1e-4)
+    world = [poses.inverse(f.camera_from_world) @ f.camera_from_object_truth for f in frames]
+    np.testing.assert_allclose(world[-1], world[0], atol=1e-5)
+
+
 def test_a_fast_shake_smears_the_image():
     frames = make("shake", 8, settings=TINY)
     still = make("carry", 2, settings=TINY)
