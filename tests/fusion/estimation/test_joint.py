@@ -13,7 +13,7 @@ from fusion.estimation.solve.kernels import mark_near
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import solve_modes
 from fusion.estimation.solve.settings import JointSettings
-from fusion.estimation.solve.system import FIXED, POSE, SCALE, XI, System, exceeding
+from fusion.estimation.solve.system import FIXED, POSE, SCALE, XI, System, _blocks, exceeding
 from scenes.evidence import table as evidence
 from scenes.evidence.align import Prior
 from scenes.evidence.row_kernels import loss_floor
@@ -305,3 +305,11 @@ def test_what_exceeds_is_what_another_covariance_lacks(rng):
         assert np.isfinite(found).all()
         assert axes[:, 5] @ found @ axes[:, 5] == pytest.approx(0.5, rel=1e-3)
     assert np.isfinite(exceeding(np.zeros((6, 6)), np.zeros((6, 6)))).all()
+
+
+@pytest.mark.parametrize("count", [1, 7, 400])
+def test_blocks_of_the_image_are_numbered_without_gaps(rng, count):
+    uv = rng.uniform(0.0, 300.0, (count, 2))
+    side = max(5.0, float(np.sqrt(np.prod(np.ptp(uv, axis=0) + 1.0) / 16.0)))
+    squares = np.floor((uv - uv.min(axis=0)) / side).astype(np.int64)
+    np.testing.assert_array_equal(_blocks(uv, 16.0, 5.0), np.unique(squares, axis=0, return_inverse=True)[1].ravel())

@@ -76,15 +76,28 @@ def test_few_starts_that_explain_what_is_seen_end_the_search(lab_frame, drill):
     assert all(add_s(drill, answer, near) < 0.003 for answer in (quick, slow))
 
 
-@pytest.mark.parametrize("least_agree", [0.8, 1.01])
-def test_a_whole_search_knows_nothing_of_a_glance_that_left_a_doubt(sensed, lab_frame, least_agree):
-    pool = replace(sensed.pool, settings=replace(PoolSettings(), least_agree=least_agree, glance_shown=1.0))
+def test_a_whole_search_knows_nothing_of_a_glance_that_left_a_doubt(sensed, lab_frame):
+    pool = replace(sensed.pool, settings=replace(PoolSettings(), least_agree=1.01))
     pool = replace(pool, felt=tables.empty(), rng=np.random.default_rng(5))
     before = pool.rng.bit_generator.state
     starts = np.tile(lab_frame.camera_from_object_truth, (8, 1, 1))
     assert glance(pool, sensed.seen, starts, trace := Trace()) is None
     assert pool.rng.bit_generator.state == before
     assert [stage.name for stage in trace.stages] == ["propose: at a glance"]
+
+
+@pytest.mark.parametrize(("told_apart", "enough"), [(True, True), (False, False)])
+def test_without_touch_a_glance_that_convinces_is_enough_where_the_hand_is_known(
+    sensed, lab_frame, monkeypatch, told_apart, enough
+):
+    pool = replace(sensed.pool, settings=replace(PoolSettings(), glance_shown=1.01), felt=tables.empty())
+    monkeypatch.setattr(type(pool.predictor), "told_apart", told_apart)
+    starts = np.tile(lab_frame.camera_from_object_truth, (8, 1, 1))
+    found = glance(pool, sensed.seen, starts, trace := Trace())
+    assert (found is not None) == enough
+    asked = [stage.name for stage in trace.stages]
+    assert asked[0] == "propose: at a glance"
+    assert ("propose: around the best" in asked) == enough
 
 
 def test_a_glance_does_not_tell_apart_what_nearly_looks_the_same(sensed, lab_frame, monkeypatch):
