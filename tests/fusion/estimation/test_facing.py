@@ -1,6 +1,7 @@
 """What is printed on an object says which way round it is; what cannot be read changes nothing and is said."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -148,8 +149,7 @@ def test_another_objects_print_does_not_decide(held):
     frame, model = held
     points, _ = model.sample_surface(TextureSettings().samples, seed=1)
     other = replace(model, name="repainted") if hasattr(model, "__dataclass_fields__") else model
-    other = library.make("drill")
-    other.centroid = model.centroid
+    other = SimpleNamespace(name="repainted", centroid=model.centroid)
     colours = np.rint(255.0 * ink(points, other))
     repainted = model.with_texture(Texture(points, colours, TextureSettings()))
     answer = estimate(frame, repainted, settings=COUNTS)
