@@ -22,6 +22,8 @@ from scenes.errors import CaptureError
 LARGEST = 512 * 1024 * 1024
 # Containers in one another.
 DEEPEST = 50
+# Values, each counted as often as it is named: an hour of poses, joints and intrinsics has fewer.
+MOST = 20_000_000
 # What says "an array" where NumPy writes its class.
 ARRAY = "numpy.ndarray"
 
@@ -123,7 +125,7 @@ def read_plain(path: Path) -> Any:
     if path.stat().st_size > LARGEST:
         raise CaptureError(f"{path}: expected a pickle of up to {LARGEST >> 20} MB, got {path.stat().st_size >> 20} MB")
     try:
-        return _plain(_Reader(io.BytesIO(path.read_bytes())).load(), 0)
+        return _plain(_Reader(io.BytesIO(path.read_bytes())).load(), 0, {})[0]
     except pickle.UnpicklingError as error:
         raise CaptureError(f"{path}: expected a pickle of NumPy arrays and plain containers only: {error}") from error
     except (
@@ -134,18 +136,29 @@ def read_plain(path: Path) -> Any:
         raise CaptureError(f"{path}: expected a whole pickle, got a damaged one: {said[:120]}") from error
 
 
-def _plain(content: Any, depth: int) -> Any:
-    """The same as data only, with arrays where they were stood for."""
+def _plain(content: Any, depth: int, done: dict[int, tuple[Any, int, Any]]) -> tuple[Any, int]:
+    """The same as data only, with arrays where they were stood for; and how many values it names.
+
+    done: containers by id, with what became of them: a file of a few bytes may name one container a billion times.
+    """
     if depth > DEEPEST:
         raise pickle.UnpicklingError(f"its containers are in one another more than {DEEPEST} deep")
     if isinstance(content, _Array):
-        return content.value
-    if isinstance(content, dict):
-        return {_plain(key, depth + 1): _plain(value, depth + 1) for key, value in content.items()}
-    if type(content) in (list, tuple, set, frozenset):
-        return type(content)(_plain(value, depth + 1) for value in content)
+        return content.value, 1
+    if isinstance(content, dict) or type(content) in (list, tuple, set, frozenset):
+        if id(content) not in done:
+            pairs = isinstance(content, dict)
+            inner = [part for pair in content.items() for part in pair] if pairs else content
+            parts = [_plain(part, depth + 1, done) for part in inner]
+            count = 1 + sum(size for _, size in parts)
+            if count > MOST:
+                raise pickle.UnpicklingError(f"it names more than {MOST // 1_000_000} million values")
+            values = [value for value, _ in parts]
+            out = dict(zip(values[::2], values[1::2])) if pairs else type(content)(values)
+            done[id(content)] = out, count, content  # kept, so that its id stays its own
+        return done[id(content)][:2]
     if isinstance(content, (np.ndarray, np.generic)) and content.dtype.kind in "biufc":
-        return content
+        return content, 1
     if isinstance(content, (str, bytes, int, float, complex, type(None))):
-        return content
+        return content, 1
     raise pickle.UnpicklingError(f"it holds a {type(content).__name__.strip('_')}")

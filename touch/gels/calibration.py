@@ -5,12 +5,18 @@ difference q_c = I_c / I0_c - 1 from the untouched skin does not know the reflec
 So the normal's change n - n0 is linear in q, with coefficients that vary slowly over the image, as lamps are near:
 n - n0 = sum_k A_k f_k(u, v) q, f of second order. A ball's outline on the skin tells where its centre is, its radius
 then every normal inside: a small ridge regression gives A.
+
+The radius itself is not in the colours: a ball twice as large with half the slopes explains them as well (the normal's
+x and y are linear in 1 / radius, and so is what the lamps' unknown brightness multiplies). Too small a radius shows in
+slopes that no skin follows; one that is too large only beside another sensor's calibration (`alike`).
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -40,6 +46,12 @@ class GelCalibrationSettings:
     roughness: float = 0.2
     # Least depth (m) of a press by its outline: shallower ones hardly change a colour, so the radius must be wrong.
     shallowest: float = 0.00005
+    # Steepest skin (no unit, the sine of its slope: 58 degrees) that still lies on a ball: beyond, it bridges, and the
+    # radius must be larger.
+    steepest: float = 0.85
+    # Factor by which slopes may differ from those by a calibration of another such sensor: lamps, skins and presses of
+    # one kind of sensor differ by a tenth or two, a diameter taken for a radius by two.
+    alike: float = 1.4
     # Ridge on the coefficients of normalised features, as a share of the samples: what the presses do not show stays 0.
     ridge: float = 2e-3
     # Background darker than this (of 255; no unit) has no relative difference: counts as that bright.
@@ -53,7 +65,8 @@ class GelCalibrationSettings:
 @dataclass(frozen=True)
 class Photometry:
     """coefficients (3, TERMS * 3): the change of the normal's x, y and z by features; size (width, height) of the
-    images; darkest (counts) as in the settings; ball (m), presses and misfit (share of the slopes that is left).
+    images; darkest (counts) as in the settings; ball (m), presses and misfit (share of the slopes that is left);
+    depths (m) of the presses, if the ball has that radius.
     """
 
     coefficients: Array
@@ -62,6 +75,7 @@ class Photometry:
     ball: float = 0.0
     presses: int = 0
     misfit: float = 0.0
+    depths: tuple[float, ...] = ()
 
     def normals(self, difference: NDArray[np.float32], gel: Gel) -> Array:
         """(h, w, 3) normals of the skin, sensor frame, of unit length up to the calibration's error; working pixels."""
@@ -92,6 +106,7 @@ class Photometry:
             "ball_mm": 1e3 * self.ball,
             "presses": self.presses,
             "misfit": self.misfit,
+            "depths_mm": [1e3 * depth for depth in self.depths],
         }
 
     @staticmethod
@@ -101,15 +116,19 @@ class Photometry:
             raise InputError(f"{where}: expected a gel's calibration ({FORMAT} {VERSION}), got {entry.get('format')!r}")
         try:
             coefficients = np.array(entry["coefficients"], dtype=np.float64)
+            depths = tuple(1e-3 * float(x) for x in entry.get("depths_mm", ()))
             width, height = (int(x) for x in entry["size"])
             values = [float(entry.get(name, 0.0)) for name in ("darkest", "ball_mm", "presses", "misfit")]
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"{where}: expected coefficients, size and darkest in the calibration") from error
         if coefficients.shape != (3, 3 * TERMS) or not np.isfinite(coefficients).all() or not np.isfinite(values).all():
             raise InputError(f"{where}: expected finite coefficients (3, {3 * TERMS}), got {coefficients.shape}")
+        if not np.isfinite(depths).all():
+            raise InputError(f"{where}: expected finite depths_mm, got {depths}")
         if values[0] <= 0:
             raise InputError(f"{where}: expected darkest above 0 counts, got {values[0]:g}")
-        return Photometry(coefficients, (width, height), values[0], 1e-3 * values[1], int(values[2]), values[3])
+        ball, presses, misfit = 1e-3 * values[1], int(values[2]), values[3]
+        return Photometry(coefficients, (width, height), values[0], ball, presses, misfit, depths)
 
 
 _KEPT: WeakKeyDictionary[Gel, Photometry] = WeakKeyDictionary()
@@ -128,6 +147,17 @@ def photometry_of(gel: Gel, where: str) -> Photometry:
     return found
 
 
+def read_photometry(path: Path) -> Photometry:
+    """A calibration file. Raises InputError, one line, for what is none."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: expected a gel's calibration, it cannot be read as JSON") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: expected a gel's calibration, got {type(content).__name__}")
+    return Photometry.from_json(content, str(path))
+
+
 def relative(difference: NDArray[np.float32], gel: Gel, darkest: float) -> NDArray[np.float32]:
     """(h, w, 3) differences of colours as shares of the background's; working pixels."""
     return np.asarray(difference / np.maximum(gel.level, np.float32(darkest)))
@@ -138,33 +168,44 @@ def calibrate(
     gel: Gel,
     radius: float,
     names: Sequence[str] | None = None,
+    like: Photometry | None = None,
     settings: GelCalibrationSettings | None = None,
 ) -> Photometry:
     """From presses (h, w, 3) uint8 of a ball of `radius` (m) on a gel with its background.
 
-    Raises InputError, one line with the image's name: no background, another size, a saturated image, nothing pressed,
-    an outline that is no circle of such a ball; and when slopes do not follow from colours.
+    like: a calibration of another such sensor, whose slopes these have to resemble: it knows a wrong radius. Raises
+    InputError, one line with the image's name: no background, another size, a saturated image, nothing pressed, an
+    outline that is no circle of such a ball; and when slopes do not follow from colours or are not like those of `like`.
     """
     settings = settings or GelCalibrationSettings()
     if not images:
         raise InputError("calibration: expected images of presses, got none")
     if not (np.isfinite(radius) and 1e-4 <= radius <= 0.1):
         raise InputError(f"ball: expected a radius from 0.1 to 100 mm, got {1e3 * radius:g} mm")
+    if like is not None and like.size != (gel.width, gel.height):
+        got = f"{like.size[0]}x{like.size[1]}"
+        want = f"{gel.width}x{gel.height} pixels"
+        raise InputError(f"calibration: expected one of {want} to compare with, got one of {got}")
     work = gel.working
     terms = _terms(work.width, work.height)
-    features, targets = [], []
+    features, targets, depths, ratios = [], [], [], []
     for number, image in enumerate(images):
         where = names[number] if names is not None else f"press {number}"
         check_image(image, gel, where)
         moved = moved_skin(image, gel, settings.colour)
-        inside, change = ball_normals(moved, work, radius, where, settings)
+        inside, change, depth = ball_normals(moved, work, radius, where, settings)
+        depths.append(depth)
+        if like is not None:
+            ratios.append(_ratio(like.normals(moved.difference, work) - work.untouched_normals, change, inside))
         q = relative(moved.difference, work, settings.darkest)
-        for chosen, known in ((inside, True), (~moved.inside, False)):
+        for chosen in (inside, ~moved.inside):
             index = np.flatnonzero(chosen)
             index = index[:: max(1, len(index) // settings.samples)]
             one = q.reshape(-1, 3)[index]
-            features.append(np.concatenate([t.reshape(-1)[index, None] * one for t in terms], axis=1))
-            targets.append(change.reshape(-1, 3)[index] if known else np.zeros((len(index), 3)))
+            features.append(np.concatenate([term.reshape(-1)[index, None] * one for term in terms], axis=1))
+            targets.append(change.reshape(-1, 3)[index])
+    if like is not None:
+        _check_like(ratios, radius, settings)
     x, y = np.concatenate(features), np.concatenate(targets)
     scale = np.maximum(np.sqrt((x**2).mean(axis=0)), 1e-9)
     normalised = x / scale
@@ -176,13 +217,30 @@ def calibrate(
     if not misfit < settings.misfit:
         said = f"left {100 * misfit:.0f} % of the ball's slopes unexplained"
         raise InputError(f"calibration: expected colours that tell the slopes of a {1e3 * radius:g} mm ball, {said}")
-    return Photometry(coefficients, (gel.width, gel.height), settings.darkest, radius, len(images), misfit)
+    size = gel.width, gel.height
+    return Photometry(coefficients, size, settings.darkest, radius, len(images), misfit, tuple(depths))
+
+
+def _ratio(expected: Array, change: Array, inside: NDArray[np.bool_]) -> float:
+    """How many times as steep `expected` is as `change` (h, w, 3) inside (h, w)."""
+    one, other = expected[inside, :2], change[inside, :2]
+    return float((one * other).sum() / max((other**2).sum(), 1e-300))
+
+
+def _check_like(ratios: list[float], radius: float, settings: GelCalibrationSettings) -> None:
+    """Raise InputError when another sensor's calibration sees a ball of another radius."""
+    ratio = float(np.median(ratios))
+    if not 1.0 / settings.alike < ratio < settings.alike:
+        said = f"got ones of {1e3 * radius / ratio:.2g} mm" if ratio > 0.01 else "got ones of nothing round"
+        by = "by the calibration to compare with"
+        raise InputError(f"calibration: expected presses of a {1e3 * radius:g} mm ball, {said} {by}: is the radius right?")
 
 
 def ball_normals(
     moved: Moved, gel: Gel, radius: float, where: str, settings: GelCalibrationSettings
-) -> tuple[NDArray[np.bool_], Array]:
-    """Where (h, w) the skin lies on the ball, and by how much (h, w, 3) its normal differs there from the untouched.
+) -> tuple[NDArray[np.bool_], Array, float]:
+    """Where (h, w) the skin lies on the ball, by how much (h, w, 3) its normal differs there from the untouched, and how
+    deep (m) the ball is pressed in beyond its outline.
 
     The outline's points on the skin lie on a circle, over whose middle the ball's centre is.
     """
@@ -210,6 +268,10 @@ def ball_normals(
     if not across < radius:
         said = f"{2e3 * across:.3g} mm across"
         raise InputError(f"{where}: expected the outline of a ball of {2e3 * radius:.3g} mm or less, got one {said}")
+    if across > settings.steepest * radius:
+        said = f"an outline {2e3 * across:.3g} mm across would be steeper than skin can be"
+        least = 1e3 * across / settings.steepest
+        raise InputError(f"{where}: expected a ball of {least:.2g} mm radius or more, got {1e3 * radius:g} mm: {said}")
     centre = foot_of + np.sqrt(radius**2 - across**2) * axis
     depth = radius - float(np.sqrt(radius**2 - across**2))
     if not settings.shallowest <= depth <= gel.thickness:
@@ -235,7 +297,7 @@ def ball_normals(
     met = (aside < radius**2) & (from_axis < settings.inner * across) & moved.core
     if met.sum() < 30:
         raise InputError(f"{where}: expected a press of at least 30 pixels, got {int(met.sum())}")
-    return met, np.where(met[..., None], normal - gel.untouched_normals, 0.0)
+    return met, np.where(met[..., None], normal - gel.untouched_normals, 0.0), depth
 
 
 def _circle_of(edge: Array) -> tuple[Array, Array, float, float]:

@@ -17,6 +17,9 @@ from scenes.robot.gels import Gel
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+# Steps of the mean shift to the most frequent colour, and the least share of all pixels that must be alike there.
+SHIFTS, FEWEST_ALIKE = 5, 0.03
+
 
 @dataclass(frozen=True)
 class ColourSettings:
@@ -35,10 +38,17 @@ class ColourSettings:
     # Largest drift of the exposure (share): beyond, it is the contact's own. Darker pixels (counts) tell none.
     drift: float = 0.05
     darkest: float = 12.0
+    # What channels drift apart by (share) when it may as well be skin that bridges: an exposure is one for all. More is a
+    # lamp's or a white balance's own.
+    apart: float = 0.005
     # Gaps closed and specks dropped, pixels across (a tenth of a millimetre or two).
     gap: int = 7
     # Smaller moved areas, as a share of the image, are specks.
     smallest: float = 0.001
+    # Smaller areas between moved ones and the image's border, as a share of it, are no untouched skin: a corner under an
+    # object whose slope there happens to be the skin's own looks so, comes and goes with the grain, and would hold the
+    # height at nothing. 2 % of a DIGIT's image are 2 mm across.
+    island: float = 0.02
 
 
 @dataclass(frozen=True)
@@ -74,6 +84,8 @@ def moved_skin(image: NDArray[np.uint8], gel: Gel, settings: ColourSettings | No
     level = np.maximum(gel.working.level, np.float32(settings.darkest))
     sparse = np.asarray(blurred[::step, ::step], dtype=np.float64)
     drift = _most_frequent(sparse / level, settings.drift)
+    common, own = drift.mean(), drift - drift.mean()
+    drift = common + own * float(own @ own / (own @ own + 3.0 * settings.apart**2))
     smooth: NDArray[np.float32] = np.asarray(sparse - drift * level, dtype=np.float32)
     size = np.sqrt(((smooth / noise.astype(np.float32)) ** 2).sum(axis=2))
     counts = np.sqrt((smooth**2).sum(axis=2))
@@ -83,6 +95,7 @@ def moved_skin(image: NDArray[np.uint8], gel: Gel, settings: ColourSettings | No
     moved = cv2.morphologyEx(moved, cv2.MORPH_OPEN, kernel)
     moved = cv2.morphologyEx(moved, cv2.MORPH_CLOSE, kernel)
     inside = _filled(np.asarray(moved, dtype=np.uint8), settings.smallest * moved.size)
+    inside |= _small_pieces(~inside, settings.island * moved.size)
     # an outline is as sharp as the smoothing, sharpened by how far beyond the noise the difference is
     strength = float(np.median(size[inside])) if inside.any() else 1.0
     edge = settings.blur / step * float(np.clip(np.sqrt(settings.sigmas / max(strength, 1e-9)), 0.5, 2.0))
@@ -92,18 +105,26 @@ def moved_skin(image: NDArray[np.uint8], gel: Gel, settings: ColourSettings | No
 
 
 def _most_frequent(relative: Array, most: float) -> Array:
-    """(3,) the mode of each channel of relative differences (h, w, 3), up to `most`; 0 where there is none."""
-    out = np.zeros(3)
-    for channel in range(3):
-        values = relative[::2, ::2, channel].ravel()
-        counts, edges = np.histogram(values, bins=25, range=(-most, most))
-        # the mean about the fullest bin is finer than the bin
-        best = int(np.argmax(counts))
-        if counts[best] > 0.05 * len(values):
-            width = edges[1] - edges[0]
-            near = values[np.abs(values - 0.5 * (edges[best] + edges[best + 1])) < width]
-            out[channel] = near.mean()
-    return out
+    """(3,) the mode of relative differences (h, w, 3) of all channels together, each up to `most`; 0 where there is none.
+
+    Untouched pixels are alike in all channels; those on a contact may be the most in one, hardly ever in all three.
+    """
+    values = relative[::2, ::2].reshape(-1, 3)
+    inside = values[(np.abs(values) < most).all(axis=1)]
+    if not len(inside):
+        return np.zeros(3)
+    bins = 13
+    width = 2.0 * most / bins
+    cell = np.minimum(((inside + most) / width).astype(np.int64), bins - 1)
+    counts = np.bincount(cell @ [bins * bins, bins, 1], minlength=bins**3)
+    best = np.array(np.unravel_index(int(np.argmax(counts)), (bins, bins, bins)))
+    found = (best + 0.5) * width - most
+    for _ in range(SHIFTS):  # the mean about the fullest bin is finer than the bin (mean shift; Comaniciu, PAMI 2002)
+        near = inside[(np.abs(inside - found) < width).all(axis=1)]
+        if len(near) < FEWEST_ALIKE * len(values):
+            return np.zeros(3)
+        found = near.mean(axis=0)
+    return found
 
 
 def _filled(moved: NDArray[np.uint8], smallest: float) -> Mask:
@@ -115,3 +136,13 @@ def _filled(moved: NDArray[np.uint8], smallest: float) -> Mask:
     chosen = [outline for outline in outlines if cv2.contourArea(outline) >= smallest]
     cv2.drawContours(out, chosen, -1, 1, thickness=cv2.FILLED)
     return out.astype(bool)
+
+
+def _small_pieces(mask: Mask, smallest: float) -> Mask:
+    """Connected pieces of mask (h, w) with fewer than `smallest` pixels."""
+    import cv2
+
+    _, label, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
+    small = stats[:, cv2.CC_STAT_AREA] < smallest
+    small[0] = False  # what is not in the mask
+    return np.asarray(small[label])

@@ -34,6 +34,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--digit", action="store_true", help="a DIGIT, instead of --sensors")
     parser.add_argument(
+        "--like",
+        metavar="FILE",
+        type=Path,
+        help="a calibration of another such sensor: presses that look like a ball of another radius there are refused",
+    )
+    parser.add_argument(
         "-o", "--out", metavar="FILE", type=Path, default=Path("gel_calibration.json"), help="file to write"
     )
 
@@ -46,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     from scenes.files import images
     from scenes.files.whole import replace_file
     from scenes.formats.conversion import located
-    from touch.gels.calibration import calibrate
+    from touch.gels.calibration import calibrate, read_photometry
 
     check_target(args.out)
     paths = _images(args.images)
@@ -65,12 +71,19 @@ def run(args: argparse.Namespace) -> int:
     if gel.background is None:
         raise InputError("calibrate-gel: expected the untouched skin: --background FILE or background.png, found none")
     shown = [located(path, images.read_rgb) for path in presses]
-    found = calibrate(shown, gel, 1e-3 * args.ball, [str(path) for path in presses])
+    like = None if args.like is None else read_photometry(args.like)
+    found = calibrate(shown, gel, 1e-3 * args.ball, [str(path) for path in presses], like)
     content = found.to_json()
     replace_file(args.out, (json.dumps(content) + "\n").encode())
-    write_json(args.json, {"calibration": str(args.out), "presses": found.presses, "misfit": found.misfit})
+    depths = [round(1e3 * depth, 3) for depth in found.depths]
+    write_json(
+        args.json,
+        {"calibration": str(args.out), "presses": found.presses, "misfit": found.misfit, "depths_mm": depths},
+    )
     pressed = f"{found.presses} press{'' if found.presses == 1 else 'es'} of a {args.ball:g} mm ball"
     say(f"{pressed}; {100 * found.misfit:.0f} % of their slopes unexplained")
+    told = "" if like is not None else ": colours cannot tell (--like FILE can)"
+    say(f"if the ball has that radius, it was pressed {min(depths):.2g} to {max(depths):.2g} mm deep{told}")
     say(f"wrote {args.out}")
     return 0
 

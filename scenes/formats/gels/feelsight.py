@@ -54,7 +54,7 @@ def is_log(folder: str | Path) -> bool:
 @dataclass(frozen=True)
 class _Log:
     """What data.pkl says, checked. world_from_object (n, 4, 4) or None; world_from_hand (n or 1, 4, 4) or None; joints
-    (n, 16) or None; digit: counts per metre of the fingers' depth, or None.
+    (n, 16) or None; NaN in them all where an image has none; digit: counts per metre of the fingers' depth, or None.
     """
 
     path: Path
@@ -75,9 +75,15 @@ def convert(folder: Path, out: Path, model: ObjectModel, hand: Hand | None = Non
     cameras = sorted(path for path in (folder / CAMERAS).iterdir() if path.is_dir())
     if not cameras:
         raise CaptureError(f"{folder / CAMERAS}: expected a folder a camera, found none")
+    described = [path for path in cameras if _entry(log.content, f"{CAMERAS}.{path.name}") is not None]
     if hand is not None and len(hand.joint_names) != JOINTS:
         raise InputError(f"hand: expected {JOINTS} joints as the log's, got {len(hand.joint_names)} of {hand.name!r}")
     dropped, written, remarks, count = Dropped(), [], [], 0
+    if described:  # of none, the first says what is missing
+        for path in cameras:
+            if path not in described:
+                dropped.add(f"{CAMERAS}/{path.name}", f"nothing about it in {DATA}")
+        cameras = described
     for camera in cameras:
         target = out if len(cameras) == 1 else out / camera.name
         # what is no camera's is counted once
@@ -106,7 +112,7 @@ def _read(folder: Path) -> _Log:
         raise CaptureError(f"{path}: expected a dict, got {type(content).__name__}")
     joints = _entry(content, "allegro.joint_state")
     if joints is not None:
-        joints = _array(joints, f"{path}: allegro.joint_state")
+        joints = _array(_filled(joints, (JOINTS,)), f"{path}: allegro.joint_state", gaps=True)
         if joints.ndim != 2 or joints.shape[1] != JOINTS:
             raise CaptureError(f"{path}: allegro.joint_state: expected (n, {JOINTS}) joints, got {joints.shape}")
     scale = _entry(content, "digit_info.depth_scale")
@@ -136,34 +142,51 @@ def _entry(content: dict[Any, Any], name: str) -> Any:
     return found
 
 
-def _array(values: Any, where: str) -> Array:
+def _array(values: Any, where: str, gaps: bool = False) -> Array:
+    """Finite numbers; with `gaps` rows of which nothing is finite may be among them, and become NaN."""
     try:
         array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise CaptureError(f"{where}: expected numbers, got {type(values).__name__}") from error
-    if not array.size or not np.isfinite(array).all():
-        raise CaptureError(f"{where}: expected finite numbers, got {array.size} of which some are none")
+    if not array.size:
+        raise CaptureError(f"{where}: expected numbers, got none")
+    finite = np.isfinite(array)
+    if gaps and array.ndim > 1:
+        whole = finite.reshape(len(array), -1).all(axis=1)
+        array[~whole] = np.nan
+        finite = np.array([whole.any()])
+    if not finite.all():
+        raise CaptureError(f"{where}: expected finite numbers, got {int((~finite).sum())} that are not")
     return array
 
 
+def _filled(values: Any, shape: tuple[int, ...]) -> Any:
+    """A list's None, which loggers write for "not seen", as NaN of that shape."""
+    if not isinstance(values, (list, tuple)):
+        return values
+    return [np.full(shape, np.nan) if value is None else value for value in values]
+
+
 def _poses(values: Any, where: str) -> Array | None:
-    """(n, 4, 4) rigid transforms, None for None."""
+    """(n, 4, 4) rigid transforms, NaN where an image has none; None for None."""
     if values is None:
         return None
-    array = _array(values, where)
-    array = array[None] if array.ndim == 2 else array
+    array = _array(_filled(values, (4, 4)), where, gaps=True)
+    array = array[None] if array.shape == (4, 4) else array
     if array.ndim != 3 or array.shape[1:] != (4, 4):
         raise CaptureError(f"{where}: expected 4x4 poses, got shape {array.shape}")
     for number, pose in enumerate(array):
-        poses.check_pose(pose, f"{where}, {number}")
+        if np.isfinite(pose).all():
+            poses.check_pose(pose, f"{where}, {number}")
     return array
 
 
 def _of(values: Array | None, number: int) -> Array | None:
-    """Of image `number`; one for all holds for all."""
+    """Of image `number`; one for all holds for all. None where there is none."""
     if values is None or (len(values) > 1 and number >= len(values)):
         return None
-    return np.asarray(values[min(number, len(values) - 1)])
+    found = np.asarray(values[min(number, len(values) - 1)])
+    return found if np.isfinite(found).all() else None
 
 
 def _frames(log: _Log, folder: Path, hand: Hand | None, dropped: Dropped) -> tuple[Iterator[Frame], list[str]]:
@@ -237,9 +260,7 @@ def _intrinsics(entry: Any, where: str) -> tuple[Array, tuple[int, int] | None]:
     if isinstance(entry, dict) and {"fx", "fy", "cx", "cy"} <= set(entry):
         fx, fy, cx, cy = (float(_array(entry[key], where).ravel()[0]) for key in ("fx", "fy", "cx", "cy"))
         matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-        size = tuple(
-            next((int(entry[key]) for key in keys if key in entry), 0) for keys in (("h", "height"), ("w", "width"))
-        )
+        size = [_side(entry, keys, where) for keys in (("h", "height"), ("w", "width"))]
         shape = (size[0], size[1]) if min(size) > 0 else None
     elif entry is not None and np.shape(entry) == (3, 3):
         matrix, shape = _array(entry, where), None
@@ -248,6 +269,12 @@ def _intrinsics(entry: Any, where: str) -> tuple[Array, tuple[int, int] | None]:
     if min(matrix[0, 0], matrix[1, 1]) <= 0:
         raise CaptureError(f"{where}: expected focal lengths above 0 pixels, got {matrix[0, 0]:g}, {matrix[1, 1]:g}")
     return matrix, shape
+
+
+def _side(entry: dict[Any, Any], names: tuple[str, ...], where: str) -> int:
+    """Pixels by the first of the names that is there; 0 for none."""
+    found = next((entry[name] for name in names if entry.get(name) is not None), 0)
+    return int(_array(found, f"{where}: {names[0]}").ravel()[0])
 
 
 def _depth(path: Path) -> tuple[NDArray[np.float32] | None, str]:
@@ -263,6 +290,7 @@ def _depth(path: Path) -> tuple[NDArray[np.float32] | None, str]:
     except (OSError, KeyError, ValueError, IndexError, TypeError, EOFError, zipfile.BadZipFile) as error:
         said = (str(error).splitlines() or ["damaged"])[0]
         raise CaptureError(f"{path}: expected arrays depth and depth_scale, got {said[:80]}") from error
+    raw = raw[..., 0] if raw.ndim == 4 and raw.shape[3] == 1 else raw
     if raw.ndim != 3 or raw.dtype.kind not in "uif" or not (np.isfinite(scale) and scale > 0):
         raise CaptureError(f"{path}: expected depth (n, h, w) and depth_scale above 0, got {raw.shape}, {scale:g}")
     values = np.nan_to_num(np.abs(raw).astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
@@ -291,8 +319,14 @@ def _forward(world_from_camera: Array, world_from_object: Array | None) -> tuple
     """The camera's poses with z into the scene, and whether they were turned: the object is before a camera."""
     if world_from_object is None:
         return world_from_camera, False
-    ahead = np.array([(poses.inverse(pose) @ world_from_object[0])[2, 3] for pose in world_from_camera[:1]])
-    if (ahead > 0).all():
+    count = max(len(world_from_camera), len(world_from_object))
+    for number in range(count):  # the first image that has both
+        camera, seen = _of(world_from_camera, number), _of(world_from_object, number)
+        if camera is not None and seen is not None:
+            if (poses.inverse(camera) @ seen)[2, 3] > 0:
+                return world_from_camera, False
+            break
+    else:
         return world_from_camera, False
     return world_from_camera @ np.diag([1.0, -1.0, -1.0, 1.0]), True
 
@@ -326,6 +360,9 @@ def _gel_image(finger: dict[int, Path], number: int, scale: float | None, hand: 
         raise CaptureError(f"{path}: expected an image of {gel.width}x{gel.height} pixels as the gel's, got {got}")
     mask_path = path.parent.parent / "mask" / path.name
     touched = located(mask_path, images.read_rgb)[:, :, 0] > 127 if mask_path.is_file() else counts > 0
+    if touched.shape != counts.shape:
+        want, got = (f"{shape[1]}x{shape[0]}" for shape in (counts.shape, touched.shape))
+        raise CaptureError(f"{mask_path}: expected an image of {want} pixels as {path.name} of depth, got {got}")
     # heights are below the skin's highest point; its own sag is no indentation
     sag = float(gel.surface.max()) - gel.surface
     depth = np.where(touched, np.clip(counts / scale - sag, 0.0, gel.thickness), 0.0)

@@ -65,6 +65,30 @@ def test_what_cannot_be_calibrated_is_one_line(presses, tmp_path, capsys):
     assert not (tmp_path / "c.json").exists()
 
 
+def test_a_wrong_radius_is_noticed_beside_another_calibration(presses, tmp_path, capsys):
+    folder, _ = presses
+    rng = np.random.default_rng(21)
+    other = lit_digit(rng)
+    (tmp_path / "other").mkdir()
+    images.write_rgb(tmp_path / "other" / "background.png", other.background)
+    for number, image in enumerate(ball_presses(other, 0.004, 0.0008, 2, rng)):
+        images.write_rgb(tmp_path / "other" / f"{number}.png", image)
+    like = tmp_path / "like.json"
+    assert run("calibrate-gel", folder, "--ball", "4", "--digit", "-o", like) == 0
+    assert "colours cannot tell (--like FILE can)" in capsys.readouterr().out
+    rest = ("--digit", "--like", like, "-o", tmp_path / "c.json")
+    line = refused(capsys, "calibrate-gel", tmp_path / "other", "--ball", "8", *rest)
+    assert "expected presses of a 8 mm ball, got ones of" in line
+    assert not (tmp_path / "c.json").exists()
+    assert run("calibrate-gel", tmp_path / "other", "--ball", "4", *rest) == 0
+    capsys.readouterr()
+    for text in ("{", "[]", "[" * 100_000, '{"format": "x"}'):
+        like.write_text(text)
+        assert "expected a gel's calibration" in refused(capsys, "calibrate-gel", folder, "--ball", "4", *rest)
+    like.unlink()
+    assert "cannot be read" in refused(capsys, "calibrate-gel", folder, "--ball", "4", *rest)
+
+
 def test_gels_are_made_and_localized(tmp_path, capsys):
     capture = tmp_path / "c"
     arguments = ("--object", "drill", "--occlusion", "0.5", "--touch", "gel,point", "--noise", "clean", "--seed", "3")

@@ -192,6 +192,50 @@ def test_several_cameras_are_several_captures(log, tmp_path):
     assert sorted(path.name for path in (tmp_path / "c").iterdir()) == ["front", "side"]
 
 
+def test_images_of_which_something_is_unknown_keep_the_rest(log, tmp_path, capsys):
+    """A logger writes None or NaN where the object was not tracked, and folders of cameras that it does not know."""
+    data = feelsight_data()
+    data["object"]["pose"][1] = np.full((4, 4), np.nan)
+    data["allegro"]["joint_state"] = [list(np.full(16, 0.1)), None]
+    data["realsense"]["front"]["intrinsics"].update(w=None, h=None)
+    (log / "data.pkl").write_bytes(pickle.dumps(data))
+    (log / "realsense" / "back").mkdir()
+    np.savez(
+        log / "realsense" / "front" / "depth.npz", depth=np.full((2, 48, 64, 1), 2320, np.uint16), depth_scale=0.00025
+    )
+    urdf = fingered_hand().save(tmp_path / "hand")
+    assert run("convert", log, tmp_path / "c", "--object", "box", "--hand", urdf) == 0
+    assert "dropped 1 of realsense/back: nothing about it in data.pkl" in capsys.readouterr().out
+    first, second = read_capture(tmp_path / "c")
+    assert first.camera_from_object_truth is not None
+    assert second.camera_from_object_truth is None
+    assert [len(frame.gels) for frame in (first, second)] == [1, 0]
+    np.testing.assert_allclose(first.depth, 0.58, atol=1e-4)
+    assert validate(tmp_path / "c") == []
+
+
+def test_a_gel_mask_of_another_size_is_one_line(log, tmp_path, capsys):
+    cv2.imwrite(str(log / "allegro" / "index" / "mask" / "1.jpg"), np.zeros((32, 24), np.uint8))
+    urdf = fingered_hand().save(tmp_path / "hand")
+    line = refused(capsys, "convert", log, tmp_path / "c", "--object", "box", "--hand", urdf)
+    assert "mask/1.jpg: expected an image of 48x64 pixels" in line
+
+
+def test_a_pickle_that_names_one_list_a_billion_times_is_refused_at_once(tmp_path):
+    nested = [1, 2]
+    for _ in range(5):
+        nested = [nested] * 10
+    path = tmp_path / "x.pkl"
+    path.write_bytes(pickle.dumps({"a": nested}))
+    content = read_plain(path)["a"]
+    assert content[0] is content[9]
+    for _ in range(30):
+        nested = [nested] * 10
+    path.write_bytes(pickle.dumps({"a": nested}))
+    with pytest.raises(CaptureError, match="it names more than 20 million values"):
+        read_plain(path)
+
+
 class Hostile:
     def __reduce__(self):
         return os.system, ("touch /tmp/palpate-was-here",)
@@ -211,6 +255,7 @@ class Hostile:
         (pickle.dumps({**feelsight_data(), "allegro": {"joint_state": np.zeros((2, 5))}}), "expected (n, 16) joints"),
         (pickle.dumps({**feelsight_data(), "realsense": {}}), "expected fx, fy, cx, cy"),
         (pickle.dumps({**feelsight_data(), "digit_info": {"depth_scale": 0}}), "expected a number above 0"),
+        (pickle.dumps({**feelsight_data(), "object": {"pose": [None, None]}}), "object.pose: expected finite numbers"),
     ],
 )
 def test_hostile_and_damaged_logs_are_one_line(log, tmp_path, capsys, content, message):

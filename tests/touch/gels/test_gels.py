@@ -208,11 +208,41 @@ def test_a_wrong_ball_is_refused():
         calibrate([], gel, BALL)
 
 
+def test_colours_do_not_tell_a_balls_radius_but_another_calibration_does(digit):
+    """A ball twice as large with half the slopes explains the colours as well: what leaves no more unexplained is no
+    mistake that can be seen. Beside another sensor's calibration it is.
+    """
+    rng = np.random.default_rng(50)
+    other = lit_digit(rng)
+    images = ball_presses(other, BALL, 0.0008, 4, rng)
+    like = Photometry.from_json(digit.calibration, "c")
+    right, twice = calibrate(images, other, BALL), calibrate(images, other, 2 * BALL)
+    assert abs(right.misfit - twice.misfit) < 0.1
+    np.testing.assert_allclose(right.depths, 2.0 * np.array(twice.depths), rtol=0.15)
+    assert calibrate(images, other, BALL, like=like).misfit == right.misfit
+    for wrong in (0.5 * BALL, 2 * BALL):
+        with pytest.raises(InputError, match=r"radius right\?|radius or more, got|ball of .* or less"):
+            calibrate(images, other, wrong, like=like)
+    with pytest.raises(InputError, match=r"expected presses of a 8 mm ball, got ones of [3-5]\.?\d? mm"):
+        calibrate(images, other, 2 * BALL, like=like)
+    with pytest.raises(InputError, match="expected one of 240x320 pixels to compare with, got one of 10x10"):
+        calibrate(images, other, BALL, like=replace(like, size=(10, 10)))
+
+
+def test_skin_steeper_than_it_can_be_is_a_ball_too_small():
+    rng = np.random.default_rng(4)
+    gel = lit(flat_gel(200), rng)
+    images = ball_presses(gel, BALL, 0.0012, 3, rng)
+    assert calibrate(images, gel, BALL).presses == 3
+    with pytest.raises(InputError, match=r"expected a ball of .* mm radius or more, got 2.8 mm.*steeper than skin"):
+        calibrate(images, gel, 0.0028)
+
+
 def test_a_calibration_is_read_back_or_refused(digit):
     entry = dict(digit.calibration)
     again = Photometry.from_json(entry, "c")
     assert again.to_json() == entry
-    for key, value in (("format", "x"), ("coefficients", [[1.0]]), ("darkest", 0.0), ("size", "a")):
+    for key, value in (("format", "x"), ("coefficients", [[1.0]]), ("darkest", 0.0), ("size", "a"), ("depths_mm", [np.nan])):
         with pytest.raises(InputError, match=r"^c: expected"):
             Photometry.from_json({**entry, key: value}, "c")
     image = photograph_gel(digit, np.zeros((320, 240)), np.random.default_rng(1))
