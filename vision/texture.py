@@ -51,6 +51,11 @@ class PrintSettings:
     # posterior share from which it decides.
     explained: float = 0.3
     decides: float = 0.95
+    # The share explained at which a print is as likely the object's own as another one (a repainted object, another
+    # mesh's print: some of it fits somewhere by chance), and the step over which that changes by e: of 12 frames with
+    # the right print it was 0.78 to 0.93, of 36 with another at most 0.73.
+    own_at: float = 0.70
+    own_step: float = 0.025
     # Most nats by which a print speaks for one way against another, and by which a start does: that knows roughly where
     # the object is, but may be of another face of it.
     most: float = 30.0
@@ -62,8 +67,10 @@ class PrintSettings:
     # Turns about an axis that are tried, and again around the best of each face, in steps of which refinement halves.
     turns: int = 36
     halvings: int = 3
-    # Turns nearer than this (rad) are one way round.
+    # Turns nearer than this (rad) are one way round; a tracked object's turn about its own axis is left as it is where
+    # the print has it nearer than that (rad, by judgement: what one frame tells of it scatters by 1 to 3 degrees).
     same: float = float(np.deg2rad(20.0))
+    least_turn: float = float(np.deg2rad(4.0))
     # Steps, and their length (px), by which the image is shifted each way to see whether it fits depth better there: by
     # this factor (nats), for poses that are not solved yet are some pixels off themselves. Shifted by 10 px it was 2.3
     # to 12 on eight frames, in place 0.4 to 1.2.
@@ -145,6 +152,11 @@ class SeenPrint:
     def gains(self, poses: Array) -> Array:
         """(k,) nats by which the print at poses (k, 4, 4) explains the image better than shades do."""
         return self.nats(self.left(self.predicted(poses)))
+
+    def own(self, explained: float) -> float:
+        """Probability that the print is the object's own, when it explains that share of the image at best."""
+        off = (explained - self.settings.own_at) / self.settings.own_step
+        return float(1.0 / (1.0 + np.exp(-np.clip(off, -30.0, 30.0))))
 
     def explained(self, left: Array) -> float:
         """Share of the image's variance beyond shades that is explained where variances (c,) are left."""

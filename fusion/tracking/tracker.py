@@ -36,6 +36,7 @@ from fusion.tracking.judging import as_believed, as_followed, judge
 from fusion.tracking.motion import HandMotion, HandState
 from fusion.tracking.occluders import Occluders
 from fusion.tracking.predicting import predict
+from fusion.tracking.printed import as_before, as_printed
 from fusion.tracking.refining import Refined, loose, measurement_of, prefers, refine, shift, solve_leader
 from fusion.tracking.sensing import Sensed, pool_near
 from fusion.tracking.slip import SlipWatch, Watched
@@ -127,6 +128,7 @@ class Tracker:
             answer = self._recover(frame, answer)
         elif answer.how == "tracked" and frame.index >= state.renewal.due:
             answer = self._renew(frame, answer)
+        answer = as_printed(self.model, self._sensed, state, (self._velocity, self._watch), answer, self.settings)
         if state.sure and answer.verdict != "ok":
             state.renewal.hurry(frame.index, self.settings.renewal)
         state.sure = answer.verdict == "ok"
@@ -183,8 +185,7 @@ class Tracker:
             except CaptureError as error:  # a frame amid a track whose sizes make no sense is a frame without evidence
                 return replace(lost, notes=(*lost.notes, str(error)))
             if found.verdict == "ok" or (prior is not None and found.verdict == "ambiguous"):
-                pose = self.model.symmetries.nearest(found.pose, lost.pose)
-                found = replace(found, pose=pose, trace=(*lost.trace, *found.trace))
+                found = replace(as_before(self.model, found, lost, s.first), trace=(*lost.trace, *found.trace))
                 self.believe(frame, found)
                 return as_tracked(found, "re-initialised")
         return lost

@@ -55,7 +55,8 @@ def outlined(
     model, how = pool.model, settings.contour
     wider = _positive(mode.covariance - solved.covariance)
     lateral = _across(mode.pose, model.centroid, how.distance_share)
-    information: Array = np.linalg.inv(solved.independent + lateral @ solved.shared @ lateral.T + wider)
+    known = solved.independent + lateral @ solved.shared @ lateral.T + wider
+    information = np.asarray(np.linalg.inv(known), dtype=np.float64)
     hessian, lines = np.zeros((6, 6)), 0
     at = mode.pose
     for turn in range(how.rounds):

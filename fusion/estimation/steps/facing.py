@@ -23,6 +23,8 @@ from scenes.evidence.near_symmetries import near_symmetries
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.symmetries import Symmetries
+from scenes.recordings.frames import Frame
+from vision.predicted import Predictor
 from vision.texture import PrintSettings, SeenPrint, see_print
 
 Array = NDArray[np.float64]
@@ -88,6 +90,7 @@ def faced(sensed: Sensed, found: Found, asked: Asked) -> Faced:
     if why_not:
         return Faced(found, unchanged, asked, sensed, Facing(pixels=len(first.points), why=why_not))
     gains = np.maximum(np.array([one.best for one in told]) - told[best].best, -s.most)
+    gains = np.log(told[best].own * np.exp(gains) + 1.0 - told[best].own)  # another's print tells poses no more apart
     logs = np.log([max(mode.weight, 1e-12) for mode in modes]) + gains
     weights = np.exp(logs - logs.max())
     order = np.argsort(-weights, kind="stable")
@@ -165,10 +168,27 @@ def turned_as_printed(sensed: Sensed, mode: Mode, facing: Facing, settings: Prin
     return replace(mode, pose=pose, covariance=0.5 * (covariance + covariance.T)), replace(facing, turn=turn)
 
 
+def as_seen_printed(
+    frame: Frame, model: ObjectModel, predictor: Predictor, pose: Array, settings: PrintSettings
+) -> tuple[Array, Facing]:
+    """A pose (4, 4) turned to the way round that the frame's image shows, and what it shows; as it was where that does
+    not decide.
+    """
+    seen = see_print(frame, model, predictor, pose, settings)
+    if isinstance(seen, str):
+        return pose, Facing(why=seen)
+    ways = _ways(seen, pose, None)
+    if ways.why_not:
+        return pose, Facing(pixels=len(seen.points), why=ways.why_not)
+    why = f"{ways.share:.0%} of {ways.count} ways; the print explains {ways.explained:.0%} of the image"
+    facing = Facing(ways.share, ways.turn, len(seen.points), why)
+    return (ways.pose if facing.decides(settings) else pose), facing
+
+
 @dataclass(frozen=True)
 class _Ways:
     """The ways round of one pose: the likeliest as a pose, its gain and what else may be (nats), its share among
-    `count`, how sure its turn is (rad), and how much of the image it explains.
+    `count`, how sure its turn is (rad), how much of the image it explains, and how likely it is the object's own.
     """
 
     pose: Array
@@ -177,12 +197,13 @@ class _Ways:
     turn: float
     count: int
     explained: float
+    own: float
     why_not: str = ""
 
     @staticmethod
     def silent(pose: Array) -> _Ways:
         """Of a pose whose print is not seen."""
-        return _Ways(pose, 0.0, float("nan"), float("nan"), 1, 0.0, "its print is not seen")
+        return _Ways(pose, 0.0, float("nan"), float("nan"), 1, 0.0, 0.0, "its print is not seen")
 
 
 def _ways(seen: SeenPrint, pose: Array, prior: Prior | None) -> _Ways:
@@ -197,11 +218,9 @@ def _ways(seen: SeenPrint, pose: Array, prior: Prior | None) -> _Ways:
         # no shift makes one face another, as it does one turn: faces are told wherever the print is
         gains, left = beside, left_beside
     start = np.zeros(len(at)) if prior is None else costs(model, tables.empty(), at, prior)
-    logs = np.maximum(gains - gains.max(), -s.most) - np.minimum(start - start.min(), s.most_start)
+    known = -np.minimum(start - start.min(), s.most_start)
+    logs = np.maximum(gains - gains.max(), -s.most) + known
     lead = int(np.argmax(logs))
-    weights = np.exp(logs - logs[lead])
-    apart = se3.rotation_angle(np.swapaxes(at[:, :3, :3], -1, -2) @ at[lead, :3, :3])
-    share = float(weights[apart <= s.same].sum() / weights.sum())
     best, turn, gain, explained = at[lead], float("nan"), float(gains[lead]), seen.explained(left[lead])
     if model.symmetries.axes:
         best, turn = _finest(seen, best, 2.0 * np.pi / s.turns)
@@ -216,7 +235,12 @@ def _ways(seen: SeenPrint, pose: Array, prior: Prior | None) -> _Ways:
             why_not = "red and blue of the image seem swapped: the print is not used"
     if unregistered and model.symmetries.axes:
         why_not = "the print is seen beside where depth has it: image and depth may not be registered"
-    return _Ways(best, gain, share, turn, len(model.symmetries.discrete), explained, why_not)
+    # where it is another's print, no way round is likelier than the start has it
+    own, apart = seen.own(explained), se3.rotation_angle(np.swapaxes(at[:, :3, :3], -1, -2) @ at[lead, :3, :3])
+    shares = [np.exp(one - one.max()) for one in (logs, known)]
+    by_print, by_start = (float(one[apart <= s.same].sum() / one.sum()) for one in shares)
+    share = own * by_print + (1.0 - own) * by_start
+    return _Ways(best, gain, share, turn, len(model.symmetries.discrete), explained, own, why_not)
 
 
 def _finest(seen: SeenPrint, pose: Array, step: float) -> tuple[Array, float]:
@@ -265,6 +289,8 @@ def _near(sensed: Sensed, seen: SeenPrint, mode: Mode, ways: _Ways, asked: Asked
         return None
     prior = _turned(asked.prior, mode.pose, fitted.pose)
     found = _ways(again, fitted.pose, prior)
+    if found.own < s.decides:
+        return None
     weight = mode.weight * float(np.exp(np.clip(worse[1] - worse[0], -20.0, 20.0)))
     return replace(fitted, weight=weight, cost=mode.cost + float(worse[0] - worse[1])), found
 

@@ -1,6 +1,7 @@
 """What is printed on an object says which way round it is; what cannot be read changes nothing and is said."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -10,9 +11,10 @@ from fusion import estimate
 from fusion.estimation.settings import EstimateSettings
 from scenes.errors import InputError
 from scenes.geometry import poses
+from scenes.geometry.texture import Texture, TextureSettings
 from scenes.synthesis import library
 from scenes.synthesis.recording import synthesize_frames
-from scenes.synthesis.staging.prints import with_print
+from scenes.synthesis.staging.prints import ink, with_print
 from vision import texture
 
 COUNTS = EstimateSettings(texture=texture.PrintSettings(counts=True))
@@ -140,3 +142,16 @@ def test_what_prints_explain_is_least_squares():
         left = np.mean(np.square(values.T - design @ fit), axis=0)
         expected = np.where(fit[1] > 0.0, left, values.var(axis=1))
         np.testing.assert_allclose(found[k], expected, rtol=1e-3)
+
+
+def test_another_objects_print_does_not_decide(held):
+    """A repainted object: some of the print fits somewhere by chance, and far less than the right one explains."""
+    frame, model = held
+    points, _ = model.sample_surface(TextureSettings().samples, seed=1)
+    other = replace(model, name="repainted") if hasattr(model, "__dataclass_fields__") else model
+    other = SimpleNamespace(name="repainted", centroid=model.centroid)
+    colours = np.rint(255.0 * ink(points, other))
+    repainted = model.with_texture(Texture(points, colours, TextureSettings()))
+    answer = estimate(frame, repainted, settings=COUNTS)
+    assert not answer.print_share >= 0.95
+    assert answer.verdict == "ambiguous"
