@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from scenes.errors import InputError
 from scenes.evidence import table as tables
-from scenes.evidence.align import Alignment, AlignSettings, align, costs
-from scenes.evidence.modes import distinct_modes
+from scenes.evidence.align import Alignment, AlignSettings, align, costs, terms
+from scenes.evidence.modes import covariance_of, distinct_modes
 from scenes.evidence.search import SearchStage, distinct_first, search
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
@@ -30,6 +30,9 @@ from touch.multistart import contact_starts
 
 Array = NDArray[np.float64]
 
+# Sigmas that no residual has: all rows count in full.
+NO_LIMIT = 1e9
+
 
 @dataclass(frozen=True)
 class RecognitionSettings:
@@ -37,12 +40,15 @@ class RecognitionSettings:
 
     # Starts of every candidate, and again of those still in play.
     starts: int = 1000
-    more_starts: int = 2000
-    # Contacts looked at by the first passes and by the last ones, evenly chosen.
+    more_starts: int = 1000
+    # Contacts looked at by the first passes, also of those still in play, and by the last ones, evenly chosen.
     few_contacts: int = 36
+    more_contacts: int = 60
     most_contacts: int = 150
-    # Poses kept after the passes.
+    # Poses kept after the passes, and of those still in play: where a fifth of few contacts is false the right pose may
+    # be far down after the first, and twice as many starts do not help it (tried: 4 times as many, same answer).
     keep: tuple[int, int] = (250, 50)
+    more_keep: tuple[int, int] = (500, 150)
     # A candidate whose index is this many times the best's, and this much (m) above it, is given up.
     hopeless_ratio: float = 2.5
     hopeless_above: float = 1.5e-3
@@ -69,9 +75,10 @@ class RecognitionSettings:
     # Share of touched things that are none of the candidates, before anything is felt.
     strangers: float = 0.005
     # Nats by which what the best leaves over must speak for it and against all that is plainly another object,
-    # candidate or not: decisive is a hundred to one (Jeffreys 1961). Fewer independent contacts than these cannot tell:
-    # twice what a pose can fit.
-    decisive: float = 4.6
+    # candidate or not: a thousand to one. A hundred is decisive (Jeffreys 1961) between two that both are what they are
+    # said to be; a relative is nearer than a Gaussian field has it, and of 108 draws in which one was named for want of
+    # the tool itself, two reached 6.0. Fewer independent contacts than these cannot tell: twice what a pose can fit.
+    decisive: float = 6.9
     least_independent: float = 12.0
     misfit: MisfitSettings = field(default_factory=MisfitSettings)
 
@@ -131,15 +138,17 @@ def identify(
         model.field, model.surface  # noqa: B018  (built before anything is timed)
     begin = time.perf_counter()
     rng = np.random.default_rng(seed)
-    few, many = _evenly(contacts, settings.few_contacts), _evenly(contacts, settings.most_contacts)
+    few, more, many = (
+        _evenly(contacts, most) for most in (settings.few_contacts, settings.more_contacts, settings.most_contacts)
+    )
+    first, again = (settings.starts, settings.keep), (settings.more_starts, settings.more_keep)
     streams = rng.spawn(len(models))
-    found = [_look(model, few, many, extra, settings.starts, settings, s) for model, s in zip(models, streams)]
+    found = [_look(model, few, many, extra, first, settings, s) for model, s in zip(models, streams)]
     index = np.array([_index(model, contacts, one.poses[0]) for model, one in zip(models, found)])
     limit = max(settings.hopeless_ratio * index.min(), index.min() + settings.hopeless_above)
     given_up = index > limit
     for k in map(int, np.flatnonzero(~given_up)):
-        again = _look(models[k], few, many, extra, settings.more_starts, settings, streams[k])
-        found[k] = _merged(found[k], again)
+        found[k] = _merged(found[k], _look(models[k], more, many, extra, again, settings, streams[k]))
     sigma, aligned, volumes = _finished(models, many, extra, found, given_up, settings)
     near = int(np.argmin([_index(model, contacts, one.poses[0]) for model, one in zip(models, aligned)]))
     independent = _independent(models[near], contacts, aligned[near].poses[0], settings)
@@ -206,15 +215,18 @@ def _look(
     few: Contacts,
     many: Contacts,
     extra: Evidence | None,
-    starts: int,
+    asked: tuple[int, tuple[int, int]],
     settings: RecognitionSettings,
     rng: np.random.Generator,
 ) -> Alignment:
-    """Search one candidate: two blurred passes over few contacts, one sharp pass over many."""
+    """Search one candidate: two blurred passes over few contacts, one sharp pass over many. asked: how many starts, and
+    poses kept after the passes.
+    """
+    starts, keep = asked
     wide = 0.25 * model.radius
     stages = (
-        SearchStage(wide, 0.6, 10**9, 6, settings.keep[0]),
-        SearchStage(wide / 5, 0.2, 10**9, 10, settings.keep[1]),
+        SearchStage(wide, 0.6, 10**9, 6, keep[0]),
+        SearchStage(wide / 5, 0.2, 10**9, 10, keep[1]),
     )
     robust = AlignSettings(huber=settings.huber)
     found = search(model, _rows(few, extra), contact_starts(model, few, starts, rng), stages, settings=robust)
@@ -253,13 +265,16 @@ def _finished(
     if extra is not None:
         rows = tables.stack(rows, extra)
     aligned, volumes = [], np.zeros(len(models))
+    plain = AlignSettings(huber=NO_LIMIT)
     for k, (model, one) in enumerate(zip(models, found)):
         start = one.take(np.arange(min(1 if given_up[k] else 40, len(one.costs))))
         steps = 5 if given_up[k] else 20
         result = align(model, rows, start.poses, settings=AlignSettings(huber=settings.huber, iterations=steps))
         result = result.take(distinct_first(model, result, settings.judged))
         modes = distinct_modes(model, result)
-        logs = np.array([modes[0].cost - m.cost + 0.5 * np.linalg.slogdet(m.covariance)[1] for m in modes])
+        # what fits badly has no wider a mode for it: how much noise there is, the likelihood integrates over
+        wide = [covariance_of(model, terms(model, rows, m.pose, settings=plain)[2]) for m in modes]
+        logs = np.array([modes[0].cost - m.cost + 0.5 * np.linalg.slogdet(w)[1] for m, w in zip(modes, wide)])
         volumes[k] = np.logaddexp.reduce(logs)
         aligned.append(result)
     return sigma, aligned, volumes
@@ -291,6 +306,7 @@ def _independent(model: ObjectModel, contacts: Contacts, pose: Array, settings: 
     """How many independent contacts these are worth: neighbours whose residuals agree say one thing together.
 
     The correlation of each residual with its nearest neighbour's, as in a first-order chain: n (1 - c) / (1 + c).
+    Residuals have the least noise beside what they show: what a lattice leaves over of exact contacts is no misfit.
     """
     from scipy.spatial import cKDTree
 
@@ -299,7 +315,7 @@ def _independent(model: ObjectModel, contacts: Contacts, pose: Array, settings: 
         return float(n)
     residual = _residuals(model, contacts, pose)
     neighbour = cKDTree(contacts.points).query(contacts.points, k=2)[1][:, 1]
-    correlation = float(residual @ residual[neighbour] / max(residual @ residual, 1e-300))
+    correlation = float(residual @ residual[neighbour] / (residual @ residual + n * settings.least_noise**2))
     correlation = float(np.clip(correlation, 0.0, 0.98))
     return float(np.clip(n * (1 - correlation) / (1 + correlation), 1.0, settings.most_independent))
 

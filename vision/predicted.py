@@ -83,7 +83,8 @@ class PredictionSettings:
     # The hand is drawn at every so many pixels; a reading this near (m) to it is the hand's.
     hand_step: int = 3
     hand_margin: float = 0.006
-    # A reading this near (m, and sigmas of its noise on top) to the table or wall is the table's or wall's.
+    # A reading this near (m, and sigmas of its noise on top, as far as it scatters) to the table or wall, or behind it,
+    # is the table's or wall's.
     plane_margin: float = 0.004
     plane_sigmas: float = 2.0
 
@@ -151,16 +152,18 @@ class Predictor:
         depth: DepthModel,
         hand: HandView | None = None,
         settings: PredictionSettings | None = None,
-        plane: Array | None = None,
+        planes: Array | None = None,
         pieces: NDArray[np.int64] | None = None,
     ) -> None:
-        """hand: the robot's own as seen in this frame; what it hides is no wonder. plane (4,): of the table or wall.
+        """hand: the robot's own as seen in this frame; what it hides is no wonder. planes (k, 6): of table and walls,
+        see vision.look.mask.find_plane.
 
         pieces (h, w) at every settings.piece_step pixels, from 0, -1 for none: connected surfaces of the image, given
         where nobody has a model of what hides the object, so that what is seen may be that. One piece is
         then one thing, whose word is bounded however many pixels it has, and something in front is no wonder.
         """
-        self._plane, self._pieces = plane, pieces
+        self._planes = np.zeros((0, 6)) if planes is None else np.ascontiguousarray(planes)
+        self._pieces = pieces
         self.settings = settings or PredictionSettings()
         self._mask = None if frame.mask is None else _widened(frame.mask, self.settings.mask_margin)
         self.model = model
@@ -272,14 +275,13 @@ class Predictor:
         return _View(u, v, expected, seen, state, past, fade, inside)
 
     def _known(self) -> tuple[tuple[NDArray[Any], ...], tuple[float, ...], tuple[float, ...]]:
-        """What the kernels are told of the frame: images and plane, the camera, and the noise of its depth."""
+        """What the kernels are told of the frame: images and planes, the camera, and the noise of its depth."""
         assert self.camera is not None
         assert self._depth is not None
         c, m = self.camera, self._belief
         mask = np.zeros((0, 0), dtype=bool) if self._mask is None else self._mask
-        plane = np.zeros(4) if self._plane is None else self._plane
         return (
-            (self._depth, mask, *self._hand, plane),
+            (self._depth, mask, *self._hand, self._planes),
             (float(c.fx), float(c.fy), float(c.cx), float(c.cy), c.width, c.height),
             (m.axial_floor, m.axial_growth, m.axial_from, m.bias_sigma, m.scale_sigma),
         )

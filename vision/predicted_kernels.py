@@ -92,13 +92,14 @@ def compare_pixels(met, index, u, v, image, camera, noise, limits, expected, see
 
     met (k,): depth (m) at which ray `index` (k,) meets the object, inf for none. u, v (n, side): see outline_rays.
     image: depth (h, w); mask (h, w) or (0, 0); least and largest depth (m) of the hand at every so many pixels or
-    (0, 0); plane (4,), zeros for none. noise: floor, growth, depth it grows from, bias and scale of a DepthModel.
+    (0, 0); planes (k, 6), see vision.look.mask.find_plane. noise: floor, growth, depth it grows from, bias and scale of
+    a DepthModel.
     limits: tolerance (sigmas), fading (sigmas), share past beside an edge, reach of an edge (px), step of the hand (px)
     and its margin (m), margin (m) and sigmas of the plane.
     state: bits as named here; expected and seen: depths (m), 0 where there is none; past: how much of a ray is seen
     past; fade: how well one at the predicted depth agrees.
     """
-    depth, mask, hand_low, hand_high, plane = image
+    depth, mask, hand_low, hand_high, planes = image
     floor, growth, least_from, bias, scale = noise
     tolerance_sigmas, fading, beside_share, reach, step, hand_margin, plane_margin, plane_sigmas = limits
     height, width = depth.shape
@@ -129,7 +130,7 @@ def compare_pixels(met, index, u, v, image, camera, noise, limits, expected, see
         if has_hand:
             low, high = hand_low[row // step, column // step], hand_high[row // step, column // step]
             by_hand = low - hand_margin < reading < high + hand_margin
-        is_plane = _on_plane(plane, camera, noise, column, row, reading, plane_margin, plane_sigmas)
+        is_plane = _on_planes(planes, camera, noise, column, row, reading, plane_margin, plane_sigmas)
         # nothing is under the table or behind the wall; what is at its depth is the table, and hides the object at most
         is_past = off > tolerance or (is_plane and off < -tolerance)
         if is_past:
@@ -220,7 +221,7 @@ def sum_up(u, v, image, camera, noise, limits, seen, state, past, fade, out):
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _leads_to(image, camera, noise, column, row, lead, room, plane_margin, plane_sigmas):
     """Whether a pixel is read within `room` (m) of depth `lead` (m), and may be of the object."""
-    depth, mask, _, _, plane = image
+    depth, mask, _, _, planes = image
     if not (0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]):
         return False
     reading = np.float64(depth[row, column])
@@ -228,15 +229,23 @@ def _leads_to(image, camera, noise, column, row, lead, room, plane_margin, plane
         return False
     if mask.shape[0] > 0 and not mask[row, column]:
         return False
-    return not _on_plane(plane, camera, noise, column, row, reading, plane_margin, plane_sigmas)
+    return not _on_planes(planes, camera, noise, column, row, reading, plane_margin, plane_sigmas)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _on_plane(plane, camera, noise, column, row, reading, margin, sigmas):
-    """Whether a reading (m) of a pixel is the table's or wall's; plane (4,), zeros for none."""
-    if plane[0] == 0.0 and plane[1] == 0.0 and plane[2] == 0.0:
-        return False
+def _on_planes(planes, camera, noise, column, row, reading, margin, sigmas):
+    """Whether a reading (m) of a pixel is a table's or wall's, or behind the first, where nothing is but noise.
+
+    planes (k, 6): unit normal towards the camera, offset, how much more readings scatter than is believed, and how far
+    (m) behind it there is nothing else.
+    """
     fx, fy, cx, cy, _, _ = camera
-    away = plane[0] * (column - cx) / fx + plane[1] * (row - cy) / fy + plane[2]
-    room = margin + sigmas * (noise[0] + noise[1] * (reading - noise[2]) * (reading - noise[2]))
-    return abs(reading * away + plane[3]) < room
+    x, y = (column - cx) / fx, (row - cy) / fy
+    own = noise[0] + noise[1] * (reading - noise[2]) * (reading - noise[2])
+    for k in range(planes.shape[0]):
+        away = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2]
+        height = reading * away + planes[k, 3]
+        room = margin + sigmas * planes[k, 4] * own
+        if -max(room, planes[k, 5]) <= height < room:
+            return True
+    return False

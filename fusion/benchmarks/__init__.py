@@ -30,6 +30,7 @@ BENCHMARKS = {
     "segmentation": "fusion.benchmarks.camera.segmentation",
     "colour": "fusion.benchmarks.camera.colour",
     "tracking": "fusion.benchmarks.tracking.bench",
+    "memory": "fusion.benchmarks.tracking.memory",
 }
 
 

@@ -97,8 +97,9 @@ def add_sure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--outline",
-        action="store_true",
-        help="let the object's outline in the image (colour, grey, infra-red) move the answer, where it can be read",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="whether the object's outline in the image (colour, grey, infra-red) may move the answer",
     )
     parser.add_argument(
         "--print",
@@ -114,8 +115,8 @@ def with_sure(settings: EstimateSettings, args: argparse.Namespace) -> EstimateS
 
     from fusion.estimation.asked import sure_to_be_within
 
-    if args.outline:
-        settings = replace(settings, contour=replace(settings.contour, used=True))
+    if not args.outline:
+        settings = replace(settings, contour=replace(settings.contour, used=False, own=False))
     if args.printed:
         settings = replace(settings, texture=replace(settings.texture, counts=True))
     return sure_to_be_within(settings, None if args.sure_within is None else 1e-3 * args.sure_within)

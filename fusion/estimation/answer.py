@@ -31,13 +31,15 @@ class Stage:
 @dataclass(frozen=True)
 class ContactResidual:
     """How one contact agrees: distance to the surface (mm, signed, outside positive), angle between the sensed
-    and the model's normal (degrees, NaN without a normal), probability that it lies.
+    and the model's normal (degrees, NaN without a normal), whether it does not belong; the contact's own standard
+    deviation (mm, NaN where the reader of a result does not know it).
     """
 
     sensor: str
     residual_mm: float
     normal_deg: float
     outlier: bool
+    sigma_mm: float = float("nan")
 
 
 @dataclass(frozen=True)

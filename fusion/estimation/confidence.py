@@ -4,7 +4,8 @@ A covariance speaks of one minimum; it says nothing of answers in another, or of
 the probability has two factors. That the first mode is the right one is told by how the predicted picture and the
 contacts agree with it: a logistic regression, fitted once to answers whose truth is known (Platt 1999;
 Niculescu-Mizil and Caruana 2005). How near the answer then is, its covariance says: the mean square of the surface's
-error is a quadratic form of Gaussians, here a gamma distribution of the same mean and variance (Satterthwaite 1946).
+error along its normals is a quadratic form of Gaussians, here a gamma distribution of the same mean and variance
+(Satterthwaite 1946). Modes between which no part of the surface moves by more than the tolerance are one answer.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fusion.estimation.answer import ContactResidual, Mode
 from scenes.evidence.align import Prior
+from scenes.evidence.alike import alike
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from vision.predicted import Prediction
@@ -33,9 +35,9 @@ class Regression:
     likelihood, factors held to the sign that they must have. Those of 0 were of no use beside the others.
     """
 
-    # Of the logarithm of the first mode's odds against the others, held within `most_odds`.
+    # Of the logarithm of the first mode's odds, with those that look like it, against the others, within `most_odds`.
     weight: float = 0.0
-    # Of nothing else being left beside the first mode.
+    # Of nothing else being left beside them.
     alone: float = 0.0
     # Of the share of the predicted picture that agrees, above `agreeing`.
     agree: float = 0.0
@@ -52,12 +54,15 @@ class Regression:
     touch: float = 0.0
     outliers: float = 0.0
     contact_nats: float = 0.0
+    # Of how blunt the fingertips are said to be: logarithm of a contact's sigma over the finest (see
+    # ConfidenceSettings). What carries blunt ones is as badly calibrated, of which contacts alone show nothing.
+    blunt: float = 0.0
     # Of the logarithm of the spread over the object's radius, held within bounds (see ConfidenceSettings).
     spread: float = 0.0
     # Of there having been no start: it was looked for everywhere.
     anywhere: float = 0.0
     constant: float = 0.0
-    # ADD-S over the root mean square of how far points of the surface are off: what slides along it counts less.
+    # ADD-S over the root mean square of how far points of the surface are off along their normals.
     nearest: float = 0.7
 
 
@@ -87,6 +92,7 @@ FEATURES = (
     Feature("touch", +1),
     Feature("outliers", -1),
     Feature("contact_nats", -1, felt=True),
+    Feature("blunt", -1, seen=False, felt=True),
     Feature("spread", -1),
     Feature("anywhere"),
     Feature("constant", felt=True),
@@ -103,22 +109,22 @@ class ConfidenceSettings:
     sure: float = 0.9
     # Whether the first mode is the right one, with a picture of it and by touch alone.
     seen: Regression = Regression(
-        alone=1.48,
-        agree=22.2,
-        visible=0.564,
-        sharp=1.99,
-        past=-30.7,
-        behind_hand=1.72,
-        outline=-30.9,
-        touch=4.71,
-        outliers=-2.72,
-        contact_nats=-0.698,
-        spread=-1.0,
-        anywhere=-1.03,
-        constant=-2.01,
-        nearest=0.286,
+        alone=1.61,
+        agree=22.8,
+        visible=0.528,
+        sharp=2.06,
+        past=-29.8,
+        behind_hand=1.68,
+        outline=-31.4,
+        touch=4.48,
+        outliers=-3.01,
+        contact_nats=-0.655,
+        spread=-1.1,
+        anywhere=-1.08,
+        constant=-2.91,
+        nearest=0.547,
     )
-    felt: Regression = Regression(weight=0.27, contact_nats=-0.638, constant=1.96, nearest=0.306)
+    felt: Regression = Regression(weight=0.176, contact_nats=-0.546, blunt=-2.94, constant=1.96, nearest=0.5)
     # Share of the picture above which agreement speaks for an answer, and the most of what is seen past and of the
     # outline that runs on (shares) that speaks against one: cameras that blend edges draw surfaces on.
     agreeing: float = 0.8
@@ -126,11 +132,15 @@ class ConfidenceSettings:
     most_outline: float = 0.15
     # Share that agrees whose logarithm counts at least.
     least_agreeing: float = 0.02
-    # Weight of the first mode (no unit) from which nothing else is left beside it.
+    # Weight of the first mode and of those like it (no unit) from which nothing else is left beside them.
     alone: float = 0.9999
     # Bounds on the log odds of modes, on nats a contact, and on the spread over the radius, whose logarithm counts.
     most_odds: float = 12.0
     most_nats: float = 8.0
+    # Bounds (m) on the sigma of contacts whose logarithm counts: those of the answers that were fitted, beyond which
+    # nothing is known.
+    finest: float = 0.9e-3
+    bluntest: float = 1.6e-3
     narrowest: float = 0.03
     widest: float = 1.0
     # Where the object is, as far as is known, when the first mode is not the right one: rad, and shares of its radius,
@@ -162,7 +172,7 @@ def observations(
     There is "agree" when there is a picture that shows anything.
     """
     s = settings
-    weight = float(np.clip(modes[0].weight, 0.0, 1.0))
+    weight = float(np.clip(alike(model, modes, s.tolerance).weight, 0.0, 1.0))
     odds = np.log(max(weight, 1e-12)) - np.log(max(1.0 - weight, 1e-12))
     ratio = spread_of(model, modes[0].pose, modes[0].covariance) / max(model.radius, 1e-9)
     found = {
@@ -176,6 +186,7 @@ def observations(
         found["touch"] = 1.0
         found["outliers"] = float(np.mean([c.outlier for c in contacts]))
         found["contact_nats"] = min(contact_nats / len(contacts), s.most_nats)
+        found["blunt"] = _blunt(contacts, s)
     if picture is not None and picture.count[0] > 0:
         found["agree"] = max(float(picture.agree[0]) - s.agreeing, 0.0)
         found["visible"] = float(np.log(max(float(picture.agree[0]), s.least_agreeing)))
@@ -184,6 +195,15 @@ def observations(
         found["outline"] = min(float(picture.outline[0]), s.most_outline)
         found["hidden"], found["behind_hand"] = float(picture.hidden[0]), float(picture.behind_hand[0])
     return found
+
+
+def _blunt(contacts: tuple[ContactResidual, ...], settings: ConfidenceSettings) -> float:
+    """Logarithm of the contacts' sigma (root mean square) over the finest; 0 where none tells of one."""
+    told = [contact.sigma_mm**2 for contact in contacts if math.isfinite(contact.sigma_mm)]
+    if not told:
+        return 0.0
+    sigma = 1e-3 * math.sqrt(sum(told) / len(told))
+    return math.log(min(max(sigma, settings.finest), settings.bluntest) / settings.finest)
 
 
 def chances(
@@ -208,7 +228,20 @@ def chances(
     score = sum(getattr(factors, name) * value for name, value in read.items())
     right = min(float(1.0 / (1.0 + np.exp(-np.clip(score, -40.0, 40.0)))), s.surest)
     limit = s.tolerance if tolerance is None else tolerance
-    return right, within(model, modes[0].pose, modes[0].covariance, limit, factors.nearest)
+    return right, within_of(model, modes, limit, factors.nearest)
+
+
+def within_of(model: ObjectModel, modes: tuple[Mode, ...], tolerance: float, nearest: float) -> float:
+    """Probability that ADD-S is below tolerance (m) if the first mode is the right one, or one of those like it.
+
+    nearest: see `Regression`.
+    """
+    same = alike(model, modes, tolerance)
+    near = [
+        mode.weight * within(model, mode.pose, mode.covariance, tolerance - mean, nearest)
+        for mode, mean in zip(same.modes, same.means.tolist())
+    ]
+    return sum(near) / same.weight if same.weight > 0.0 else near[0]
 
 
 def within(model: ObjectModel, pose: Array, covariance: Array, tolerance: float, nearest: float) -> float:
@@ -245,10 +278,14 @@ def _standard_normal(x: Array) -> Array:
 
 
 def mean_square(model: ObjectModel, pose: Array, covariance: Array) -> tuple[float, float]:
-    """Mean (m^2) and variance (m^4) of the mean square of how far points of the surface are off, for an error drawn
-    from a covariance (6, 6) about the centroid of a pose (4, 4).
+    """Mean (m^2) and variance (m^4) of the mean square of how far points of the surface are off along their normals,
+    for an error drawn from a covariance (6, 6) about the centroid of a pose (4, 4): what slides along itself is nowhere
+    else.
     """
-    squares = _surface_squares(model, pose, covariance)
+    own = np.zeros((6, 6))
+    own[:3, :3] = own[3:, 3:] = pose[:3, :3]
+    known = model.symmetries.quotient(pose[:3, :3], model.centroid)
+    squares = own @ model.slippage @ own.T @ (known @ covariance @ known.T)
     return float(np.trace(squares)), 2.0 * float(np.sum(squares * squares.T))
 
 
@@ -257,20 +294,6 @@ def spread_of(model: ObjectModel, pose: Array, covariance: Array) -> float:
     the centroid of a pose (4, 4); turns about the object's own axes move nothing.
     """
     return math.sqrt(max(mean_square(model, pose, covariance)[0], 0.0))
-
-
-def _surface_squares(model: ObjectModel, pose: Array, covariance: Array) -> Array:
-    """(6, 6) whose trace is the mean square (m^2) of how far points of the surface are off, and the trace of whose
-    square is half the variance of that.
-    """
-    rotation = pose[:3, :3]
-    known = model.symmetries.quotient(rotation, model.centroid)
-    mean, squares = model.surface_moments
-    moments = np.eye(6)
-    moments[:3, :3] = rotation @ (np.trace(squares) * np.eye(3) - squares) @ rotation.T
-    moments[:3, 3:] = se3.skew(rotation @ mean)
-    moments[3:, :3] = moments[:3, 3:].T
-    return np.asarray(moments @ (known @ covariance @ known.T), dtype=np.float64)
 
 
 def as_shown(
@@ -330,3 +353,26 @@ def whole_covariance(
         share = (1.0 - none) * (mode.weight / total if total > 0.0 else 1.0 / len(modes))
         out = out + share * (mode.covariance + np.outer(apart, apart))
     return np.asarray(out, dtype=np.float64)
+
+
+def told_covariance(
+    model: ObjectModel,
+    modes: tuple[Mode, ...],
+    word: str,
+    right: float,
+    prior: Prior | None,
+    settings: ConfidenceSettings | None = None,
+    room: float = 0.0,
+) -> Array:
+    """(6, 6) covariance of an answer with that verdict: of an `ok` one that of its first mode, or of all that look like
+    it where the first does not hold what a region of 95 % must; else of all that may be the case.
+
+    See `whole_covariance`.
+    """
+    s = settings or ConfidenceSettings()
+    if word != "ok":
+        return whole_covariance(model, modes, right, prior, s, room)
+    same = alike(model, modes, s.tolerance)
+    if modes[0].weight >= (1.0 - s.left_out) * same.weight:
+        return modes[0].covariance
+    return whole_covariance(model, same.modes, 1.0, prior, s)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import Asked, check_limits, sure_to_be_within
-from fusion.estimation.confidence import as_shown, observations, room_about, whole_covariance, within
+from fusion.estimation.confidence import as_shown, observations, room_about, told_covariance, within
 from fusion.estimation.moments import moments
 from fusion.estimation.proposals import search_stages, starts_of
 from fusion.estimation.propose import modes_anywhere, modes_near
@@ -34,6 +34,7 @@ from fusion.estimation.steps.facing import (
     why_no_print,
 )
 from fusion.estimation.steps.sense import look_once, sense, solve_together
+from fusion.estimation.steps.twins import with_twins
 from fusion.estimation.tolerance import good_enough, is_within, with_shared_errors
 from fusion.estimation.trace import Trace
 from scenes.evidence import table as tables
@@ -184,6 +185,9 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
             stage.note(told.lines, told.why)
     first, facing = turned_as_printed(sensed, modes[0], facing, settings.texture)
     modes = (first, *modes[1:])
+    if finish and not facing.pixels:
+        # where a print is read, it has asked about every way round
+        modes = with_twins(model, modes, rows, believed, settings)
     useless = *useless, *unread(facing)
     with trace.stage("judge", True, "") as stage:
         pose = modes[0].pose
@@ -197,10 +201,8 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         rules = settings.verdict, settings.confidence
         right, sure, word, why = posterior.judged(model, modes, *agreed, *rules, believed is None)
         observed = observations(model, modes, picture, residuals, nats, settings.confidence, believed is None)
-        covariance = modes[0].covariance
-        if word != "ok":
-            room = room_about(se3.apply(pose, model.centroid[None])[0], might_be)
-            covariance = whole_covariance(model, modes, right, believed, settings.confidence, room)
+        room = room_about(se3.apply(pose, model.centroid[None])[0], might_be)
+        covariance = told_covariance(model, modes, word, right, believed, settings.confidence, room)
         word, why = by_facing(model, facing, word, why, settings.texture)
         stage.note(len(rows), why)
 

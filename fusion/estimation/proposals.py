@@ -56,6 +56,9 @@ class ProposalSettings:
         default_factory=lambda: StartSettings(pairs=60, each=10, even=0, rows=24, keep_pairs=48, oriented=100)
     )
     glanced: Passes = ((1.0, 0.5, 60, 6, 24), (1 / 3, 0.2, 120, 8, 16))
+    # The same from a prior: its mean and a few draws, enough that nine in ten easy frames end as a whole search does.
+    starts_glanced: int = 8
+    glanced_near: Passes = ((1.0, 0.5, 60, 8, 8), (1 / 3, 0.2, 120, 8, 8))
 
     # Starts between the fingers, and walks by the whole objective: near a prior, where nothing is known, and around
     # what convinces, to see whether it stands.

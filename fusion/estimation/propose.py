@@ -19,7 +19,7 @@ from fusion.estimation.trace import Trace
 from scenes.evidence.align import Alignment
 from scenes.evidence.modes import Mode, distinct_modes
 from scenes.evidence.search import SETTLED, SearchStage, search
-from scenes.evidence.table import GATE_ABOVE, Evidence
+from scenes.evidence.table import Evidence
 from scenes.words import counted
 
 Array = NDArray[np.float64]
@@ -39,13 +39,16 @@ class Competition:
         self.proposed = 0
         self._felt: Array | None = None
 
-    def enter(self, source: str, propose: Callable[[], Array], why_not: str = "") -> None:
-        """Let a source propose (n, 4, 4), and all that were left compete with its poses; skipped for a reason."""
+    def enter(self, source: str, propose: Callable[[], Array], why_not: str = "", most: int | None = None) -> None:
+        """Let a source propose (n, 4, 4), and all that were left compete with its poses; skipped for a reason.
+
+        most: so many are fitted; default more than at first when what competed before left a doubt.
+        """
         with self.trace.stage(f"propose: {source}", not why_not, why_not) as stage:
             if why_not:
                 return
             poses = propose()
-            self._compete(poses, None if not self.modes else self.pool.settings.fitted_in_doubt)
+            self._compete(poses, most or (self.pool.settings.fitted_in_doubt if self.modes else None))
             stage.note(len(poses), self._words)
 
     def look_around(self) -> None:
@@ -115,7 +118,7 @@ class Competition:
     @property
     def contacts(self) -> int:
         """How many are felt."""
-        return int((self.pool.felt.rows[:, GATE_ABOVE] > 0).sum())
+        return self.pool.contacts
 
     @property
     def enough(self) -> str:
@@ -132,6 +135,31 @@ class Competition:
         return Found(self.modes, looked_at, said, also)
 
 
+def glance(pool: Pool, rows: Evidence, starts: Array, trace: Trace) -> Found | None:
+    """What few of the starts (n, 4, 4) near a prior end in, where it explains what is seen, or convinces and is felt
+    where it is; None where that leaves a doubt: then a whole search knows nothing of it.
+    """
+    asked, s = Competition(replace(pool, rng=pool.rng.spawn(1)[0]), trace), pool.settings
+    asked.enter("at a glance", lambda: pool.glanced_near(rows, starts), most=s.always_fitted)
+    why = ""
+    if asked.convinced and pool.explains_at_a_glance(asked.modes[0].pose):
+        why = "what a glance tells explains what is seen"
+    elif asked.convinced and asked.contacts >= s.tying_contacts:
+        asked.look_beside()
+        why = asked.enough
+    elif asked.convinced and pool.predictor.told_apart and pool.shows_most(asked.modes[0].pose):
+        asked.look_around()
+        why = asked.enough
+    for source in ("rows", "touch and descents", walk_of(pool)) if why else ():
+        asked.enter(source, lambda: np.zeros((0, 4, 4)), why)
+    return asked.found(pool.proposals.starts_glanced) if why else None
+
+
+def walk_of(pool: Pool) -> str:
+    """What a walk near a prior begins at, as the trace has it."""
+    return "a walk and the hand" if pool.held is not None else "a walk"
+
+
 def poses_of(modes: tuple[Mode, ...]) -> Array:
     """(n, 4, 4)."""
     return np.array([mode.pose for mode in modes]).reshape(-1, 4, 4)
@@ -146,15 +174,18 @@ def modes_near(
     plan: PlanSettings,
     trace: Trace,
 ) -> Found:
-    """Modes of a frame with a prior: rows and touch propose from a few of the starts (n, 4, 4), and where the best of
-    that does not convince, the whole objective walks from all of them and from between the fingers; then rows and touch
-    again, in rounds of fresh starts, until the best convinces or a round ends where the one before did.
+    """Modes of a frame with a prior: what a glance tells, where it leaves no doubt. Else rows and touch propose from a
+    few of the starts (n, 4, 4), and where the best of that does not convince, the whole objective walks from all of
+    them and from between the fingers; then rows and touch again, in rounds of fresh starts, until the best convinces or
+    a round ends where the one before did.
     rows: all evidence, seen: vision's.
     """
     prior, settings = pool.prior, pool.settings
     assert prior is not None
     if not pool.predictor.sees:
         return find_modes(pool.model, rows, starts, stages, prior, pool.sight.costs, plan, pool.modes)
+    if plan.skipping and (glanced := glance(pool, rows, starts, trace)) is not None:
+        return glanced
     whole, asked = replace(plan, skipping=False), Competition(pool, trace)
     ends = [k for k in plan.rounds if k < len(starts)] if plan.skipping else []
     begin = 0
@@ -182,7 +213,7 @@ def modes_near(
             if pool.predictor.told_apart:
                 asked.look_around()
             before, known = asked.modes, plan.skipping and (asked.trusted or asked.explained)
-            asked.enter(f"a walk{' and the hand' * (pool.held is not None)}", walked, asked.enough if known else "")
+            asked.enter(walk_of(pool), walked, asked.enough if known else "")
         begin = end
         # a walk from everywhere is a round, too
         if asked.convinced or (before and pool.is_same(asked.modes, before)):
@@ -226,6 +257,9 @@ def modes_anywhere(
         return begun[-1]
 
     asked.enter(f"rows, {counted(len(starts), 'start')}", searched, enough)
+    if not enough and plan.skipping and asked.settled:
+        asked.look_beside()
+        enough = asked.settled
     asked.enter("touch", felt_alone, enough or ("" if asked.contacts else "nothing is felt"))
     if not enough:
         asked.look_beside()

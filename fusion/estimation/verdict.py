@@ -11,6 +11,7 @@ from fusion.estimation.answer import ContactResidual, Contribution, Estimate, Mo
 from fusion.estimation.confidence import ConfidenceSettings, chances
 from scenes.evidence import align as alignment
 from scenes.evidence.align import Prior
+from scenes.evidence.alike import alike, hardly_moves
 from scenes.evidence.modes import ModeSettings, covariance_of, distinct_modes
 from scenes.evidence.table import GATE_ABOVE, POINT, SIGMA, TOUCH, VISION, WEIGHT, Evidence, empty
 from scenes.geometry import poses as se3
@@ -26,8 +27,8 @@ Array = NDArray[np.float64]
 class VerdictSettings:
     """When an answer is sure, and when it is none. By judgement."""
 
-    # Share of the posterior that the first mode must hold to be called the answer.
-    sure_share: float = 0.9
+    # Share of the posterior that the first mode must hold, with those that look like it, to be called the answer.
+    sure_share: float = 0.95
     # Standard deviations of a direction beyond which it counts as unknown: radians, metres.
     unknown_angle: float = float(np.deg2rad(20.0))
     unknown_distance: float = 0.015
@@ -64,8 +65,10 @@ def contact_residuals(
     limit = np.maximum(settings.outlier_sigmas * contacts.sigma_point, settings.outlier_distance)
     outlier = np.abs(distance) > limit
     return tuple(
-        ContactResidual(sensor, 1e3 * off, angle, bool(false))
-        for sensor, off, angle, false in zip(contacts.sensors, distance.tolist(), turned.tolist(), outlier)
+        ContactResidual(sensor, 1e3 * off, angle, bool(false), 1e3 * sigma)
+        for sensor, off, angle, false, sigma in zip(
+            contacts.sensors, distance.tolist(), turned.tolist(), outlier, contacts.sigma_point.tolist()
+        )
     )
 
 
@@ -122,9 +125,14 @@ def contributions(
 
 
 def open_directions(
-    model: ObjectModel, pose: Array, covariance: Array, settings: VerdictSettings | None = None
+    model: ObjectModel,
+    pose: Array,
+    covariance: Array,
+    settings: VerdictSettings | None = None,
+    tolerance: float = 0.0,
 ) -> tuple[str, ...]:
-    """Directions the data leave open, in the object's own axes; those of its symmetry are none.
+    """Directions the data leave open, in the object's own axes; those of its symmetry are none, nor are turns that move
+    no part of the surface by more than tolerance (m), however far they go.
 
     The symmetry is taken out of the covariance, not out of the list: an eigenvector is never exactly the axis.
     """
@@ -140,6 +148,8 @@ def open_directions(
         values, vectors = np.linalg.eigh(rotation.T @ doubtful[block, block] @ rotation)
         for value, vector in zip(values, vectors.T):
             if np.sqrt(max(value, 0.0)) > limit:
+                if word == "rotation about" and tolerance > 0.0 and hardly_moves(model, pose, vector, np.pi, tolerance):
+                    continue
                 found.append(f"{word} {_axis_name(vector)}")
     return tuple(found)
 
@@ -169,8 +179,11 @@ def verdict(
     pixel_share: float,
     seeing: Visibility,
     settings: VerdictSettings | None = None,
+    tolerance: float = ConfidenceSettings.tolerance,
 ) -> tuple[str, str]:
-    """The verdict and its reason: lost when the evidence is not explained, ambiguous when it fits several poses."""
+    """The verdict and its reason: lost when the evidence is not explained, ambiguous when it fits several places of the
+    surface; poses between which no part of it moves by more than tolerance (m) are one.
+    """
     settings = settings or VerdictSettings()
     if not modes:
         return "lost", "no evidence"
@@ -184,11 +197,18 @@ def verdict(
         return "lost", f"the camera sees past {seeing.violated:.0%} of the object"
     if not residuals and np.isfinite(seeing.visible) and seeing.visible < settings.least_visible:
         return "ambiguous", f"only {seeing.visible:.0%} of the object is seen and nothing touches it"
-    if modes[0].weight < settings.sure_share:
-        return "ambiguous", f"first of {len(modes)} modes holds {modes[0].weight:.0%}"
-    hidden = open_directions(model, modes[0].pose, modes[0].covariance, settings)
+    same = alike(model, modes, tolerance)
+    if same.weight < settings.sure_share:
+        of = "first" if len(same.modes) == 1 else f"first {len(same.modes)}"
+        return "ambiguous", f"{of} of {len(modes)} modes {'holds' if of == 'first' else 'hold'} {same.weight:.0%}"
+    hidden = open_directions(model, modes[0].pose, modes[0].covariance, settings, tolerance)
     if hidden:
         return "ambiguous", f"{', '.join(hidden)} unknown"
+    if len(same.modes) > 1 and modes[0].weight < settings.sure_share:
+        return "ok", (
+            f"{len(same.modes)} modes hold {same.weight:.0%}: which way round is not known, and its surface is within"
+            f" {1e3 * tolerance:.3g} mm in all of them"
+        )
     return "ok", f"first mode holds {modes[0].weight:.0%}"
 
 
@@ -213,7 +233,7 @@ def judged(
     """
     right, near = chances(model, modes, picture, residuals, contact_nats, None, confident, anywhere)
     sure = right * near
-    word, why = verdict(model, modes, residuals, pixel_share, seeing, settings)
+    word, why = verdict(model, modes, residuals, pixel_share, seeing, settings, confident.tolerance)
     if word == "ok" and contact_nats > settings.most_contradicted * max(len(residuals), 1):
         word, why = "lost", "the contacts, or their normals, contradict every pose"
     if word == "ok" and sure < confident.sure:

@@ -79,20 +79,19 @@ def scales(model: ObjectModel) -> Array:
     return np.repeat([1.0, model.radius], 3)
 
 
-def _scaled(matrix: Array, scale: Array) -> Array:
-    return 0.5 * (matrix + matrix.T) * scale * scale[:, None]
-
-
 def positive_part(matrix: Array, scale: Array) -> Array:
     """The nearest positive semi-definite matrix (6, 6), in units of scale (6,)."""
-    values, vectors = np.linalg.eigh(_scaled(matrix, 1.0 / scale))
-    return _scaled((vectors * np.maximum(values, 0.0)) @ vectors.T, scale)
+    return _spectral(matrix[None], scale)[0][0]
 
 
-def _root(matrix: Array, scale: Array) -> Array:
-    """Symmetric square root, in units of scale."""
-    values, vectors = np.linalg.eigh(_scaled(matrix, 1.0 / scale))
-    return (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+def _spectral(matrices: Array, scale: Array) -> tuple[Array, Array]:
+    """Positive parts (n, 6, 6) of symmetric matrices (n, 6, 6), in units of scale (6,), and the square roots of those
+    parts without units.
+    """
+    unit = scale * scale[:, None]
+    values, vectors = np.linalg.eigh(0.5 * (matrices + matrices.transpose(0, 2, 1)) / unit)
+    values, turned = np.maximum(values, 0.0)[:, None], vectors.transpose(0, 2, 1)
+    return (vectors * values) @ turned * unit, (vectors * np.sqrt(values)) @ turned
 
 
 def update(model: ObjectModel, predicted: Belief, measured: Measurement) -> Belief:
@@ -103,16 +102,17 @@ def update(model: ObjectModel, predicted: Belief, measured: Measurement) -> Beli
     Shared errors are taken as one and the same source: A A^T with A = (I - K) S_predicted^1/2 + K S_measured^1/2.
     """
     scale = scales(model)
-    surplus = positive_part(measured.shared - predicted.shared, scale)
+    three = np.array([measured.shared - predicted.shared, predicted.shared, measured.shared])
+    (surplus, _, _), (_, before, now) = _spectral(three, scale)
     gain = np.linalg.solve(predicted.own + measured.own + surplus, predicted.own).T
     rest = np.eye(6) - gain
     innovation = se3.difference(measured.pose, predicted.pose, model.centroid)
     own = rest @ predicted.own @ rest.T + gain @ measured.own @ gain.T
     unitless = gain * scale / scale[:, None]
-    mixed = (np.eye(6) - unitless) @ _root(predicted.shared, scale) + unitless @ _root(measured.shared, scale)
-    shared = _scaled(mixed @ mixed.T, scale)
+    mixed = (np.eye(6) - unitless) @ before + unitless @ now
+    shared = mixed @ mixed.T * scale * scale[:, None]
     pose = se3.perturb(predicted.pose, gain @ innovation, model.centroid)
-    return Belief(pose, 0.5 * (own + own.T), shared)
+    return Belief(pose, 0.5 * (own + own.T), 0.5 * (shared + shared.T))
 
 
 @dataclass(frozen=True)
@@ -153,6 +153,11 @@ class SlipTest:
         self._sum = self._slid = 0.0
         self._quiet = 1_000_000
         self.statistic = 0.0
+
+    @property
+    def going_on(self) -> bool:
+        """Whether the last step was in a slip or just after it."""
+        return self._quiet <= self.settings.lasts
 
     def restart(self, belief: Belief | None, pixel: Array | None) -> None:
         """Forget; the object is held as `belief` has it, seen at `pixel` (2,) (None without a camera)."""

@@ -4,8 +4,9 @@ A look in full finds the hand in the image, solves with every shared error and d
 to frame none of that changes: a calibration stays, a camera's bias and scale stay, and a hand that closes on an object
 stays closed. So between two looks in full a frame is fitted by its rows alone, a few steps from the prediction; what
 the whole solution of the last look added to such a fit is added again, and what it said of its own certainty still
-holds, in the object's own axes. Whatever is otherwise than expected (pixels, what is seen past the object, contacts,
-the pose itself) asks for a look in full at this very frame. Camera frame, metres, radians.
+holds, in the object's own axes. Whatever is otherwise than expected (pixels, what is seen past the object, contacts)
+asks for a look in full at this very frame, and so does a pose that nobody predicted; while the object slips, a second
+glance at where it seems to be will do. Camera frame, metres, radians.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import ContactResidual, Mode
-from fusion.estimation.confidence import whole_covariance, within
+from fusion.estimation.confidence import told_covariance, within
 from fusion.estimation.verdict import contact_residuals, pixel_agreement
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Belief, Measurement
@@ -47,7 +48,8 @@ _FALSE = 20.0
 @dataclass(frozen=True)
 class Glanced:
     """What a glance has found: the frame's rows; the measurement; residuals of contacts; share of the pixels explained
-    and their RMS (m); otherwise: what asks for a look in full, in words, empty when nothing does.
+    and their RMS (m); otherwise: what asks for a look in full, in words, empty when nothing does; surprised: nothing
+    but how far it is from the prediction.
     """
 
     sensed: Sensed
@@ -56,6 +58,7 @@ class Glanced:
     share: float
     rms: float
     otherwise: str
+    surprised: bool = False
 
 
 def may_glance(frame: Frame, state: TrackState, carried: Hypotheses, settings: TrackSettings) -> bool:
@@ -80,33 +83,65 @@ def glance(
     predicted: Belief,
     known: Known,
     things: Occluders,
+    moving: bool,
     beliefs: Beliefs,
     settings: TrackSettings,
 ) -> Glanced:
-    """Look at a frame near the prediction; felt_frame: the same as far as touch may tell."""
+    """Look at a frame near the prediction; felt_frame: the same as far as touch may tell; moving: the object is known
+    to move in the hand, so that a surprise is none.
+    """
+    found = _glanced_at(model, frame, felt_frame, looker, predicted.pose, predicted, known, things, beliefs, settings)
+    if not (found.surprised and moving):
+        return found
+    # it goes on moving otherwise than predicted, and all else is as it was: pixels are chosen anew where it is now
+    here = found.measured.pose
+    again = _glanced_at(model, frame, felt_frame, looker, here, predicted, known, things, beliefs, settings)
+    if again.otherwise and not again.surprised:
+        return again
+    step = se3.difference(again.measured.pose, here, model.centroid)
+    still = float(step @ np.linalg.solve(2.0 * again.measured.own, step))
+    way = se3.difference(again.measured.pose, predicted.pose, model.centroid)
+    known_again = still <= settings.glance.surprise and not settings.leaps(way)
+    return replace(again, otherwise="") if known_again else again
+
+
+def _glanced_at(
+    model: ObjectModel,
+    frame: Frame,
+    felt_frame: Frame,
+    looker: Looker,
+    start: Array,
+    predicted: Belief,
+    known: Known,
+    things: Occluders,
+    beliefs: Beliefs,
+    settings: TrackSettings,
+) -> Glanced:
+    """A glance with the pixels near the pose `start` (4, 4)."""
     first, how = settings.first, settings.glance
-    looked = looker.look(frame, predicted.pose, how.pixels)
+    looked = looker.look(frame, start, how.pixels)
     touch = replace(first.touch, hand_points=0)
     felt = feel(felt_frame, known.correction, beliefs, None, touch)
     pool = None
     if not looked.told_apart:
-        here = predicted.pose[None]
-        pool = pool_near(frame, model, here, looked, felt, beliefs, first, settings.room, pieces=False)
+        pool = pool_near(frame, model, start[None], looked, felt, beliefs, first, settings.room, pieces=False)
     near = looked.rows(beliefs.depth, looker.first.rows)
     sensed = Sensed(frame, looked, near, felt, pool, things, settings.occluders)
     if not sensed.told_apart:
-        near = sensed.rows_at(predicted.pose, settings.side)
+        near = sensed.rows_at(start, settings.side)
         sensed = replace(sensed, seen=near)
     prior = loose(predicted.pose, predicted.covariance, settings)
-    fit = fitted(model, near, _touching(felt), predicted.pose, prior, how.steps)
+    fit = fitted(model, near, _touching(felt), start, prior, how.steps)
     measured = known.measured(model, fit, predicted.pose)
     residuals = contact_residuals(model, felt.contacts, fit, first.verdict)
     share, rms = pixel_agreement(model, near, fit)
     sight = float(Sight(frame, model, beliefs.depth, first.sight).costs(fit[None])[0])
     step = se3.difference(measured.pose, predicted.pose, model.centroid)
     surprise = float(step @ np.linalg.solve(predicted.own + measured.own, step))
-    changed = _otherwise(known, share, sight, _apart(residuals), surprise, how)
-    return Glanced(sensed, measured, residuals, share, rms, changed)
+    changed, surprised = _otherwise(known, share, sight, _apart(residuals), how), False
+    if not changed and surprise > how.surprise:
+        changed, surprised = f"a surprise of {surprise:.0f} (chi-square)", True
+    return Glanced(sensed, measured, residuals, share, rms, changed, surprised)
 
 
 def as_judged(
@@ -123,9 +158,7 @@ def as_judged(
     word, why, sure = known.verdict, known.why, known.right * near
     if word == "ok" and sure < confident.sure:
         word, why = "ambiguous", f"only {sure:.0%} sure to be within {1e3 * confident.tolerance:.3g} mm"
-    covariance = belief.covariance
-    if word != "ok":
-        covariance = whole_covariance(model, modes, known.right, None, confident)
+    covariance = told_covariance(model, modes, word, known.right, None, confident)
     return Judged(
         word, why, covariance, known.right, sure, modes, glanced.residuals, glanced.share, glanced.rms,
         known.visible, known.unobservable,
@@ -179,7 +212,7 @@ def _apart(residuals: Sequence[ContactResidual]) -> float:
     return float(np.sqrt(np.mean([min(abs(r.residual_mm), _FALSE) ** 2 for r in residuals])))
 
 
-def _otherwise(known: Known, share: float, sight: float, felt: float, surprise: float, settings: GlanceSettings) -> str:
+def _otherwise(known: Known, share: float, sight: float, felt: float, settings: GlanceSettings) -> str:
     """What asks for a look in full, in words; share, sight, felt: as in `Known`, now."""
     s = settings
     if np.isfinite(known.share) != np.isfinite(share) or share < known.share - s.fewer:
@@ -188,4 +221,4 @@ def _otherwise(known: Known, share: float, sight: float, felt: float, surprise: 
         return f"the image says {sight - known.sight:.0f} nats less for it"
     if felt > known.felt + s.contacts:
         return f"contacts are {felt:.1f} mm off, {known.felt:.1f} before"
-    return f"a surprise of {surprise:.0f} (chi-square)" if surprise > s.surprise else ""
+    return ""

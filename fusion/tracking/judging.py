@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import ContactResidual, Mode, Stage
-from fusion.estimation.confidence import whole_covariance
+from fusion.estimation.confidence import told_covariance
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
 from fusion.tracking.filter import Belief
 from fusion.tracking.hypotheses import Hypotheses, weights
@@ -76,9 +76,7 @@ def judge(
         word, why = "lost", f"{share:.0%} of the pixels explained, {usual:.0%} before"
     if word != "lost" and settings.leaps(leap):
         word, why = "lost", f"{1e3 * np.linalg.norm(leap[3:]):.0f} mm from the prediction"
-    covariance = belief.covariance
-    if word != "ok":
-        covariance = whole_covariance(model, modes, right, None, first.confidence)
+    covariance = told_covariance(model, modes, word, right, None, first.confidence)
     unknown = posterior.unobservable(model, pose, belief.covariance, first.verdict)
     # what is lost is not to be trusted at all
     sure = 0.0 if word == "lost" else sure

@@ -109,9 +109,9 @@ def pool_near(
     part = cropped(frame, box)
     contacts = len(felt.reported_contacts)
     unknown = pieces and not looked.told_apart and (contacts > 0 or len(candidates) > 1)
-    labels = surfaces(part, looked.plane, beliefs, settings.look)[1] if unknown else None
+    labels = surfaces(part, looked.planes, beliefs, settings.look)[1] if unknown else None
     hand = looked.seen_hand
-    predictor = Predictor(part, model, beliefs.depth, hand, settings.prediction, looked.plane, labels)
+    predictor = Predictor(part, model, beliefs.depth, hand, settings.prediction, looked.planes, labels)
     sight = Sight(part, model, beliefs.depth, settings.sight)
     asks = settings.look.rows, settings.proposals, settings.modes, settings.pool
     rng = np.random.default_rng(0)  # nothing is drawn: starts come from the track

@@ -72,6 +72,11 @@ class SlipWatch:
         self._patches.restart()
         self._quiet, self._said = self._lasts + 1, ""
 
+    @property
+    def going_on(self) -> bool:
+        """Whether its poses have just said that the object moves in the hand."""
+        return self._fingers.going_on or self._palm.going_on
+
     def predict(self, motion: Array, expected: InHand, drift: Array) -> None:
         """Move with the hand by motion (4, 4), and as the fingers do; drift (6, 6): of a wrong calibration."""
         self._fingers.predict(motion, expected.motion, expected.sticking + drift, expected.sliding)

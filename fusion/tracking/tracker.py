@@ -203,7 +203,7 @@ class Tracker:
         modes = tuple(replace(m, pose=self.model.symmetries.nearest(m.pose, answer.pose)) for m in alone.modes)
         leader = replace(state.hypotheses[0], pose=answer.pose, covariance=answer.modes[0].covariance)
         same, better = several.alike(self.model, leader, modes[0], s.hypotheses), self._prefers(answer, modes[0])
-        if not same and better > s.hypotheses.missed:
+        if better > s.hypotheses.missed:  # it has not even found the best that is near it
             vote = 0.0
         carried = (leader, *state.hypotheses[1:])
         state.hypotheses, agrees = several.voted(self.model, carried, modes, vote, against, s.hypotheses)
@@ -218,9 +218,33 @@ class Tracker:
         if same and vote and better < -s.anchor:
             self._anchor(replace(alone, pose=modes[0].pose))
             why += "; it goes on from there"
+        if not believed:
+            why += self._search_around(frame, answer)
         stage = replace(alone.trace[-1], name="search anew", ms=alone.time_ms, why=why)
         answer = replace(answer, trace=(*answer.trace, stage))
         return self._believed(answer)
+
+    def _search_around(self, frame: Frame, answer: TrackedEstimate) -> str:
+        """Search a frame around a track that nothing has spoken for; what is found, in words.
+
+        What agrees with the track says nothing, for it began there. What is surely elsewhere, although it began there,
+        and is preferred by the frame, has a vote.
+        """
+        state, s = self._state, self.settings
+        prior = Prior.isotropic(answer.pose, s.renewal.around_angle, s.renewal.around_distance)
+        try:
+            found = self._estimated(replace(frame, prior=None), prior)
+        except CaptureError:
+            return ""
+        mode = replace(found.modes[0], pose=self.model.symmetries.nearest(found.pose, answer.pose))
+        leader = replace(state.hypotheses[0], pose=answer.pose, covariance=answer.modes[0].covariance)
+        same = several.alike(self.model, leader, mode, s.hypotheses)
+        better = self._prefers(answer, mode)
+        if found.verdict != "ok" or same or better > 0.0:
+            return f"; around it {'the same' if same else 'nothing surer'}"
+        vote = several.vote_of(found.verdict, _sure(found), s.hypotheses)
+        state.hypotheses, _ = several.voted(self.model, state.hypotheses, (mode,), vote, True, s.hypotheses)
+        return f"; around it another, {_sure(found):.0%} sure, {-better:.0f} nats better"
 
     def _prefers(self, answer: TrackedEstimate, other: Mode) -> float:
         """Nats by which the frame prefers the track's pose to another."""
@@ -307,7 +331,7 @@ class Tracker:
             self._accept(frame, felt, belief, found.hypotheses, said.share)
             self._state.right = said.right
             now = replace(sensed, felt=felt, seen=found.seen)
-            settled = not watched.slip and not found.switched and frame.index == self._state.index
+            settled = not found.switched and frame.index == self._state.index
             self._state.known = known_of(self.model, prior, now, measured, said, self._beliefs, s) if settled else None
             self._learn(sensed, belief.pose, found.switched)
         answer = as_followed(frame, belief, predicted, said, watched, replace(sensed, felt=felt), trace.stages, s)
@@ -323,8 +347,9 @@ class Tracker:
         with trace.stage("glance", True, "") as stage:
             felt_frame = self._felt_frame(frame)
             found = glance(
-                self.model, viewed, felt_frame, self._looker, predicted, known, state.things, self._beliefs, s
-            )
+                self.model, viewed, felt_frame, self._looker, predicted, known, state.things, self._watch.going_on,
+                self._beliefs, s,
+            )  # fmt: skip
             seen, felt = found.sensed.seen, found.sensed.felt
             stage.note(len(seen) + len(felt.reported_rows), found.otherwise or "nothing is otherwise than expected")
             if found.otherwise or not len(seen):
@@ -333,7 +358,6 @@ class Tracker:
             said = as_judged(self.model, known, carried, belief, found, s)
             if watched.slip:
                 said = replace(said, why=f"slips in the hand ({watched.by}); {said.why}")
-                state.known = None
         self._accept(frame, felt, belief, carried, found.share)
         return self._believed(as_followed(frame, belief, predicted, said, watched, found.sensed, trace.stages, s))
 

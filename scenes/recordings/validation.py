@@ -215,8 +215,10 @@ def _extent(points: Array) -> float:
     points = points[np.isfinite(points).all(axis=1)]
     if not len(points):
         return 0.0
-    cut = 2.0 if len(points) >= FEWEST_POINTS else 0.0
-    low, high = np.percentile(points, [cut, 100.0 - cut], axis=0)
+    if len(points) < FEWEST_POINTS:
+        low, high = points.min(axis=0), points.max(axis=0)
+    else:
+        low, high = np.percentile(points, [2.0, 98.0], axis=0)
     return float(np.linalg.norm(high - low))
 
 

@@ -77,10 +77,14 @@ def is_hand(found, at, seen):
 
 
 def is_plane(found, rays, seen):
-    if found._plane is None:
-        return np.zeros(seen.shape, dtype=bool)
-    room = found.settings.plane_margin + found.settings.plane_sigmas * found._belief.independent_sigma(seen)
-    return np.abs(seen * (rays @ found._plane[:3]) + found._plane[3]) < room
+    out = np.zeros(seen.shape, dtype=bool)
+    for plane in found._planes:
+        room = found.settings.plane_margin + found.settings.plane_sigmas * plane[4] * found._belief.independent_sigma(
+            seen
+        )
+        height = seen * (rays @ plane[:3]) + plane[3]
+        out |= (height < room) & (height >= -np.maximum(room, plane[5]))
+    return out
 
 
 def nearest_around(depth, reach):

@@ -239,7 +239,7 @@ def test_lines_that_scatter_by_whole_blocks_count_less():
     evidence = evidence_at(frame, model, frame.camera_from_object_truth)
     before = evidence.share.copy()
     evidence.terms(np.zeros(6))
-    evidence.temper(np.zeros(6))
+    evidence.terms(np.zeros(6), (np.zeros(6), np.eye(6)))
     # noise of single lines is what they expect
     np.testing.assert_allclose(evidence.share, before)
     # whole pieces of the outline, each seen elsewhere
@@ -247,5 +247,104 @@ def test_lines_that_scatter_by_whole_blocks_count_less():
     evidence.lines = replace(
         evidence.lines, log_p=np.array([np.roll(row, step) for row, step in zip(evidence.lines.log_p, pieces)])
     )
-    evidence.temper(np.zeros(6))
+    evidence.terms(np.zeros(6), (np.zeros(6), np.eye(6)))
     assert evidence.share.max() < 0.7 * before.max()
+
+
+def test_a_pose_that_may_be_anywhere_is_not_read():
+    frame, model = coloured("box")
+    evidence = evidence_at(frame, model, frame.camera_from_object_truth)
+    known, unknown = (np.diag([0.01] * 3 + [sigma] * 3) ** 2 for sigma in (0.001, 0.05))
+    assert evidence.uncertain(known) == ""
+    assert "looked for within 12 px" in evidence.uncertain(unknown)
+
+
+def test_what_a_colour_image_is_shifted_by_is_learned_from_the_frame():
+    """Four pixels beside depth that is sure of the place: the lines' shared shift is believed, not the object's."""
+    frame, model = coloured("box")
+    pose, sure = frame.camera_from_object_truth, np.diag([1e-3] * 3 + [3e-4] * 3) ** 2
+    moved = []
+    for shift in (0, 4):
+        evidence = evidence_at(replace(frame, rgb=np.roll(frame.rgb, shift, axis=1)), model, pose)
+        believed = evidence.common_information[0, 0] ** -0.5
+        for _ in range(3):  # lines are read where the shift that is found so far has them
+            evidence.terms(np.zeros(6), (np.zeros(6), np.linalg.inv(sure)))
+        moved.append(evidence.common_information[0, 0] ** -0.5)
+        assert believed == ContourSettings().shift_colour
+    assert moved[0] == ContourSettings().shift_colour
+    assert 2.0 < moved[1] < 4.0
+
+
+def test_lines_that_scatter_more_than_they_say_count_less():
+    frame, model = coloured("box")
+    evidence = evidence_at(frame, model, frame.camera_from_object_truth)
+    assert evidence.lines is not None
+    evidence.terms(np.zeros(6), (np.zeros(6), np.eye(6)))
+    calm = evidence.share.mean()
+    rng = np.random.default_rng(1)
+    rolled = [np.roll(row, int(by)) for row, by in zip(evidence.lines.log_p, rng.choice([-2, 2], len(evidence.lines)))]
+    evidence.lines = replace(evidence.lines, log_p=np.array(rolled))
+    evidence.terms(np.zeros(6), (np.zeros(6), np.eye(6)))
+    assert evidence.share.mean() < 0.7 * calm
+
+
+def test_boxes_agree_with_the_cameras_own_projection(rng):
+    camera, pose = Camera(600.0, 590.0, 160.0, 120.0, 320, 240), poses.exp(np.array([0.3, -0.2, 0.5, 0.02, 0.01, 0.6]))
+    points, bounds = rng.normal(0.0, 0.05, (40, 3)), np.zeros(5)
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    kernels.box(points, np.ascontiguousarray(pose[:3, :3]), pose[:3, 3].copy(), lens, bounds)
+    seen = poses.apply(pose, points)
+    uv, _ = camera.project(seen)
+    expected = [uv[:, 0].min(), uv[:, 0].max(), uv[:, 1].min(), uv[:, 1].max(), seen[:, 2].min()]
+    np.testing.assert_allclose(bounds, expected, atol=1e-9)
+    rays = np.zeros((40, 6), dtype=np.float32)
+    kernels.rays_through(uv, lens, np.ascontiguousarray(pose[:3, :3].T), np.zeros(3), rays)
+    np.testing.assert_allclose(rays[:, 3:], (seen / seen[:, 2:]) @ pose[:3, :3], atol=1e-6)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_contrasts_agree_with_their_twin(rng, channels):
+    colours = rng.integers(0, 256, (6, 35, channels), dtype=np.uint8)
+    brightest, height, slope, change = np.zeros(256, dtype=np.int64), np.zeros(6), np.zeros(6), np.zeros((6, 25))
+    kernels.contrasts(colours, 3, brightest, height, slope, change)
+    values = colours.astype(float)
+    np.testing.assert_array_equal(brightest, np.bincount(colours.max(axis=2).ravel(), minlength=256))
+    extent = values.max(axis=1) - values.min(axis=1)
+    own = extent.argmax(axis=1)
+    np.testing.assert_allclose(height, extent.max(axis=1))
+    steps = 0.5 * np.abs(values[:, 2:] - values[:, :-2]).max(axis=1)
+    np.testing.assert_allclose(slope, steps[np.arange(6), own])
+    pairs = values[:, 1:] + values[:, :-1]
+    np.testing.assert_allclose(change, np.abs(pairs[:, 3:] - pairs[:, :-3]).max(axis=2)[:, 3:28] / 2.0)
+
+
+def test_counts_agree_with_their_twins(rng):
+    bins, weight, sides = rng.integers(0, 9, (7, 35)), rng.uniform(size=(3, 7)), np.zeros((2, 3, 9))
+    kernels.tally(bins, weight, 16, 19, sides)
+    for side, own in enumerate((bins[:, :16], bins[:, 19:])):
+        each = np.array([np.bincount(row, minlength=9) for row in own])
+        np.testing.assert_allclose(sides[side], weight @ each)
+    places = rng.uniform(0.0, 20.0, (30, 2))
+    count, found = np.zeros(30), np.zeros((30, 4))
+    kernels.neighbours(places, 6.0, count)
+    kernels.spreads(places, 6.0, found)
+    off = places[:, None] - places[None]
+    np.testing.assert_array_equal(count, (np.linalg.norm(off, axis=2) < 6.0).sum(axis=1))
+    for i in range(30):
+        near = places[(np.abs(off[i]) < 6.0).all(axis=1)]
+        cov = np.cov(near.T, bias=True) if len(near) > 1 else np.zeros((2, 2))
+        np.testing.assert_allclose(found[i], [len(near), cov[0, 0], cov[1, 1], cov[0, 1]], atol=1e-9)
+
+
+def test_misfit_agrees_with_its_twin(rng):
+    off, weight = rng.normal(0.0, 2.0, 60), rng.uniform(0.0, 2.0, 60)
+    weight[::7] = 0.0
+    share, alone, block = np.full(60, 0.25), np.full(60, 0.5), rng.integers(0, 12, 60)
+    told = weight > 0.0
+    by_line = np.median((weight / share * off**2)[told]) * 2.198
+    information, pulls = (np.bincount(block, 2.0 * weight * value, minlength=12) for value in (np.ones(60), off))
+    by_block = (pulls**2 / information).sum() / (12 - 5)
+    found = kernels.misfit(off, weight, share, alone, block, 12, 5, 3)
+    np.testing.assert_allclose(found, max(by_line, by_block))
+    np.testing.assert_allclose(kernels.misfit(off, weight, share, alone, block, 12, 11, 3), by_line)
+    assert kernels.misfit(off, np.zeros(60), share, alone, block, 12, 5, 3) == 1.0

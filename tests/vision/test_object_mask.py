@@ -13,7 +13,8 @@ from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis import library
 from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
-from vision.look.mask import MaskSettings, connected_pieces, find_plane, object_mask
+from vision.look.mask import MaskSettings, connected_pieces, find_plane, find_planes, object_mask, on_planes
+from vision.look.pixels import read_pixels
 from vision.look.regions import find_region
 
 NOTHING = Contacts(np.zeros((0, 3)))
@@ -76,10 +77,15 @@ def wall_frame(tilt, noise, seed=0):
     return Frame(0, camera=camera, depth=depth.astype(np.float32), mask=seen.mask("ball")), pose, model, place
 
 
+def plane_of(frame):
+    box = (0, 0, frame.camera.width, frame.camera.height)
+    return find_plane(read_pixels(frame.depth, frame.camera, box, 3000).points, MaskSettings(), DepthModel())
+
+
 @pytest.mark.parametrize("tilt", [0.0, 0.4, -0.6])
 def test_the_wall_is_found_and_taken_away(tilt):
     frame, pose, model, place = wall_frame(tilt, 0.002)
-    plane = find_plane(frame, MaskSettings(), DepthModel())
+    plane = plane_of(frame)
     assert abs(plane[:3] @ pose[:3, 2]) > np.cos(np.deg2rad(0.5))
     assert plane[:3] @ pose[:3, 3] + plane[3] == pytest.approx(0.0, abs=1e-3)
     assert plane[3] > 0  # the camera is above it
@@ -87,11 +93,44 @@ def test_the_wall_is_found_and_taken_away(tilt):
     assert overlap(object_mask(frame, model, start=place), frame) > 0.95
 
 
+@pytest.mark.parametrize(("worse", "least", "most"), [(0.5, 1.0, 1.2), (3.0, 2.0, 4.0)])
+def test_a_plane_says_how_far_its_readings_scatter(worse, least, most):
+    """A camera that is worse than is believed of it: what it draws before a wall is the wall's all the same."""
+    noise = worse * float(DepthModel().independent_sigma(np.array(1.4)))
+    frame, *_ = wall_frame(0.0, noise)
+    plane = plane_of(frame)
+    assert least <= plane[4] <= most
+    box = (0, 0, frame.camera.width, frame.camera.height)
+    points = read_pixels(frame.depth, frame.camera, box, 3000).points
+    wall = np.abs(points @ plane[:3] + plane[3]) < 0.05
+    assert on_planes(points[wall], plane[None], DepthModel(), MaskSettings()).mean() > 0.98
+
+
+def test_table_and_wall_are_both_found():
+    camera = Camera(300.0, 300.0, 159.5, 119.5, 320, 240)
+    v = (np.arange(240)[:, None] - camera.cy) / camera.fy
+    # a table half a metre under the camera and a wall 1.6 m away
+    down = 0.4 + 0.0 * np.arange(320)
+    table = np.where(v > 0.05, down / np.maximum(v, 1e-6), np.inf)
+    depth = np.minimum(table, 1.6).astype(np.float32)
+    frame = Frame(0, camera=camera, depth=depth)
+    found = find_planes(frame, MaskSettings(), DepthModel(), 0.3)
+    assert len(found) == 2
+    faces = np.abs(found[:, :3])
+    assert sorted(int(row.argmax()) for row in faces) == [1, 2]
+    assert (found[:, 3] > 0).all()
+    assert found[0, 5] == np.inf
+    assert found[1, 5] == 0.0
+    points = read_pixels(depth, camera, (0, 0, 320, 240), 2000).points
+    assert on_planes(points, found, DepthModel(), MaskSettings()).mean() > 0.99
+    assert not len(find_planes(frame, MaskSettings(), DepthModel(), 9.0))
+
+
 def test_a_box_seen_beyond_is_no_wall():
     """A surface behind which much else is seen is not what everything stands before."""
     frame, *_ = wall_frame(0.0, 0.0)
     depth = np.where(np.arange(640) < 300, frame.depth, 1.6).astype(np.float32)
-    far = find_plane(replace(frame, depth=depth), MaskSettings(), DepthModel())
+    far = plane_of(replace(frame, depth=depth))
     assert far is None or far[3] > 1.5
 
 

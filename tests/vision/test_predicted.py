@@ -54,8 +54,10 @@ def test_the_kernels_say_what_plain_arrays_say(lab_frame, drill, rng, known):
     truth = lab_frame.camera_from_object_truth
     seen = look(replace(lab_frame, mask=None), drill, start=truth)
     # a wall through the object, so that pixels fall on either side of it
-    wall = np.array([0.1, 0.2, -1.0, float(truth[2, 3])]) / np.linalg.norm([0.1, 0.2, -1.0])
-    given = {"hand": seen.seen_hand} if known == "hand" else {"plane": wall} if known == "plane" else {}
+    normal = np.array([0.1, 0.2, -1.0]) / np.linalg.norm([0.1, 0.2, -1.0])
+    near = -float(normal @ truth[:3, 3])
+    wall = np.array([[*normal, near - 0.03, 1.0, np.inf], [*normal[[1, 0, 2]], near, 1.5, 0.0]])
+    given = {"hand": seen.seen_hand} if known == "hand" else {"planes": wall} if known == "plane" else {}
     camera = DEPTH_CAMERAS["l515"] if known == "camera" else DepthModel()
     found = Predictor(lab_frame if known == "mask" else replace(lab_frame, mask=None), drill, camera, **given)
     around = [poses.displaced(truth, 0.3, 0.03, drill.centroid, rng) for _ in range(8)]
@@ -102,15 +104,15 @@ def on_a_table(model):
     drawn = Renderer({"object": (model.vertices, model.faces), "table": table})
     depth = drawn.render(camera, {"object": pose, "table": tilt}).depth
     normal = tilt[:3, 2] * np.sign(-tilt[:3, 2] @ tilt[:3, 3])
-    return Frame(0, camera=camera, depth=depth), pose, np.append(normal, -normal @ tilt[:3, 3])
+    return Frame(0, camera=camera, depth=depth), pose, np.array([[*normal, -normal @ tilt[:3, 3], 1.0, np.inf]])
 
 
 def test_nothing_is_under_the_table_and_a_table_is_no_object():
     model = library.make("box")
     frame, pose, plane = on_a_table(model)
-    sunk = poses.make_pose(None, -0.03 * plane[:3]) @ pose
+    sunk = poses.make_pose(None, -0.03 * plane[0, :3]) @ pose
     beside = poses.make_pose(None, [0.2, 0.0, 0.0]) @ sunk
-    blind, told = predictor(frame, model), predictor(frame, model, plane=plane)
+    blind, told = predictor(frame, model), predictor(frame, model, planes=plane)
     assert told.predict(pose[None]).agree[0] > 0.9
     # flush with the table, beside the box: a smooth surface at the right depth, and not the object's
     assert told.predict(beside[None]).agree[0] < 0.2

@@ -22,15 +22,17 @@ from vision.predicted import Predictor
 
 Array = NDArray[np.float64]
 
+# Share of what is believed of common errors that is left in while the frame is asked for them: keeps what it does not
+# tell from being divided by zero.
+UNTIED = 1e-3
+
 
 @dataclass(frozen=True)
 class ContourSettings:
     """What an outline is worth. Tuned on the tuning family `d435`."""
 
-    # Whether a colour image is asked, and a grey one, which is a depth camera's own. On cameras imitated from their
-    # optics a grey one takes up to a third of the error away; on recorded frames, whose colour camera is another than
-    # the depth camera, it moves two poses that are known by 0.3 mm: only when the caller says so.
-    used: bool = False
+    # Whether a colour image is asked, and a grey one, which is a depth camera's own.
+    used: bool = True
     own: bool = True
     # Times that the outline is drawn and read, anew only where the last time moved it by more than this (px); and
     # Gauss-Newton steps of each.
@@ -38,10 +40,10 @@ class ContourSettings:
     anew: float = 0.7
     steps: int = 4
     # Standard deviations (px) of a shift of the image against depth: of a grey image, which is a depth camera's own,
-    # and of a colour camera's, brought to it by calibration (by judgement: reprojection errors of such cameras); of an
-    # outline that is fatter than predicted, and of a line beyond what its colours say.
+    # and of a colour camera's, brought to it by a calibration that leaves 1 to 3 px (by judgement, and widened where a
+    # frame shows more); of an outline that is fatter than predicted, and of a line beyond what its colours say.
     shift: float = 0.25
-    shift_colour: float = 0.7
+    shift_colour: float = 1.5
     fatter: float = 0.2
     floor: float = 0.25
     # Lines within this distance (px) of each other say the same: measured, neighbours 4 px apart correlate by a half.
@@ -119,12 +121,14 @@ class ContourEvidence:
         self.common = np.concatenate([normal, np.ones((len(place), 1))], axis=1)
         fatter = np.hypot(s.fatter, mesh_sigma * float(np.median(camera.fx / z)))
         self.shift = s.shift if self.lines.grey else s.shift_colour
-        self.common_information = np.diag(np.array([self.shift, self.shift, fatter]) ** -2.0)
-        u, v = outline.places.T
-        near = np.square(u[:, None] - u) + np.square(v[:, None] - v) < (0.5 * s.apart) ** 2
-        self.share = 1.0 / near.sum(axis=1)
+        self.believed = np.array([self.shift, self.shift, fatter]) ** 2.0
+        self.common_information = np.diag(1.0 / self.believed)
+        alone = np.zeros(len(place))
+        kernels.neighbours(outline.places, 0.5 * s.apart, alone)
+        self.alone = self.share = 1.0 / alone
         blocks = np.floor(outline.places / s.block).astype(np.int64)
-        self._block = np.unique(blocks, axis=0, return_inverse=True)[1].ravel()
+        blocks -= blocks.min(axis=0)
+        self._block = blocks[:, 0] * (int(blocks[:, 1].max()) + 1) + blocks[:, 1]
         self._common = np.zeros(3)
 
     @property
@@ -132,29 +136,19 @@ class ContourEvidence:
         """Lines that are open."""
         return 0 if self.lines is None else len(self.lines)
 
-    def temper(self, delta: Array) -> None:
-        """Make all lines less sure by as much as their pulls scatter more, from block to block of the image, than they
-        should at the pose moved by delta (6,): patterns and shades along an outline are shared beyond neighbours.
-        """
-        left, weight = self._weighted(delta)
-        off = left + self.common @ self._common
-        count = int(self._block.max()) + 1
-        information = np.bincount(self._block, weight, minlength=count)
-        pulls = np.bincount(self._block, weight * off, minlength=count)
-        told = information > 0.0
-        spare = int(told.sum()) - 5  # what a pose and the lines' common errors fit of an outline, about
-        if spare < self.settings.least_blocks:
-            return
-        misfit = float(np.sum(np.square(pulls[told]) / information[told])) / spare
-        self.share = self.share / max(misfit, 1.0)
-
-    def terms(self, delta: Array) -> tuple[Array, Array]:
+    def terms(self, delta: Array, others: tuple[Array, Array] | None = None) -> tuple[Array, Array]:
         """Gradient (6,) and Gauss-Newton matrix (6, 6) of the lines' cost (nats) at the pose moved by delta (6,).
 
         What the lines share is marginalised. Each line is the Gaussian that stands for it where it is expected, with
-        the probability that it is none of the wrong ones as its weight.
+        the probability that it is none of the wrong ones as its weight. others: gradient and matrix of all else there;
+        where they are given, what the lines are worth in all is learned first (see `_register` and `_temper`).
         """
         left, weight = self._weighted(delta)
+        if others is not None:
+            self._register(left, weight, *others)
+            before = self.share
+            self._temper(left, weight)
+            weight = weight * self.share / before
         shared = (self.common * weight[:, None]).T @ self.common + self.common_information
         cross = (self.jacobian * weight[:, None]).T @ self.common
         pull = self.common.T @ (weight * left)
@@ -162,6 +156,34 @@ class ContourEvidence:
         gradient = self.jacobian.T @ (weight * left) + cross @ self._common
         hessian = (self.jacobian * weight[:, None]).T @ self.jacobian - cross @ np.linalg.solve(shared, cross.T)
         return gradient, 0.5 * (hessian + hessian.T)
+
+    def _temper(self, left: Array, weight: Array) -> None:
+        """Make all lines less sure by as much as their pulls scatter more than they should: by the median of the lines,
+        or from block to block of the image, for patterns, shades and a projector's dots are shared beyond neighbours.
+        """
+        off = left + self.common @ self._common
+        blocks = int(self._block.max()) + 1
+        # a pose and the lines' common errors fit five of an outline's blocks, about
+        ratio = kernels.misfit(off, weight, self.share, self.alone, self._block, blocks, 5, self.settings.least_blocks)
+        self.share = self.alone / max(float(ratio), 1.0)
+
+    def _register(self, left: Array, weight: Array, gradient: Array, information: Array) -> None:
+        """Widen what a colour image's shift against depth may be to what this frame shows of it, where all else has
+        gradient (6,) and information (6, 6): the likeliest variance (empirical Bayes), no less than is believed.
+        """
+        assert self.lines is not None
+        if self.lines.grey:
+            return
+        everything = np.concatenate([self.jacobian, self.common], axis=1)
+        hessian = (everything * weight[:, None]).T @ everything
+        pull = everything.T @ (weight * left)
+        hessian[:6, :6] += information
+        pull[:6] += gradient
+        hessian[6:, 6:] += UNTIED * np.diag(1.0 / self.believed)
+        inverse = np.linalg.inv(hessian)
+        found, spread = -(inverse @ pull)[6:8], np.diag(inverse)[6:8]
+        shown = 0.5 * float(found @ found - spread.sum())
+        self.common_information = np.diag(1.0 / np.maximum(self.believed, [shown, shown, 0.0]))
 
     def _weighted(self, delta: Array) -> tuple[Array, Array]:
         """How far (n,) px each predicted place, moved by delta (6,), is from what its line says, what all share left
@@ -180,6 +202,16 @@ class ContourEvidence:
         weight = self.share / variance / (1.0 + wrong * np.exp(np.minimum(0.5 * off**2 / variance, 50.0)))
         weight = np.where(precision > 0.0, weight, 0.0)
         return moved - mean, weight
+
+    def uncertain(self, covariance: Array) -> str:
+        """Why a pose with this covariance (6, 6) about the centroid is known too little for the lines to be read where
+        its outline is; "" when it is not: they reach so far only.
+        """
+        assert self.lines is not None
+        spread = float(np.sqrt(np.mean(np.einsum("ij,jk,ik->i", self.jacobian, covariance, self.jacobian))))
+        if spread <= self.settings.lines.reach:
+            return ""
+        return f"the outline is known to {spread:.0f} px only, and is looked for within {self.settings.lines.reach} px"
 
     def shift_of(self, delta: Array) -> float:
         """How far (px, root mean square) a move by delta (6,) shifts the outline across itself."""

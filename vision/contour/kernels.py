@@ -88,3 +88,146 @@ def shift_scores(table, lowest, normals, most, unknown, scores):
                 j = int(np.floor(along + 0.5))
                 total += table[i, j] if 0 <= j < m else unknown
             scores[a, b] = total / n
+
+
+@numba.njit(cache=True, nogil=True)
+def box(points, rotation, translation, camera, bounds):
+    """Fill bounds (5,): least and largest u, least and largest v (px), and least depth (m) of points (n, 3) of an
+    object at a pose; camera (fx, fy, cx, cy). Points that are not ahead have their depth told only.
+    """
+    fx, fy, cx, cy = camera
+    bounds[0], bounds[1], bounds[2], bounds[3], bounds[4] = np.inf, -np.inf, np.inf, -np.inf, np.inf
+    for i in range(len(points)):
+        a, b, c = points[i, 0], points[i, 1], points[i, 2]
+        z = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c + translation[2]
+        bounds[4] = min(bounds[4], z)
+        if z <= 0.0:
+            continue
+        u = fx * (rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c + translation[0]) / z + cx
+        v = fy * (rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * c + translation[1]) / z + cy
+        bounds[0], bounds[1] = min(bounds[0], u), max(bounds[1], u)
+        bounds[2], bounds[3] = min(bounds[2], v), max(bounds[3], v)
+
+
+@numba.njit(cache=True, nogil=True)
+def contrasts(colours, first, brightest, height, slope, change):
+    """Of samples (n, k, c) of lines, levels of 255, fill brightest (256,): how many have that as their largest channel;
+    height (n,) and slope (n,): how much the channel that changes most on a line changes on all of it, and in one sample
+    at most; and change (n, m): over two samples on either side of the places from sample first on, in any channel.
+    """
+    n, k, c = colours.shape
+    for i in range(n):
+        for j in range(k):
+            most = np.int64(0)
+            for q in range(c):
+                most = max(most, np.int64(colours[i, j, q]))
+            brightest[most] += 1
+        height[i] = -1.0
+        for q in range(c):
+            low, high, steepest = np.int64(255), np.int64(0), np.int64(0)
+            for j in range(k):
+                value = np.int64(colours[i, j, q])
+                low, high = min(low, value), max(high, value)
+                if j >= 2:
+                    steepest = max(steepest, abs(value - np.int64(colours[i, j - 2, q])))
+            if high - low > height[i]:
+                height[i], slope[i] = high - low, 0.5 * steepest
+        for j in range(change.shape[1]):
+            at, most = first + j, np.int64(0)
+            for q in range(c):
+                before = np.int64(colours[i, at, q]) + np.int64(colours[i, at + 1, q])
+                after = np.int64(colours[i, at + 3, q]) + np.int64(colours[i, at + 4, q])
+                most = max(most, abs(after - before))
+            change[i, j] = 0.5 * most
+
+
+@numba.njit(cache=True, nogil=True)
+def tally(bins, weight, inner, outer, sides):
+    """Fill sides (2, g, b): how often each colour is among the first `inner` samples and from sample `outer` on of all
+    lines' bins (n, k), where line i counts weight[g, i] for group g.
+    """
+    n, k = bins.shape
+    for g in range(weight.shape[0]):
+        for i in range(n):
+            share = weight[g, i]
+            for j in range(inner):
+                sides[0, g, bins[i, j]] += share
+            for j in range(outer, k):
+                sides[1, g, bins[i, j]] += share
+
+
+@numba.njit(cache=True, nogil=True)
+def rays_through(places, camera, rotation, origin, rays):
+    """Fill rays (n, 6) float32: origin (3,), and directions through places (n, 2) px whose depth grows by 1 along them,
+    turned by rotation (3, 3) from the camera's frame; camera (fx, fy, cx, cy).
+    """
+    fx, fy, cx, cy = camera
+    for i in range(len(places)):
+        x, y = (places[i, 0] - cx) / fx, (places[i, 1] - cy) / fy
+        for j in range(3):
+            rays[i, j] = origin[j]
+            rays[i, 3 + j] = rotation[j, 0] * x + rotation[j, 1] * y + rotation[j, 2]
+
+
+@numba.njit(cache=True, nogil=True)
+def spreads(places, reach, found):
+    """Fill found (n, 4): how many places (n, 2) are within reach (px) of each along both axes of the image, itself
+    included, and their variances and covariance there, uu, vv and uv.
+    """
+    for i in range(len(places)):
+        count, u, v, uu, vv, uv = 0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for j in range(len(places)):
+            a, b = places[j, 0] - places[i, 0], places[j, 1] - places[i, 1]
+            if abs(a) < reach and abs(b) < reach:
+                count += 1
+                u += a
+                v += b
+                uu += a * a
+                vv += b * b
+                uv += a * b
+        found[i, 0] = count
+        found[i, 1] = uu / count - (u / count) ** 2
+        found[i, 2] = vv / count - (v / count) ** 2
+        found[i, 3] = uv / count - (u / count) * (v / count)
+
+
+@numba.njit(cache=True, nogil=True)
+def misfit(off, weight, share, alone, block, blocks, fitted, least):
+    """How many times the variance of lines (n,), off by so many px, is what their weights say: by the median line, and
+    by the sums of blocks of the image where at least `least` are left when `fitted` are used up; the larger. share:
+    what the weights count neighbours by now, alone: without what was found before; block (n,) of each line.
+    """
+    scatter = np.zeros(len(off))
+    pulls, information = np.zeros(blocks), np.zeros(blocks)
+    count = 0
+    for i in range(len(off)):
+        if weight[i] <= 0.0:
+            continue
+        scatter[count] = weight[i] / share[i] * off[i] ** 2
+        count += 1
+        own = weight[i] * alone[i] / share[i]
+        information[block[i]] += own
+        pulls[block[i]] += own * off[i]
+    if count == 0:
+        return 1.0
+    ratio = np.median(scatter[:count]) * 2.198  # of a square whose mean is 1, by its median: 1 / 0.6745^2
+    total, some = 0.0, 0
+    for b in range(blocks):
+        if information[b] > 0.0:
+            total += pulls[b] ** 2 / information[b]
+            some += 1
+    if some - fitted >= least:
+        ratio = max(ratio, total / (some - fitted))
+    return ratio
+
+
+@numba.njit(cache=True, nogil=True)
+def neighbours(places, reach, count):
+    """Fill count (n,): how many places (n, 2) are within reach (px) of each, itself included."""
+    for i in range(len(places)):
+        near = 0
+        for j in range(len(places)):
+            a, b = places[j, 0] - places[i, 0], places[j, 1] - places[i, 1]
+            if a * a + b * b < reach * reach:
+                near += 1
+        count[i] = near

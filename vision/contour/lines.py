@@ -44,7 +44,7 @@ class LineSettings:
     temper: float = 1.5
     # Samples (px from the outline, first and last) on either side that must look like that side, and how clearly (nats
     # a sample): an edge within the object is no border, however clear it is.
-    near: tuple[int, int] = (2, 9)
+    near: tuple[int, int] = (2, 5)
     clear: float = 0.1
     # An edge whose change is this share of the contrast is half as strong as any.
     edge_share: float = 0.2
@@ -99,7 +99,7 @@ def lines_across(image: NDArray[np.uint8], outline: Outline, settings: LineSetti
     read = cv2.remap(part, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     colours = np.asarray(read, dtype=np.uint8)
     log_p = np.zeros((len(outline), 2 * s.reach + 2))
-    why_not, edges = _useless(colours, s), _edges(colours, s)
+    why_not, edges = _looked_over(colours, s)
     if why_not:
         return Lines(outline, log_p, -s.reach - 0.5, edges, grey, why_not)
     bins, count = _binned(colours, grey, s)
@@ -110,54 +110,45 @@ def lines_across(image: NDArray[np.uint8], outline: Outline, settings: LineSetti
     return Lines(outline, log_p, -s.reach - 0.5, edges, grey)
 
 
-def _edges(colours: NDArray[np.uint8], settings: LineSettings) -> Array:
-    """(n, 2 reach + 1) how much samples (n, k) or (n, k, 3) change over two pixels on either side of each offset,
-    relative to the image's contrast: 0 for none, saturating at 1.
-    """
-    values = colours.reshape(*colours.shape[:2], -1).astype(np.float32)
-    pairs = values[:, 1:] + values[:, :-1]
-    change = np.abs(pairs[:, 3:] - pairs[:, :-3]).max(axis=2) / 2.0
-    low, high = _extent(colours)
-    change = change[:, settings.beyond - 2 : settings.beyond + 2 * settings.reach - 1]
-    return np.asarray(change / (change + settings.edge_share * max(high - low, 1.0)), dtype=np.float64)
-
-
 def _extent(values: NDArray[np.uint8]) -> tuple[float, float]:
     """The darkest and the brightest percent of the values."""
-    below = np.bincount(values.ravel(), minlength=256).cumsum()
-    low, high = np.searchsorted(below, [0.01 * values.size, 0.99 * values.size])
+    return _percents(np.bincount(values.ravel(), minlength=256))
+
+
+def _percents(counts: NDArray[np.int64]) -> tuple[float, float]:
+    """The values up to which the first and the 99th percent of all counted (256,) are."""
+    below = counts.cumsum()
+    low, high = np.searchsorted(below, [0.01 * below[-1], 0.99 * below[-1]])
     return float(low), float(high)
 
 
-def _useless(colours: NDArray[np.uint8], settings: LineSettings) -> str:
-    """Why samples (n, k) or (n, k, 3) tell nothing: dark, flat or badly exposed; "" when they do."""
-    bright = colours.reshape(*colours.shape[:2], -1).max(axis=2)
-    low, high = _extent(bright)
-    if high < settings.contrast:
-        return f"the image is dark: {high:.0f} of 255 at most around the outline"
-    over = float((bright == 255).mean())
-    if over > settings.clipped:
-        return f"the image is overexposed: {over:.0%} of what surrounds the outline"
-    if high - low < settings.contrast:
-        return f"the image has no contrast: {high - low:.0f} levels of 255 around the outline"
-    width = _edge_width(colours)
-    if width > settings.blurred:
-        return f"the image is blurred: edges around the outline are {width:.0f} px wide"
-    return ""
+def _looked_over(colours: NDArray[np.uint8], settings: LineSettings) -> tuple[str, Array]:
+    """Why samples (n, k) or (n, k, 3) tell nothing: dark, flat, badly exposed or blurred; "" when they do. And (n, 2
+    reach + 1) how much they change over two pixels on either side of each offset, relative to the image's contrast: 0
+    for none, saturating at 1.
 
-
-def _edge_width(colours: NDArray[np.uint8]) -> float:
-    """Standard deviation (px) of what smears a step along lines of samples (n, k) or (n, k, 3), the median of the half
-    with the largest steps: a smeared step h rises by h / (sigma sqrt(2 pi)) a pixel at most.
+    Blur: a step h that is smeared by sigma rises by h / (sigma sqrt(2 pi)) a pixel at most; the median of the half of
+    the lines with the largest steps.
     """
-    values = colours.reshape(*colours.shape[:2], -1).astype(np.float32)
-    height = values.max(axis=1) - values.min(axis=1)
-    channel = np.argmax(height, axis=1)
-    rows = np.arange(len(values))
-    slope = 0.5 * np.abs(values[:, 2:] - values[:, :-2]).max(axis=1)[rows, channel]
-    height = height[rows, channel]
+    s, count = settings, len(colours)
+    brightest, height, slope = np.zeros(256, dtype=np.int64), np.zeros(count), np.zeros(count)
+    change = np.zeros((count, 2 * s.reach + 1))
+    kernels.contrasts(colours.reshape(*colours.shape[:2], -1), s.beyond - 2, brightest, height, slope, change)
+    low, high = _extent(colours)
+    edges = change / (change + s.edge_share * max(high - low, 1.0))
+    low, high = _percents(brightest)
+    if high < s.contrast:
+        return f"the image is dark: {high:.0f} of 255 at most around the outline", edges
+    over = float(brightest[255] / brightest.sum())
+    if over > s.clipped:
+        return f"the image is overexposed: {over:.0%} of what surrounds the outline", edges
+    if high - low < s.contrast:
+        return f"the image has no contrast: {high - low:.0f} levels of 255 around the outline", edges
     clear = height >= np.median(height)
-    return float(np.median(height[clear] / (np.sqrt(2.0 * np.pi) * np.maximum(slope[clear], 0.5))))
+    width = float(np.median(height[clear] / (np.sqrt(2.0 * np.pi) * np.maximum(slope[clear], 0.5))))
+    if width > s.blurred:
+        return f"the image is blurred: edges around the outline are {width:.0f} px wide", edges
+    return "", edges
 
 
 def _binned(colours: NDArray[np.uint8], grey: bool, settings: LineSettings) -> tuple[NDArray[np.int64], int]:
@@ -190,14 +181,12 @@ def _ratios(
     apart = np.square(u[anchors, None] - u) + np.square(v[anchors, None] - v)
     width = s.spread * float(np.ptp(outline.places, axis=0).max()) + 2.0
     weight = np.exp(-0.5 * apart / width**2) + s.everywhere
-    sides = []
-    for chosen in (offsets < -s.gap, offsets > s.gap):
-        own = bins[:, chosen]
-        rows = np.repeat(np.arange(len(bins)), own.shape[1]) * count
-        each = np.bincount(rows + own.ravel(), minlength=len(bins) * count).reshape(len(bins), count)
-        seen = _smoothed(weight @ each, s.greys if grey else s.levels)
-        sides.append(seen / np.maximum(seen.sum(axis=1, keepdims=True), 1e-9) + s.unknown)
-    return np.log(sides[0] / sides[1]), np.argmin(apart, axis=0)
+    sides = np.zeros((2, len(anchors), count))
+    inner, outer = int((offsets < -s.gap).sum()), int((offsets <= s.gap).sum())
+    kernels.tally(bins, weight, inner, outer, sides)
+    seen = _smoothed(sides.reshape(-1, count), s.greys if grey else s.levels).reshape(sides.shape)
+    shares = seen / np.maximum(seen.sum(axis=2, keepdims=True), 1e-9) + s.unknown
+    return np.log(shares[0] / shares[1]), np.argmin(apart, axis=0)
 
 
 def _smoothed(counts: Array, levels: int) -> Array:

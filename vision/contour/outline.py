@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scenes.geometry import poses as se3
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
+from vision.contour import kernels
 
 Array = NDArray[np.float64]
 
@@ -105,38 +106,34 @@ class _Caster:
     """Depths of the object at a pose along rays through places of the image."""
 
     def __init__(self, model: ObjectModel, camera: Camera, pose: Array) -> None:
-        self.surface, self.camera, self.inverse = model.surface, camera, se3.inverse(pose)
+        self.surface, inverse = model.surface, se3.inverse(pose)
+        self.lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+        self.rotation = np.ascontiguousarray(inverse[:3, :3])
+        self.origin = inverse[:3, 3] - self.surface.middle
 
     def depth(self, places: Array) -> Array:
         """(n,) m along z through places (n, 2); inf where the ray misses."""
-        c = self.camera
-        rays = np.stack([(places[:, 0] - c.cx) / c.fx, (places[:, 1] - c.cy) / c.fy, np.ones(len(places))], axis=1)
-        origins = np.broadcast_to(self.inverse[:3, 3], rays.shape)
-        return self.surface.cast(origins, rays @ self.inverse[:3, :3].T)
+        rays = np.zeros((len(places), 6), dtype=np.float32)
+        kernels.rays_through(places, self.lens, self.rotation, self.origin, rays)
+        return self.surface.cast_local(rays)
 
 
 def _box(model: ObjectModel, camera: Camera, pose: Array) -> tuple[Array, Array]:
     """Lowest and highest place of the object in the image (px), clipped to it; empty where it is not ahead."""
-    points = se3.apply(pose, model.vertices)
-    if points[:, 2].min() < 1e-3:
+    bounds = np.zeros(5)
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    kernels.box(model.vertices, np.ascontiguousarray(pose[:3, :3]), pose[:3, 3].copy(), lens, bounds)
+    if bounds[4] < 1e-3:
         return np.ones(2), np.zeros(2)
-    uv, _ = camera.project(points)
     size = np.array([camera.width - 1.0, camera.height - 1.0])
-    return np.clip(uv.min(axis=0), 0.0, size), np.clip(uv.max(axis=0), 0.0, size)
+    return np.clip(bounds[[0, 2]], 0.0, size), np.clip(bounds[[1, 3]], 0.0, size)
 
 
 def _normals(places: Array, away: Array, step: float, settings: OutlineSettings) -> tuple[Array, NDArray[np.bool_]]:
     """(n, 2) normals away from the object, and where the outline is straight enough to have one."""
-    near = np.abs(places[:, None, 0] - places[None, :, 0]) < settings.around * step
-    near &= np.abs(places[:, None, 1] - places[None, :, 1]) < settings.around * step
-    weight = near.astype(np.float64)
-    count = weight.sum(axis=1)
-    middle = places.mean(axis=0)
-    x, y = (places - middle).T
-    mx, my = weight @ x / count, weight @ y / count
-    xx = weight @ (x * x) / count - mx * mx
-    yy = weight @ (y * y) / count - my * my
-    xy = weight @ (x * y) / count - mx * my
+    found = np.zeros((len(places), 4))
+    kernels.spreads(places, settings.around * step, found)
+    count, xx, yy, xy = found.T
     angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)  # of the line along the outline
     half, root = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
     largest, least = half + root, np.maximum(half - root, 0.0)

@@ -16,8 +16,8 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
 from vision.look.hand import HandView, HandViewSettings, view_hand
-from vision.look.looked import Looked, RowSettings, no_pixels, nothing_seen
-from vision.look.mask import MaskSettings, connected_pieces, find_plane, object_mask, on_plane
+from vision.look.looked import Looked, RowSettings, no_pixels, no_planes, nothing_seen
+from vision.look.mask import MaskSettings, connected_pieces, find_planes, object_mask, on_planes
 from vision.look.pixels import Pixels, Region, read_pixels
 from vision.look.points import all_points
 from vision.look.regions import find_region, region_around
@@ -87,11 +87,12 @@ def look(
     if _box(frame, region) is None:
         return nothing_seen(region, "region outside the image")
     hand = _find_hand(frame, beliefs, settings)
-    plane = large_plane(frame, model, beliefs, settings) if frame.mask is None and hand is None else None
     if frame.mask is None and hand is None:
-        known = None if plane is None else (plane, beliefs)
-        bare = _sorted(frame, region, None, None, settings, known)
-        return bare if start is not None else replace(bare, pieces=_find_pieces(frame, model, plane, beliefs, settings))
+        planes = large_planes(frame, model, beliefs, settings)
+        bare = _sorted(frame, region, None, None, settings, planes, beliefs)
+        if start is not None:
+            return bare
+        return replace(bare, pieces=_find_pieces(frame, model, planes, beliefs, settings))
     if not settings.tidy or start is not None or frame.mask is not None or hand is None or not len(hand.points):
         return _sorted(frame, region, frame.mask, hand, settings)
     mask = object_mask(frame, model, beliefs, settings=settings.mask, view=hand)
@@ -105,10 +106,12 @@ def look(
 def look_closer(
     frame: Frame, model: ObjectModel, before: Looked, candidates: Array, beliefs: Beliefs, settings: LookSettings
 ) -> Looked:
-    """The frame's pixels around candidates (n, 4, 4) camera_from_object, with hand and plane as `before` found them."""
+    """The frame's pixels around candidates (n, 4, 4) camera_from_object, with hand and planes as `before` found
+    them.
+    """
     region = region_around(model, candidates, settings.slack)
-    plane = None if before.plane is None else (before.plane, beliefs)
-    return replace(_sorted(frame, region, frame.mask, before.hand, settings, plane), pieces=before.pieces)
+    near = _sorted(frame, region, frame.mask, before.hand, settings, before.planes, beliefs)
+    return replace(near, pieces=before.pieces)
 
 
 def _box(frame: Frame, region: Region | None) -> tuple[int, int, int, int] | None:
@@ -117,24 +120,15 @@ def _box(frame: Frame, region: Region | None) -> tuple[int, int, int, int] | Non
     return (0, 0, frame.camera.width, frame.camera.height) if region is None else region.box(frame.camera)
 
 
-def large_plane(frame: Frame, model: ObjectModel, beliefs: Beliefs, settings: LookSettings) -> Array | None:
-    """(4,) the plane that most readings lie on, when it is too large to be the object's own face."""
-    assert frame.depth is not None
-    assert frame.camera is not None
-    plane = find_plane(frame, settings.mask, beliefs.depth)
-    if plane is None:
-        return None
-    full = (0, 0, frame.camera.width, frame.camera.height)
-    points = read_pixels(frame.depth, frame.camera, full, settings.mask.plane_points).points
-    points = points[on_plane(points, plane, beliefs.depth, settings.mask)]
-    extent = np.percentile(points, 95, axis=0) - np.percentile(points, 5, axis=0)
-    return plane if float(np.linalg.norm(extent)) > settings.plane_extent * model.diameter else None
+def large_planes(frame: Frame, model: ObjectModel, beliefs: Beliefs, settings: LookSettings) -> Array:
+    """(k, 6) planes that many readings lie on, too large to be the object's own face; see `find_planes`."""
+    return find_planes(frame, settings.mask, beliefs.depth, settings.plane_extent * model.diameter)
 
 
 def _find_pieces(
-    frame: Frame, model: ObjectModel, plane: Array | None, beliefs: Beliefs, settings: LookSettings
+    frame: Frame, model: ObjectModel, planes: Array, beliefs: Beliefs, settings: LookSettings
 ) -> tuple[Pixels, ...]:
-    """Connected surfaces off the plane, largest first, those that are not far too small to be the object's; then those
+    """Connected surfaces off the planes, largest first, those that are not far too small to be the object's; then those
     into which finer steps of depth part them: a finger that lies on the object is one piece with it, or two.
     """
     assert frame.camera is not None
@@ -142,7 +136,7 @@ def _find_pieces(
     v, u = np.mgrid[0 : camera.height : step, 0 : camera.width : step]
     out: list[Pixels] = []
     coarse: list[NDArray[np.bool_]] = []
-    points, pieces = surfaces(frame, plane, beliefs, settings)
+    points, pieces = surfaces(frame, planes, beliefs, settings)
     for numbers in (pieces, finer_surfaces(points, pieces, settings)):
         size = np.bincount(numbers[numbers >= 0], minlength=1)
         order = np.argsort(-size, kind="stable")[: settings.most_pieces - len(out)]
@@ -171,11 +165,9 @@ def finer_surfaces(points: Array, pieces: NDArray[np.int64], settings: LookSetti
     return connected_pieces(z, (pieces >= 0) & is_reading(z), fine)
 
 
-def surfaces(
-    frame: Frame, plane: Array | None, beliefs: Beliefs, settings: LookSettings
-) -> tuple[Array, NDArray[np.int64]]:
+def surfaces(frame: Frame, planes: Array, beliefs: Beliefs, settings: LookSettings) -> tuple[Array, NDArray[np.int64]]:
     """Points (h, w, 3) at every settings.piece_step pixels, and the number of the connected surface that each is on,
-    from 0, largest or not; -1 where nothing is read, or on the plane (4,).
+    from 0, largest or not; -1 where nothing is read, or on one of the planes (k, 6).
     """
     assert frame.depth is not None
     assert frame.camera is not None
@@ -185,8 +177,7 @@ def surfaces(
     good = is_reading(z)
     z = np.where(good, z, 0.0)
     points = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=2)
-    if plane is not None:
-        good &= ~on_plane(points, plane, beliefs.depth, settings.mask)
+    good &= ~on_planes(points, planes, beliefs.depth, settings.mask)
     return points, connected_pieces(z, good, settings.mask)
 
 
@@ -205,7 +196,8 @@ def _sorted(
     mask: Mask | None,
     hand: HandView | None,
     settings: LookSettings,
-    plane: tuple[Array, Beliefs] | None = None,
+    planes: Array | None = None,
+    beliefs: Beliefs | None = None,
 ) -> Looked:
     """The pixels of the region, thinned, by what they may show."""
     assert frame.depth is not None
@@ -219,8 +211,9 @@ def _sorted(
         inside = np.linalg.norm(pixels.points - region.centre, axis=1) < region.radius
     if mask is not None:
         inside &= mask[pixels.uv[:, 1], pixels.uv[:, 0]]
-    if plane is not None:
-        inside &= ~on_plane(pixels.points, plane[0], plane[1].depth, settings.mask)
+    planes = no_planes() if planes is None else planes
+    if len(planes):
+        inside &= ~on_planes(pixels.points, planes, (beliefs or Beliefs()).depth, settings.mask)
     others = pixels.take(~inside).thinned(settings.most_others)
     mine = pixels.take(inside).thinned(settings.most_inside)
     dropped: dict[str, int] = {}
@@ -229,10 +222,9 @@ def _sorted(
         near_hand = hand.nearer(mine.points, settings.hand.margin)
         dropped["hand pixels"] = int(near_hand.sum())
     told_apart = mask is not None or hand is not None
-    found = None if plane is None else plane[0]
-    how = "; table or wall taken away" if plane is not None else ""
+    how = "; table or wall taken away" if len(planes) else ""
     kept, of_hand = mine.take(~near_hand), mine.take(near_hand)
-    return Looked(kept, of_hand, others, region, hand, dropped, told_apart=told_apart, how=how, plane=found)
+    return Looked(kept, of_hand, others, region, hand, dropped, told_apart=told_apart, how=how, planes=planes)
 
 
 def _cloud(frame: Frame, region: Region | None, settings: LookSettings) -> Looked:

@@ -43,7 +43,7 @@ class Looked:
     pixels: may be the object; of_hand: explained by the hand; others: seen beyond or beside the region (for free
     space). region: where the object is looked for. hand: the aligned hand. dropped: counts by reason. is_cloud: the
     points come from a cloud, not from pixels of a camera. told_apart: a mask or the hand's model removed what hides the
-    object. how: a word on what was taken away first.
+    object. how: a word on what was taken away first. planes (k, 6): table and walls, see `vision.look.mask.find_plane`.
     """
 
     pixels: Pixels
@@ -55,7 +55,7 @@ class Looked:
     is_cloud: bool = False
     told_apart: bool = False
     how: str = ""
-    plane: Array | None = None
+    planes: Array = field(default_factory=lambda: np.zeros((0, 6)))
     pieces: tuple[Pixels, ...] = ()
     # rows by what they were made with: several steps ask for them
     _made: dict[tuple[DepthModel, RowSettings], Evidence] = field(
@@ -78,6 +78,11 @@ class Looked:
 def nothing_seen(region: Region | None, why: str | None = None, hand: HandView | None = None) -> Looked:
     """No pixel at all, for a reason."""
     return Looked(no_pixels(), no_pixels(), no_pixels(), region, hand, {} if why is None else {why: 1})
+
+
+def no_planes() -> Array:
+    """No table and no wall."""
+    return np.zeros((0, 6))
 
 
 def no_pixels() -> Pixels:

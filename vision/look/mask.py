@@ -45,6 +45,11 @@ class MaskSettings:
     # independent noise on top.
     plane_margin: float = 0.006
     plane_sigmas: float = 3.0
+    # Table, wall and floor; of all readings a further plane holds this share.
+    most_planes: int = 3
+    next_plane_share: float = 0.1
+    # Readings scatter about a plane at most so many times as far as is believed of the camera: beyond, it is no plane.
+    plane_most_scatter: float = 5.0
     # Readings this near (m) to the rendered hand are the hand's: smooth bias at two sigmas, and the joints' errors.
     hand_margin: float = 0.006
     # The hand's outline is uncertain by this (m): joints wrong by 0.3 degrees over a finger, and the rest of the
@@ -144,29 +149,69 @@ def _candidates(
         away += np.square(y - region.centre[1])
         away += np.square(z - region.centre[2])
         good &= away < region.radius**2
-    plane = find_plane(frame, settings, depth_model)
+    plane = find_plane(_some_points(frame, settings), settings, depth_model)
     if plane is not None:
-        good &= ~on_plane(points, plane, depth_model, settings)
+        good &= ~on_planes(points, plane[None], depth_model, settings)
     if start is not None and good.any():
         distance = model.field.distance(poses.apply(poses.inverse(start), points[good]))
         good[good] = np.abs(distance) < settings.reach
     return points, good
 
 
-def on_plane(points: Array, plane: Array, depth_model: DepthModel, settings: MaskSettings) -> Mask:
-    """(...) whether points (..., 3) are on a plane (4,), within what a camera makes of it, or behind it."""
-    room = settings.plane_margin + settings.plane_sigmas * depth_model.independent_sigma(points[..., 2])
-    return np.asarray(points @ plane[:3] + plane[3] <= room)
+def on_planes(points: Array, planes: Array, depth_model: DepthModel, settings: MaskSettings) -> Mask:
+    """(...) whether points (..., 3) are on one of planes (k, 6), within what a camera makes of it, or behind the first.
 
-
-def find_plane(frame: Frame, settings: MaskSettings, depth_model: DepthModel) -> Array | None:
-    """(4,) unit normal towards the camera and offset, height = n . p + o, of the wall or table that most readings lie
-    on; None when there is no such plane, or when much is seen beyond it.
+    A plane: see `find_plane`.
     """
+    own = depth_model.independent_sigma(points[..., 2])
+    on = np.zeros(points.shape[:-1], dtype=bool)
+    for plane in planes:
+        height = points @ plane[:3] + plane[3]
+        room = settings.plane_margin + settings.plane_sigmas * plane[4] * own
+        on |= (height <= room) & (height >= -np.maximum(room, plane[5]))
+    return on
+
+
+def find_planes(frame: Frame, settings: MaskSettings, depth_model: DepthModel, extent: float) -> Array:
+    """(k, 6) table, wall and floor: planes that many readings lie on, most first, each of them larger than extent (m).
+
+    A plane: see `find_plane`. Behind the first there is nothing; a further one may be a box's side, beside which more
+    is seen.
+    """
+    points, found = _some_points(frame, settings), np.zeros((0, 6))
+    left = points
+    for k in range(settings.most_planes):
+        share = settings.plane_share if not k else settings.next_plane_share * len(points) / max(len(left), 1)
+        plane = find_plane(left, settings, depth_model, share)
+        if plane is None:
+            break
+        plane[5] = np.inf if not k else 0.0
+        on = on_planes(left, plane[None], depth_model, settings)
+        across = np.percentile(left[on], 95, axis=0) - np.percentile(left[on], 5, axis=0)
+        if float(np.linalg.norm(across)) <= extent:
+            break
+        found, left = np.concatenate([found, plane[None]]), left[~on]
+    return found
+
+
+def _some_points(frame: Frame, settings: MaskSettings) -> Array:
+    """(n, 3) points of the whole image, thinned."""
     assert frame.depth is not None
     assert frame.camera is not None
     box = (0, 0, frame.camera.width, frame.camera.height)
-    points = read_pixels(frame.depth, frame.camera, box, settings.plane_points).points
+    return read_pixels(frame.depth, frame.camera, box, settings.plane_points).points
+
+
+def find_plane(
+    points: Array, settings: MaskSettings, depth_model: DepthModel, least_share: float | None = None
+) -> Array | None:
+    """(6,) the plane that most of the points (n, 3) lie on; None when there is no such plane, or when much is seen
+    beyond it.
+
+    Unit normal towards the camera and offset, height = n . p + o; how many times as far as is believed of the camera
+    they scatter about it, 1 at least; and how far behind it (m) there is nothing else, inf. least_share: of the points;
+    None for the settings'.
+    """
     if len(points) < 50:
         return None
     tolerance = settings.plane_margin + settings.plane_sigmas * depth_model.independent_sigma(points[:, 2])
@@ -183,6 +228,8 @@ def find_plane(frame: Frame, settings: MaskSettings, depth_model: DepthModel) ->
     best = int(on.sum(axis=0).argmax())
     normal, offset = normals[best], offsets[best]
     chosen = np.abs(points @ normal + offset) < tolerance
+    if chosen.sum() < 50:
+        return None
     for _ in range(3):
         middle = points[chosen].mean(axis=0)
         _, _, axes = np.linalg.svd(points[chosen] - middle, full_matrices=False)
@@ -191,9 +238,27 @@ def find_plane(frame: Frame, settings: MaskSettings, depth_model: DepthModel) ->
         chosen = np.abs(points @ normal + offset) < tolerance
         if chosen.sum() < 50:
             return None
-    beyond = float((points @ normal + offset < -2 * tolerance).mean())
+    height = points @ normal + offset
+    beyond = float((height < -2 * tolerance).mean())
     share = float(chosen.mean())
-    return np.append(normal, offset) if share > settings.plane_share and beyond < 0.5 * share else None
+    if share <= (settings.plane_share if least_share is None else least_share) or beyond >= 0.5 * share:
+        return None
+    scatter = _scatter(height, tolerance, points[:, 2], depth_model, settings)
+    return np.concatenate([normal, [offset, scatter, np.inf]])
+
+
+def _scatter(height: Array, tolerance: Array, z: Array, depth_model: DepthModel, settings: MaskSettings) -> float:
+    """How many times as far as is believed readings at depths z (n,) scatter about a plane, 1 at least.
+
+    height (n,) above it, m. Nothing stands behind a table or wall: what is read there, as far as it may be the plane
+    (four times the tolerance (n,)), is noise, and its median is 0.67 standard deviations.
+    """
+    behind = (height < 0.0) & (height > -4.0 * tolerance)
+    if not behind.any():
+        return 1.0
+    sigma = np.hypot(depth_model.independent_sigma(z[behind]), settings.plane_margin / settings.plane_sigmas)
+    seen = float(np.median(-height[behind] / sigma)) / 0.6745
+    return float(np.clip(seen, 1.0, settings.plane_most_scatter))
 
 
 def _hand_pixels(

@@ -18,9 +18,9 @@ from scenes.geometry.surface import Surface
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
 from vision.look.hand import HandView, camera_from_hand, fit_hand, view_hand
-from vision.look.look import LookSettings, large_plane, look
-from vision.look.looked import Looked, no_pixels, nothing_seen
-from vision.look.mask import on_plane
+from vision.look.look import LookSettings, large_planes, look
+from vision.look.looked import Looked, no_pixels, no_planes, nothing_seen
+from vision.look.mask import on_planes
 from vision.look.pixels import Pixels, Region, read_pixels
 
 Array = NDArray[np.float64]
@@ -68,7 +68,7 @@ class Looker:
         self.first = replace(first, slack=s.slack, most_others=s.free_rays, rows=rows)
         self.beliefs = beliefs or Beliefs()
         self.correction: Array | None = None
-        self.plane: Array | None = None
+        self.planes = no_planes()
         self._surface: Surface | None = None
         self._vertices = np.zeros((0, 3))
         self._joints: tuple[tuple[str, float], ...] = ()
@@ -92,9 +92,8 @@ class Looker:
         near[near] = self._near_surface(pixels.points[near], predicted)
         bare = frame.mask is None and hand_view is None and self.first.tidy
         if share is None:  # where nothing else tells what is not the object's
-            self.plane = large_plane(frame, self.model, self.beliefs, self.first) if bare else None
-        if self.plane is not None:
-            near[near] = ~on_plane(pixels.points[near], self.plane, self.beliefs.depth, self.first.mask)
+            self.planes = large_planes(frame, self.model, self.beliefs, self.first) if bare else no_planes()
+        near[near] = ~on_planes(pixels.points[near], self.planes, self.beliefs.depth, self.first.mask)
         if frame.mask is not None:
             near &= frame.mask[pixels.uv[:, 1], pixels.uv[:, 0]]
         mine = pixels.take(near).thinned(int(many * self.settings.most_near))
@@ -106,7 +105,7 @@ class Looker:
         dropped = {"hand pixels": int(of_hand.sum())} if hand_view is not None else {}
         return Looked(
             mine.take(~of_hand), mine.take(of_hand), others, region, hand_view, dropped, told_apart=told_apart,
-            plane=self.plane,
+            planes=self.planes,
         )  # fmt: skip
 
     def _near_surface(self, points: Array, predicted: Array) -> NDArray[np.bool_]:

@@ -45,7 +45,7 @@ class _Trial:
 def run(settings: BenchSettings) -> Report:
     """Recorded sets, simulated sets by noise, false contacts, and the hopeless cases."""
     models = recognition_models()
-    count = settings.count(10, 1)
+    count = settings.count(5, 1)
     report = Report("recognition", "Recognition by touch", f"{count} per model and cell", settings.seed)
     identify(models[:2], _touched(models[0], 20, 0.0, np.random.default_rng(0)))  # compiled before anything is timed
     recorded, wrong_recorded, seconds = _recorded(models, settings)
@@ -72,7 +72,7 @@ def run(settings: BenchSettings) -> Report:
         report.tables.append(_table(title, table))
     hopeless, wrong_hopeless = _hopeless(models, settings)
     report.tables.append(hopeless)
-    strangers, both_errors = _strangers(models, settings, max(1, count // 3))
+    strangers, both_errors = _strangers(models, settings, max(1, count // 2))
     report.tables.append(strangers)
     trials = [t for cells in (noisy, false, few) for cell in cells.values() for t in cell]
     clean = noisy[f"{1e3 * NOISES[0]:.0f} mm"]

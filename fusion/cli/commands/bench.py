@@ -33,7 +33,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--motions", metavar="A,B", type=names_list, help="motions of the sequences of `tracking` (default: all nine)"
     )
     parser.add_argument(
-        "--frames", metavar="N", type=positive, help="frames of each sequence of `tracking` (default: 45)"
+        "--frames",
+        metavar="N",
+        type=positive,
+        help="frames of each sequence of `tracking` (default: 45), or of `memory` (5000)",
     )
     parser.add_argument(
         "--methods",

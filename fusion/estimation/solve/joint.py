@@ -22,7 +22,7 @@ for a few rigs (one without shared errors, a usual one, a poor one), which are a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,6 +116,14 @@ def settle(
 
 def answered(settled: Settled) -> JointResult:
     """A solution with its covariances."""
+    one, system = marginalised(settled), settled.system
+    misfit = system.misfit()
+    independent, shared, follows = _split(system, settled.pose, settled.normal)
+    return replace(one, independent=misfit * independent, shared=misfit * shared, follows=follows)
+
+
+def marginalised(settled: Settled) -> JointResult:
+    """A solution with its covariance, all else marginalised; what of it noise and shared errors make is left out."""
     system, here, unknown, free = settled.system, settled.pose, settled.unknown, settled.free
     whole = settled.normal + np.diag(system.width)
     gain = _marginal(whole[:free, :free])
@@ -125,7 +133,6 @@ def answered(settled: Settled) -> JointResult:
         covariance = gain + inverse @ inverse.T
     system.terms(here, unknown)
     misfit = system.misfit()
-    independent, shared, follows = _split(system, here, settled.normal)
     covariance = misfit * covariance + system.excess_spread(whole[:free, :free], misfit) + _mesh_spread(system)
     return JointResult(
         here,
@@ -137,10 +144,7 @@ def answered(settled: Settled) -> JointResult:
         settled.log_evidence,
         settled.level,
         system.seen_cost,
-        independent=misfit * independent,
-        shared=misfit * shared,
         as_seen=_as_seen(system, here, unknown),
-        follows=follows,
     )
 
 

@@ -55,22 +55,23 @@ def outlined(
     model, how = pool.model, settings.contour
     wider = _positive(mode.covariance - solved.covariance)
     lateral = _across(mode.pose, model.centroid, how.distance_share)
-    information = np.linalg.inv(solved.independent + lateral @ solved.shared @ lateral.T + wider)
+    information: Array = np.linalg.inv(solved.independent + lateral @ solved.shared @ lateral.T + wider)
     hessian, lines = np.zeros((6, 6)), 0
     at = mode.pose
     for turn in range(how.rounds):
         evidence = ContourEvidence(frame, model, pool.predictor, at, mesh_sigma, how)
-        why_not = evidence.why_not or (evidence.unregistered(mode.covariance) if turn == 0 else "")
+        why_not = evidence.why_not
+        if turn == 0:
+            why_not = why_not or evidence.uncertain(mode.covariance) or evidence.unregistered(mode.covariance)
         if why_not:
             return Outlined(mode, solved, 0, why_not)
         lines = evidence.count
         before = se3.difference(at, mode.pose, model.centroid)
         delta = np.zeros(6)
         for step in range(how.steps):
-            if step == how.steps - 1:
-                evidence.temper(delta)
-            gradient, hessian = evidence.terms(delta)
-            delta = delta - np.linalg.solve(information + hessian, gradient + information @ (before + delta))
+            others = information @ (before + delta)
+            gradient, hessian = evidence.terms(delta, (others, information) if step > 0 else None)
+            delta = delta - np.linalg.solve(information + hessian, gradient + others)
         at = se3.perturb(at, delta, model.centroid)
         if evidence.shift_of(delta) < how.anew:
             break

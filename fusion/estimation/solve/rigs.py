@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.solve.joint import JointResult, answered, settle, solve
+from fusion.estimation.solve.joint import JointResult, answered, marginalised, settle, solve
 from fusion.estimation.solve.problem import JointProblem
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -38,8 +38,10 @@ def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[Joint
         return [first, *(solve(one, start, rig.level, rig.weight) for one, start in pairs[1:])]
     weights = weights / weights.sum()
     likely = np.flatnonzero(weights >= settings.negligible)
-    answers = [answered(tried[k]) for k in likely]
-    first = _averaged(problem.model, answers, weights[likely], answers[int(np.argmax(weights[likely]))])
+    # of the others no more than poses and covariances goes into the mean
+    most = int(np.argmax(weights[likely]))
+    answers = [(answered if n == most else marginalised)(tried[k]) for n, k in enumerate(likely)]
+    first = _averaged(problem.model, answers, weights[likely], answers[most])
     return [first, *(solve(one, start, rig.level) for one, start in pairs[1:])]
 
 

@@ -228,8 +228,10 @@ class System:
 def _blocks(uv: Array, count: float, least: float) -> NDArray[np.int64]:
     """(n,) block of each pixel (n, 2): squares of the image, about `count` of them, no side shorter than `least`."""
     side = max(least, float(np.sqrt(np.prod(np.ptp(uv, axis=0) + 1.0) / count)))
-    block = np.floor((uv - uv.min(axis=0)) / side).astype(np.int64)
-    return np.asarray(np.unique(block, axis=0, return_inverse=True)[1].ravel(), dtype=np.int64)
+    column, row = np.floor((uv - uv.min(axis=0)) / side).astype(np.int64).T
+    block = column * (row.max() + 1) + row
+    # numbered without gaps, as np.unique does, but without sorting
+    return np.asarray(np.cumsum(np.bincount(block) > 0)[block] - 1, dtype=np.int64)
 
 
 def exceeding(spread: Array, said: Array) -> Array:

@@ -93,8 +93,8 @@ def sense(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: 
     sight = Sight(viewed, model, beliefs.depth, settings.sight)
     # where neither mask nor hand tells what hides the object, what is seen may be that
     unknown = not looked.told_apart and viewed.depth is not None
-    pieces = surfaces(viewed, looked.plane, beliefs, settings.look)[1] if unknown else None
-    predictor = Predictor(viewed, model, beliefs.depth, hand, settings.prediction, looked.plane, pieces)
+    pieces = surfaces(viewed, looked.planes, beliefs, settings.look)[1] if unknown else None
+    predictor = Predictor(viewed, model, beliefs.depth, hand, settings.prediction, looked.planes, pieces)
     asks = settings.look.rows, settings.proposals, settings.modes, settings.pool
     rng = np.random.default_rng(asked.seed)
     pool = Pool(

@@ -149,14 +149,22 @@ class Scene {
     requestAnimationFrame(() => { this.asked = false; this.paint(); });
   }
 
-  paint() {
+  // The canvases as large as they are shown, empty, seen from where the eye is; what is drawn with, null where nothing
+  // can be.
+  begin() {
     const c = this.canvas, labels = this.pen.canvas, ratio = Math.min(2, window.devicePixelRatio || 1);
     const width = Math.round(c.clientWidth * ratio), height = Math.round(c.clientHeight * ratio);
-    if (!this.painter || !this.frame || !width || !height) return;
+    if (!this.painter || !this.frame || !width || !height) return null;
     for (const one of [c, labels]) if (one.width !== width || one.height !== height) { one.width = width; one.height = height; }
-    const tint = this.colours(), brush = this.painter, nudge = Math.max(1.5, 0.015 * this.diameter);
     this.pen.clearRect(0, 0, width, height);
-    brush.begin(this.turn, this.scale, this.eye);
+    this.painter.begin(this.turn, this.scale, this.eye);
+    return { tint: this.colours(), brush: this.painter, nudge: Math.max(1.5, 0.015 * this.diameter), ratio };
+  }
+
+  paint() {
+    const drawn = this.begin();
+    if (!drawn) return;
+    const { tint, brush, nudge, ratio } = drawn;
     const object = this.shown.after && this.frame.poses.after && this.object(tint);
     if (object) brush.solid(object);
     if (this.shown.cloud && this.cloud) brush.dots(this.dots(tint, ratio), { nudge });  // on the surface that they agree with

@@ -51,21 +51,8 @@ const pictureOf = (frame) => `${data.folder}/${String(frame).padStart(6, "0")}.j
 
 // --- the object's outline over a picture ---------------------------------------------------------------------------
 
-function unpack(text, kind) {
-  const raw = atob(text), bytes = new Uint8Array(raw.length);
-  for (let i = 0; i < raw.length; i++) bytes[i] = raw.charCodeAt(i);
-  return new kind(bytes.buffer);
-}
-
-const mesh = (() => {
-  const points = unpack(data.mesh.v, Float32Array), faces = unpack(data.mesh.f, Uint16Array);
-  const open = new Map(), edges = [], many = points.length / 3;
-  for (let t = 0; t < faces.length; t += 3) for (let k = 0; k < 3; k++) {
-    const a = faces[t + k], b = faces[t + (k + 1) % 3], key = Math.min(a, b) * many + Math.max(a, b);
-    if (open.has(key)) { edges.push([a, b, open.get(key), t / 3]); open.delete(key); } else open.set(key, t / 3);
-  }
-  return { points, faces, edges };
-})();
+// The mesh in the object's own frame, metres.
+const mesh = new Mesh(unpack(data.mesh.v, Float32Array), unpack(data.mesh.f, Uint16Array));
 
 function drawOutline(canvas, entry) {
   const [left, top, width, height] = entry.picture.window, [fx, fy, cx, cy] = entry.picture.camera, p = entry.pose;
@@ -88,12 +75,51 @@ function drawOutline(canvas, entry) {
   pen.clearRect(0, 0, canvas.width, canvas.height);
   pen.lineJoin = pen.lineCap = "round";
   const path = new Path2D();
-  for (const [a, b, s, t] of mesh.edges) if (facing[s] !== facing[t]) {
+  for (const { a, b, s, t } of mesh.edges()) if (facing[s] !== facing[t]) {
     path.moveTo(uv[2 * a], uv[2 * a + 1]);
     path.lineTo(uv[2 * b], uv[2 * b + 1]);
   }
   pen.strokeStyle = "rgba(0,0,0,.5)"; pen.lineWidth = 3.2 * ratio; pen.stroke(path);
   pen.strokeStyle = "#43e0d2"; pen.lineWidth = 1.5 * ratio; pen.stroke(path);
+}
+
+// --- the 3-D view --------------------------------------------------------------------------------------------------
+
+const view = new TrackScene($("scene"), $("labels"), new Mesh(mesh.points.map((v, i) => 1e3 * (v - data.mesh.c[i % 3])), mesh.faces), data.object.diameter_mm);
+
+// Of a row-major 3x4 pose: its rotation, and where it puts a point.
+const turnOf = (pose) => [0, 1, 2].flatMap((k) => pose.slice(4 * k, 4 * k + 3));
+const put = (pose, p) => [0, 1, 2].map((k) => pose[4 * k] * p[0] + pose[4 * k + 1] * p[1] + pose[4 * k + 2] * p[2] + pose[4 * k + 3]);
+// Rotation A B^T: from the axes that B leads to, to those of A.
+const between = (a, b) => [0, 1, 2].flatMap((i) => [0, 1, 2].map((j) => a[3 * i] * b[3 * j] + a[3 * i + 1] * b[3 * j + 1] + a[3 * i + 2] * b[3 * j + 2]));
+const turned = (r, p) => [0, 1, 2].map((k) => r[3 * k] * p[0] + r[3 * k + 1] * p[1] + r[3 * k + 2] * p[2]);
+
+function drawSpace(entry) {
+  if (!view.painter) return;
+  const inHand = state.seat === "hand", seen = turnOf(entry.pose), held = entry.held && turnOf(entry.held), here = put(entry.pose, data.mesh.c);
+  // from the camera's axes to those of the view
+  const to = inHand ? held && between(held, seen) : [1, 0, 0, 0, 1, 0, 0, 0, 1];
+  const into = (vector) => turned(to, vector.map((v) => 1e3 * v));
+  const others = !to ? [] : entry.others.map(([weight, ...pose]) => {
+    const turn = turnOf(pose);
+    return [weight, inHand ? between(to, [0, 1, 2].flatMap((i) => [turn[i], turn[3 + i], turn[6 + i]])) : turn, into(put(pose, data.mesh.c).map((v, k) => v - here[k]))];
+  });
+  let palm = null;
+  if (held) {
+    const middle = put(entry.held, data.mesh.c), fromHand = between(seen, held);
+    palm = inHand ? [[1, 0, 0, 0, 1, 0, 0, 0, 1], middle.map((v) => -1e3 * v)] : [fromHand, turned(fromHand, middle).map((v) => -1e3 * v)];
+  }
+  view.at(state.row, inHand ? held : seen, others, palm);
+  const key = (name, text) => el("span", { class: "key", style: `--c:${view.colours()[name]}` }, text);
+  $("spacekey").replaceChildren(key("truth", inHand ? "its way in the hand" : "its way before the camera"), others.length ? key("before", `${others.length} other pose${others.length > 1 ? "s" : ""}: ${others.map(([weight]) => `${number(100 * weight, 0)} %`).join(", ")}`) : "");
+}
+
+function prepareSpace() {
+  if (!view.painter) {
+    document.querySelector(".space .frame").replaceChildren(el("p", { class: "absent" }, "This browser draws no WebGL, so the 3-D view is left out. Everything else is whole."));
+    return;
+  }
+  view.along(state.seat === "hand" ? rows.held_position : rows.position, data.object.diameter_mm);
 }
 
 // --- time lines ----------------------------------------------------------------------------------------------------
@@ -190,7 +216,7 @@ function drawLines() {
   const empty = [0, !rows.slip.some(Boolean) && !rows.moved.some(Boolean), !rows.how.some((h) => h === "carried" || h === "re-initialised"), !skipped.length, !rows.missing.some((_, i) => without(["look", "vision"])(i)), !rows.missing.some((_, i) => without(["feel", "touch"])(i))];
   $("lines").replaceChildren(...lanes.filter((one, k) => one && !empty[k]));
   const seats = rows.held_position[0].some((v) => v !== null) ? [["camera", "Camera"], ["hand", "Hand"]] : [];
-  $("seat").replaceChildren(...seats.map(([name, text]) => el("button", { type: "button", "aria-pressed": String(name === state.seat), onclick: () => { state.seat = name; drawLines(); moveCursors(); } }, text)));
+  $("seat").replaceChildren(...seats.map(([name, text]) => el("button", { type: "button", "aria-pressed": String(name === state.seat), onclick: () => { state.seat = name; prepareSpace(); drawLines(); go(state.row); } }, text)));
 }
 
 function moveCursors() {
@@ -237,6 +263,7 @@ function show(entry) {
     document.querySelector(".photo .frame").style.aspectRatio = `${entry.picture.window[2]} / ${entry.picture.window[3]}`;
     drawOutline($("outline"), entry);
   }
+  drawSpace(entry);
   $("notes").replaceChildren(...entry.notes.map((text) => el("li", {}, text)), ...entry.unobservable.map((text) => el("li", {}, `not known: ${text}`)));
   if (state.timer !== null) return;  // while it plays, tables would only flicker
   const trace = entry.trace.map(([stage, ran, why, ms, many]) => [[stage], [ran ? why : `skipped: ${why}`], [ran && many ? String(many) : "", "n"], [ran ? number(ms, 1) : "", "n"]]);
@@ -296,6 +323,8 @@ function drawMoments() {
     if (e.key === " " && e.target === document.body) { e.preventDefault(); play(state.timer === null); }
   });
   addEventListener("resize", () => { drawMoments(); go(state.row); });
+  prepareSpace();
+  if (view.painter) $("angles").replaceChildren(...[["camera", "Camera"], ["tilted", "Tilted"], ["side", "Side"], ["top", "Top"]].map(([key, text]) => el("button", { type: "button", onclick: () => view.look(key) }, text)));
   drawLines();
   drawMoments();
   const asked = Number(location.hash.slice(1));

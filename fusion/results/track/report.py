@@ -36,6 +36,8 @@ PAGE = "report.html"
 PART = 100
 # Triangles of the mesh whose outline is drawn over the pictures.
 FACES = 1200
+# Share of the posterior of another pose that is drawn beside the track's.
+SHOWN_WEIGHT = 0.01
 # Spans of frames left out that are drawn.
 MOST_SPANS = 2000
 
@@ -126,14 +128,17 @@ def _skipped(columns: Columns, recorded: tuple[int, ...]) -> list[Json]:
 
 
 def _mesh(model: ObjectModel) -> Json:
-    """The model with at most FACES triangles: float32 metres and uint16 triangles as base64, object frame."""
+    """The model with at most FACES triangles: float32 metres and uint16 triangles as base64, object frame, and its
+    centroid.
+    """
     o3d = open3d()
     vertices, faces = model.vertices, model.faces
     if len(faces) > FACES:
         corners = o3d.utility.Vector3dVector(vertices), o3d.utility.Vector3iVector(np.asarray(faces, dtype=np.int32))
         small = o3d.geometry.TriangleMesh(*corners).simplify_quadric_decimation(FACES)
         vertices, faces = np.asarray(small.vertices), np.asarray(small.triangles)
-    return {"v": _base64(vertices.astype("<f4")), "f": _base64(faces.astype("<u2"))}
+    middle = [round(float(x), 7) for x in model.centroid]
+    return {"v": _base64(vertices.astype("<f4")), "f": _base64(faces.astype("<u2")), "c": middle}
 
 
 def _base64(array: NDArray[Any]) -> str:
@@ -165,10 +170,13 @@ def _write_part(folder: Path, number: int, part: list[Json]) -> int:
 
 def _details(entry: Json, picture: Json | None) -> Json:
     """What the page says of one frame beside its row."""
-    pose = entry["camera_from_object"]
+    held = entry["hand_from_object"]
+    others = [mode for mode in entry["modes"][1:] if mode["weight"] >= SHOWN_WEIGHT]
     return {
         "frame": entry["frame"],
-        "pose": [round(x, 7) for row in pose[:3] for x in row],
+        "pose": _twelve(entry["camera_from_object"]),
+        "held": None if held is None else _twelve(held),
+        "others": [[round(mode["weight"], 4), *_twelve(mode["pose"])] for mode in others],
         "picture": None if picture is None else {"window": picture["window"], "camera": picture["camera"]},
         "notes": entry["notes"],
         "unobservable": entry["unobservable"],
@@ -179,10 +187,16 @@ def _details(entry: Json, picture: Json | None) -> Json:
     }
 
 
+def _twelve(pose: list[list[float]]) -> list[float]:
+    """The upper three rows of a pose, one after the other."""
+    return [round(x, 7) for row in pose[:3] for x in row]
+
+
 def _page(title: str, data: Json) -> str:
     # inside <script> only "</" and "<!--" could end the block; the rest of the text reaches the page as text nodes
     packed = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     style = asset("report.css") + asset("track.css")
-    parts = {"TITLE": html.escape(title), "STYLE": style, "DATA": packed, "SCRIPT": asset("track.js")}
+    view = "\n".join(asset(name) for name in ("geometry.js", "webgl.js", "scene.js", "track_scene.js"))
+    parts = {"TITLE": html.escape(title), "STYLE": style, "DATA": packed, "SCENE": view, "SCRIPT": asset("track.js")}
     # one pass, so that a capture named like a placeholder stays a name
     return re.sub(r"\{\{([A-Z]+)\}\}", lambda match: parts[match[1]], asset("track.html"))

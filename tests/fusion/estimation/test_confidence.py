@@ -12,8 +12,16 @@ from commands import refused, run
 from made_frames import plain_view
 from scipy.stats import gamma
 
-from fusion.estimation.answer import Mode
-from fusion.estimation.confidence import FEATURES, ConfidenceSettings, Regression, as_shown, below, mean_square
+from fusion.estimation.answer import ContactResidual, Mode
+from fusion.estimation.confidence import (
+    FEATURES,
+    ConfidenceSettings,
+    Regression,
+    as_shown,
+    below,
+    chances,
+    mean_square,
+)
 from fusion.estimation.estimate import estimate
 from fusion.estimation.settings import EstimateSettings
 from fusion.results.files import read_result
@@ -167,3 +175,20 @@ def test_one_confidence_is_as_one_of_many():
     many = below(means, variances, 0.003, 0.7)
     alone = [float(below(mean, variance, 0.003, 0.7)) for mean, variance in zip(means, variances)]
     np.testing.assert_allclose(alone, many, rtol=1e-12)
+
+
+def test_touch_alone_is_less_sure_of_what_blunt_fingertips_say(box):
+    """Contacts of a hand whose fingertips are worn, agreeing as well: it is as badly calibrated, and nothing shows it.
+    Claims finer or blunter than any that was fitted tell no more.
+    """
+    pose = np.eye(4)
+    pose[2, 3] = 0.6
+    mode = Mode(pose, 0.99, 0.0, np.diag(np.repeat([0.01, 0.001], 3) ** 2))
+
+    def right(sigma_mm):
+        felt = tuple(ContactResidual(f"tip {i}", 0.3, 2.0, False, sigma_mm) for i in range(5))
+        return chances(box, (mode,), None, felt, 5.0)[0]
+
+    fine, usual, blunt, blunter = (right(sigma) for sigma in (0.2, 0.9, 1.3, 3.0))
+    assert fine == usual > blunt > blunter == right(1.6)
+    assert right(float("nan")) == usual

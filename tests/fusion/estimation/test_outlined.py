@@ -105,12 +105,32 @@ def test_the_hand_follows_the_pose(held):
     assert worst[1] < worst[0] + 0.5
 
 
-def test_the_depth_cameras_own_image_is_asked_without_being_told_to(held):
+def test_both_kinds_of_images_are_asked_without_being_told_to(held):
     model = library.make("bottle")
-    assert "not asked for" in stage_of(estimate(held, model)).why
+    assert stage_of(estimate(held, model)).rows > 20
     grey = replace(held, rgb=np.repeat(held.rgb[..., :1], 3, axis=2))
     assert stage_of(estimate(grey, model)).rows > 20
+    only_grey = replace(USUAL, contour=replace(USUAL.contour, used=False))
+    assert "not asked for" in stage_of(estimate(held, model, settings=only_grey)).why
     assert not stage_of(estimate(replace(held, rgb=None), model)).ran
+
+
+def test_without_it_an_image_changes_nothing(held):
+    """Turned off, the answer is bit for bit that of a frame without an image."""
+    model = library.make("bottle")
+    before, after = estimate(replace(held, rgb=None), model), estimate(held, model, settings=PLAIN)
+    assert np.array_equal(before.pose, after.pose)
+    assert np.array_equal(before.covariance, after.covariance)
+    assert before.notes == after.notes
+
+
+@pytest.mark.parametrize("shift", [(3, 0), (0, 3), (-2, 2)])
+def test_an_image_a_few_pixels_beside_depth_is_no_worse_than_none(held, shift):
+    """As a colour camera's calibration leaves it: what all lines share is the image's, not the object's."""
+    model = library.make("bottle")
+    before = estimate(held, model, settings=PLAIN)
+    after = estimate(replace(held, rgb=np.roll(held.rgb, shift, axis=(0, 1))), model, settings=COLOUR)
+    assert across(after.pose, held, model) <= across(before.pose, held, model) + 3e-4
 
 
 def test_distance_stays_with_depth(held):

@@ -11,7 +11,7 @@ from fusion.estimation.asked import Asked
 from fusion.estimation.confidence import ConfidenceSettings, chances, spread_of, whole_covariance, within
 from fusion.estimation.pool import Pool, PoolSettings
 from fusion.estimation.proposals import ProposalSettings, search_stages
-from fusion.estimation.propose import Competition, modes_near
+from fusion.estimation.propose import Competition, glance, modes_near
 from fusion.estimation.ranking import guarded
 from fusion.estimation.search import Found, PlanSettings
 from fusion.estimation.settings import EstimateSettings
@@ -65,10 +65,35 @@ def test_an_object_on_a_table_is_found_without_a_mask_and_without_a_start():
     assert add_s(model, anywhere, frame) < 0.005 or anywhere.verdict != "ok"
 
 
-def test_few_starts_that_convince_end_the_search(lab_frame, drill):
-    answer = estimate(replace(lab_frame, prior=lab_frame.camera_from_object_truth), drill)
-    search = next(stage for stage in answer.trace if stage.name == "search")
-    assert search.why.startswith(f"{PlanSettings().rounds[0]} of 320 starts")
+def test_few_starts_that_explain_what_is_seen_end_the_search(lab_frame, drill):
+    near = replace(lab_frame, prior=lab_frame.camera_from_object_truth)
+    settings = EstimateSettings()
+    doubting = replace(settings, pool=replace(settings.pool, least_agree=1.01))
+    quick, slow = estimate(near, drill), estimate(near, drill, settings=doubting)
+    why = [next(stage.why for stage in answer.trace if stage.name == "search") for answer in (quick, slow)]
+    assert why[0].startswith(f"{ProposalSettings().starts_glanced} of 320 starts")
+    assert not why[1].startswith(f"{ProposalSettings().starts_glanced} of")
+    assert all(add_s(drill, answer, near) < 0.003 for answer in (quick, slow))
+
+
+@pytest.mark.parametrize("least_agree", [0.8, 1.01])
+def test_a_whole_search_knows_nothing_of_a_glance_that_left_a_doubt(sensed, lab_frame, least_agree):
+    pool = replace(sensed.pool, settings=replace(PoolSettings(), least_agree=least_agree, glance_shown=1.0))
+    pool = replace(pool, felt=tables.empty(), rng=np.random.default_rng(5))
+    before = pool.rng.bit_generator.state
+    starts = np.tile(lab_frame.camera_from_object_truth, (8, 1, 1))
+    assert glance(pool, sensed.seen, starts, trace := Trace()) is None
+    assert pool.rng.bit_generator.state == before
+    assert [stage.name for stage in trace.stages] == ["propose: at a glance"]
+
+
+def test_a_glance_does_not_tell_apart_what_nearly_looks_the_same(sensed, lab_frame, monkeypatch):
+    pool, truth = sensed.pool, lab_frame.camera_from_object_truth
+    seen = replace(pool, settings=replace(PoolSettings(), glance_shown=0.0, glance_share=0.0, glance_share_felt=0.0))
+    assert seen.explains_at_a_glance(truth)
+    alike = poses.perturb(np.eye(4), np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1e-4]), np.zeros(3))
+    monkeypatch.setattr("fusion.estimation.pool.near_symmetries", lambda _: alike[None])
+    assert not seen.explains_at_a_glance(truth)
 
 
 def test_without_a_start_what_explains_the_image_at_a_glance_ends_the_search(drill):
@@ -184,6 +209,7 @@ def test_rounds_of_fresh_starts_end_where_nothing_new_comes(drill, monkeypatch, 
     pool = Rounds(drill, ends, shown)
     monkeypatch.setattr("fusion.estimation.propose.find_modes", pool.end)
     monkeypatch.setattr("fusion.estimation.propose.walk", pool.walk)
+    monkeypatch.setattr("fusion.estimation.propose.glance", lambda *_: None)
     starts = np.tile(np.eye(4), (320, 1, 1))
     found = modes_near(pool, None, None, starts, search_stages(0.01, ()), PlanSettings(), Trace())
     assert pool.looked_at == looked_at
@@ -261,10 +287,10 @@ def test_without_a_picture_the_posterior_speaks(drill):
 def test_the_chance_of_being_near_is_that_of_sampled_errors(drill, seed):
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(6, 6)) * np.repeat([0.02, 0.002], 3)[:, None]
-    points, _ = drill.sample_surface(400, seed=1)
+    points, normals = drill.sample_surface(400, seed=1)
     steps = rng.normal(size=(1500, 6)) @ root.T
     moved = [poses.apply(poses.perturb(np.eye(4), step, drill.centroid), points) - points for step in steps]
-    off = np.sqrt(np.mean(np.sum(np.square(moved), axis=2), axis=1))
+    off = np.sqrt(np.mean(np.square(np.sum(moved * normals, axis=2)), axis=1))
     for limit in np.quantile(off, [0.2, 0.5, 0.9]):
         assert within(drill, np.eye(4), root @ root.T, limit, 1.0) == pytest.approx(np.mean(off < limit), abs=0.12)
 

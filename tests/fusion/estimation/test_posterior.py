@@ -207,7 +207,8 @@ def test_verdicts(lab_frame):
 
     assert word(()) == "lost"
     assert word((mode(),)) == "ok"
-    assert word((mode(weight=0.6), mode(weight=0.4))) == "ambiguous"
+    aside = Mode(poses.make_pose(np.eye(3), [0.02, 0.0, 0.0]), 0.4, 0.5, SHARP)
+    assert word((mode(weight=0.6), aside)) == "ambiguous"
     wide = SHARP.copy()
     wide[0, 0] = 4.0
     assert word((mode(wide),)) == "ambiguous"

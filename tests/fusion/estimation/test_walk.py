@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from fusion import estimate
-from fusion.estimation.search import PlanSettings
 from fusion.estimation.steps.judge import judge
 from fusion.estimation.steps.walk import WalkSettings, walk
 from scenes.errors import InputError
@@ -59,9 +58,10 @@ def test_a_frame_that_tells_nothing_has_no_costs(lab_frame, drill):
 def test_every_source_of_proposals_has_its_line_in_the_trace(lab_frame, drill):
     near = estimate(replace(lab_frame, prior=lab_frame.camera_from_object_truth), drill)
     lines = {stage.name: stage for stage in near.trace if stage.name.startswith("propose")}
-    assert lines[f"propose: rows, {PlanSettings().rounds[0]} starts"].ran
+    assert lines["propose: at a glance"].ran
+    assert not lines["propose: rows"].ran
     walked = next(stage for name, stage in lines.items() if "walk" in name)
     assert not walked.ran
-    assert "convinces" in walked.why
+    assert "explains what is seen" in walked.why
     assert "hand" in walked.name
     assert all(stage.ms >= 0.0 for stage in near.trace)

@@ -145,6 +145,8 @@ def test_nothing_is_fetched_and_no_text_becomes_markup(track):
     part = (track.out / REPORT_FOLDER / "part_0000.js").read_text()
     entries = json.loads(re.fullmatch(r"palpatePart\(0,(.*)\);\n", part, re.DOTALL)[1])
     assert len(entries) == 100
+    assert entries[7]["held"] == pytest.approx([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0.1])
+    assert entries[7]["others"] == []
     assert entries[0]["notes"] == ["follows </script><b>it</b>"]  # a script of its own: text to the page
 
 
@@ -181,6 +183,13 @@ PROBE = """
 <script>
 window.failures = [];
 addEventListener("error", (e) => failures.push(e.message || e.target.src), true);
+function spaceInk() {  // pixels that the 3-D view has drawn
+  const scene = document.getElementById("scene"), flat = document.createElement("canvas");
+  flat.width = scene.width; flat.height = scene.height;
+  flat.getContext("2d").drawImage(scene, 0, 0);
+  const { data } = flat.getContext("2d").getImageData(0, 0, flat.width, flat.height);
+  return data.filter((v, i) => i % 4 === 3 && v > 0).length;
+}
 addEventListener("load", () => setTimeout(() => {
   const where = () => document.getElementById("where").textContent, seen = [where()];
   const slider = document.getElementById("slider");
@@ -197,6 +206,8 @@ addEventListener("load", () => setTimeout(() => {
       lanes: document.querySelectorAll(".lane").length, notes: document.getElementById("notes").textContent,
       thumbs: [...document.querySelectorAll(".thumb img")].filter((i) => i.naturalWidth > 0).length,
       scripts: document.querySelectorAll("script[src]").length,
+      space: spaceInk(), angles: document.querySelectorAll("#angles button").length,
+      way: document.getElementById("spacekey").textContent,
     };
     document.body.replaceChildren(document.createTextNode(`PROBE${JSON.stringify(answer)}PROBE`));
   }, 600);
@@ -215,6 +226,7 @@ def test_it_works_from_a_folder_in_a_browser(track, tmp_path, width):
     page = folder / "report.html"
     page.write_text(page.read_text().replace("<style>", PROBE + "<style>", 1))
     flags = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run"]
+    flags += ["--enable-unsafe-swiftshader"]  # WebGL where there is no graphics card
     flags += [f"--user-data-dir={tmp_path / 'profile'}", f"--window-size={width},900", "--virtual-time-budget=5000"]
     argv = [chromium, *flags, "--dump-dom", page.as_uri()]
     run = subprocess.run(argv, capture_output=True, text=True, timeout=120, check=False)
@@ -230,3 +242,6 @@ def test_it_works_from_a_folder_in_a_browser(track, tmp_path, width):
     assert answer["thumbs"] >= 6
     assert answer["scripts"] < 6  # what was not looked at is not loaded
     assert answer["overflow"] <= 0
+    assert answer["space"] > 1000
+    assert answer["angles"] == 4
+    assert answer["way"] == "its way in the hand"  # the last button pressed

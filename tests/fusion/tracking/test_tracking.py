@@ -185,6 +185,20 @@ def test_a_slip_is_said_and_followed(mug):
     assert move < 2.0
 
 
+def test_what_goes_on_slipping_is_glanced_at_a_second_time(mug):
+    slip = {i: np.array([0.03, 0.0, 0.0, 0.0, 0.0012, 0.0]) for i in range(7, 13)}
+    frames = recording(mug, count=13, slip=slip)
+    answers = list(track(frames, mug, settings=ALONE))
+    looked = {a.frame for a in answers if any(stage.name == "look" for stage in a.trace)}
+    slipping = [a.frame for a in answers if a.slip]
+    assert slipping[0] in looked  # what nobody expects is looked at in full
+    assert any(frame not in looked for frame in slipping)
+    for answer, frame in zip(answers[slipping[0] :], frames[slipping[0] :]):
+        turn, move = error(answer, frame, mug)
+        assert turn < 2.5
+        assert move < 2.0
+
+
 def test_a_lost_object_is_found_again(mug):
     leap = np.array([0.5, 0.3, 0.0, 0.03, -0.02, 0.0])
     frames = recording(mug, slip={5: leap})

@@ -1,0 +1,71 @@
+"""What an answer looks like when it is turned: the poses that differ from it by less than anyone asked for.
+
+A can that was scanned declares no symmetry, and turned on its head it is the same to a millimetre. A search finds one
+of such poses, or a few, as chance has it; which of them is the right one it does not know, so all of them are modes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation.settings import EstimateSettings
+from scenes.evidence.align import AlignSettings, Prior, align, costs
+from scenes.evidence.alike import moved
+from scenes.evidence.modes import Mode
+from scenes.evidence.near_symmetries import near_symmetries
+from scenes.evidence.search import thin
+from scenes.evidence.table import VISION, Evidence, empty
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+
+Array = NDArray[np.float64]
+
+# Rows and steps by which a turned pose is laid onto what was sensed.
+ROWS, STEPS = 200, 6
+
+
+def with_twins(
+    model: ObjectModel, modes: tuple[Mode, ...], rows: Evidence, prior: Prior | None, settings: EstimateSettings
+) -> tuple[Mode, ...]:
+    """The modes and what the first looks like when it is turned, with weights by what rows (frame_from_object,
+    corrected) and the prior say of each beside the first; the first stays the first.
+
+    Pixels' rows tell poses of one shape apart no better than other minima (see pixel_temperature).
+    """
+    tolerance, most = settings.confidence.tolerance, settings.modes
+    first, turns = modes[0], near_symmetries(model)
+    if not len(turns) or not len(rows):
+        return modes
+    turned = first.pose @ turns
+    if prior is not None:
+        both = costs(model, empty(), np.concatenate([first.pose[None], turned]), prior)
+        turned = turned[both[1:] <= both[0] + most.cost_margin]
+        if not len(turned):
+            return modes
+    turned = turned[moved(model, first.pose, turned)[0] <= tolerance]
+    if not len(turned):
+        return modes
+    laid = align(model, thin(rows, ROWS), turned, prior, AlignSettings(iterations=STEPS)).poses
+    kept, poses = [first.pose, *(mode.pose for mode in modes[1:])], np.concatenate([first.pose[None], laid])
+    pixels, rest = rows.of(VISION), rows.take(rows.sense != VISION)
+    total = costs(model, rest, poses, prior) + costs(model, pixels, poses) / settings.pixel_temperature
+    # a twin cannot be likelier than the one that was solved with everything
+    more = np.maximum(total[1:] - total[0], 0.0)
+    found = list(modes)
+    for pose, nats in zip(poses[1:], more.tolist()):
+        if len(found) >= most.most or nats > most.cost_margin:
+            continue
+        delta = se3.difference(model.symmetries.nearest(np.array(kept), pose), pose, model.centroid)
+        apart = np.linalg.norm(delta[:, :3], axis=1) * model.radius + np.linalg.norm(delta[:, 3:], axis=1)
+        if apart.min() < most.merge_share * model.radius:
+            continue
+        kept.append(pose)
+        found.append(Mode(pose, first.weight * float(np.exp(-nats)), first.cost + nats, first.covariance))
+    total_weight = sum(mode.weight for mode in found)
+    if len(found) == len(modes) or not total_weight > 0.0:
+        return modes
+    ordered = [found[0], *sorted(found[1:], key=lambda mode: mode.cost)]
+    return tuple(replace(mode, weight=mode.weight / total_weight) for mode in ordered)

@@ -1,0 +1,136 @@
+"""Modes that are one answer, and what an answer looks like when it is turned."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from fusion.estimation import verdict as posterior
+from fusion.estimation.confidence import ConfidenceSettings, spread_of, told_covariance, within_of
+from fusion.estimation.settings import EstimateSettings
+from fusion.estimation.steps.twins import with_twins
+from scenes.evidence.align import Prior
+from scenes.evidence.alike import alike, hardly_moves, moved
+from scenes.evidence.modes import Mode
+from scenes.evidence.table import TOUCH, make
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+from scenes.synthesis import library
+from vision.visibility import Visibility
+
+SHARP = np.diag(np.repeat([0.005, 0.0005], 3) ** 2)
+SEEN = Visibility(0.9, 0.1, 0.0, 0.0)
+TOLERANCE = ConfidenceSettings().tolerance
+
+
+@pytest.fixture(scope="module")
+def scanned():
+    """A can as a scanner has it: no turn leaves it exactly where it was, and none is declared."""
+    can = trimesh.creation.cylinder(radius=0.033, height=0.1, sections=48)
+    can = can.subdivide().subdivide()
+    rng = np.random.default_rng(0)
+    return ObjectModel.from_mesh(can.vertices + rng.normal(0.0, 2e-4, can.vertices.shape), can.faces, "scanned can")
+
+
+def turned(model, rotvec, pose=None):
+    rotation = se3.exp_rotation(np.array([rotvec]))
+    there = se3.make_poses(rotation, model.centroid - rotation @ model.centroid)[0]
+    return (np.eye(4) if pose is None else pose) @ there
+
+
+def place():
+    return se3.make_pose(se3.random_rotations(1, np.random.default_rng(4))[0], [0.1, -0.2, 0.7])
+
+
+def modes_of(model, *rotvecs, weights):
+    poses = [place(), *(turned(model, r, place()) for r in rotvecs)]
+    return tuple(Mode(pose, weight, 0.0, SHARP) for pose, weight in zip(poses, weights))
+
+
+def test_slippage_is_what_sampled_points_move_along_their_normals():
+    model = library.make("drill")
+    points, normals = model.sample_surface(4000)  # other points than its own, and the mesh's normals
+    rows = np.concatenate([np.cross(points - model.centroid, normals), normals], axis=1)
+    expected = rows.T @ rows / len(rows)
+    assert np.allclose(model.slippage, expected, atol=0.06 * np.sqrt(np.outer(*[np.diag(expected)] * 2)))
+    assert np.trace(model.slippage[3:, 3:]) == pytest.approx(1.0)
+
+
+def test_what_slides_along_itself_is_no_spread(scanned):
+    about = np.diag([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    over = np.diag([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert spread_of(scanned, np.eye(4), about) < 0.2 * spread_of(scanned, np.eye(4), over)
+
+
+def test_a_can_upside_down_is_one_answer_and_a_mug_turned_is_not(scanned):
+    modes = modes_of(scanned, [np.pi, 0, 0], [0, 0, 1.0], [0.4, 0, 0], weights=(0.4, 0.3, 0.25, 0.05))
+    same = alike(scanned, modes, TOLERANCE)
+    assert len(same.modes) == 3
+    assert same.weight == pytest.approx(0.95)
+    assert same.means[0] == 0.0
+    assert (same.means[1:] < 0.001).all()
+    mug = library.make("mug")
+    assert len(alike(mug, modes_of(mug, [0, 0, 1.0], weights=(0.6, 0.4)), TOLERANCE).modes) == 1
+    # though its ADD-S is within the tolerance
+    assert moved(mug, place(), turned(mug, [0, 0, 1.0], place())[None])[1] < TOLERANCE
+
+
+def test_the_surface_moves_both_ways(scanned):
+    """What leaves the surface is seen from the other surface, too: a shift along an axis moves as far as it is."""
+    shift = se3.make_pose(np.eye(3), [0.0, 0.0, 0.02])
+    largest, mean = moved(scanned, np.eye(4), shift[None])
+    assert largest[0] == pytest.approx(0.02, rel=0.05)
+    assert 0.0 < mean[0] < 0.02
+    assert np.allclose(moved(scanned, shift, np.eye(4)[None])[0], largest, rtol=0.05)
+
+
+def test_verdict_and_covariance_of_what_looks_alike(scanned):
+    modes = modes_of(scanned, [np.pi, 0, 0], weights=(0.52, 0.48))
+    word, why = posterior.verdict(scanned, modes, (), 0.9, SEEN)
+    assert word == "ok"
+    assert "2 modes hold 100%" in why
+    assert posterior.verdict(scanned, modes, (), 0.9, SEEN, tolerance=1e-5)[0] == "ambiguous"
+    wide = told_covariance(scanned, modes, "ok", 0.99, None)
+    apart = se3.difference(modes[1].pose, modes[0].pose, scanned.centroid)
+    assert np.allclose(wide, SHARP + 0.48 * np.outer(apart, apart))
+    sure = (replace(modes[0], weight=0.97), replace(modes[1], weight=0.03))
+    assert np.array_equal(told_covariance(scanned, sure, "ok", 0.99, None), SHARP)
+    assert within_of(scanned, modes, TOLERANCE, 0.7) == pytest.approx(
+        within_of(scanned, modes[:1], TOLERANCE, 0.7), abs=0.05
+    )
+
+
+def test_a_turn_that_moves_nothing_far_is_named_and_no_doubt(scanned):
+    axis = np.array([0.0, 0.0, 1.0])
+    assert hardly_moves(scanned, place(), axis, np.pi, TOLERANCE)
+    assert not hardly_moves(scanned, place(), np.array([1.0, 0.0, 0.0]), np.pi, TOLERANCE)
+    assert not hardly_moves(library.make("mug"), place(), axis, np.pi, TOLERANCE)
+    free = place()[:3, :3] @ axis
+    covariance = SHARP + np.pad(np.outer(free, free), (0, 3))
+    assert posterior.verdict(scanned, (Mode(place(), 1.0, 0.0, covariance),), (), 0.9, SEEN)[0] == "ok"
+    assert posterior.unobservable(scanned, place(), covariance) == ("rotation about z",)
+    mug = library.make("mug")
+    assert posterior.verdict(mug, (Mode(place(), 1.0, 0.0, covariance),), (), 0.9, SEEN)[0] == "ambiguous"
+
+
+def test_every_way_round_is_a_mode(scanned):
+    points, normals = scanned.sample_surface(30, seed=2)
+    rows = make(se3.apply(place(), points), 0.002, TOUCH, normals=normals @ place()[:3, :3].T, sigma_normal=0.2)
+    alone = (Mode(place(), 1.0, 0.0, SHARP),)
+    found = with_twins(scanned, alone, rows, None, EstimateSettings())
+    assert len(found) > 3
+    assert np.array_equal(found[0].pose, alone[0].pose)
+    assert sum(mode.weight for mode in found) == pytest.approx(1.0)
+    ups = [mode.pose[:3, 2] @ place()[:3, 2] for mode in found]
+    assert min(ups) < -0.99  # on its head, too
+    assert (moved(scanned, place(), np.array([mode.pose for mode in found]))[0] <= TOLERANCE).all()
+    assert [mode.cost for mode in found] == sorted(mode.cost for mode in found)
+    # a start that knows which way round leaves one
+    start = Prior.isotropic(place(), 0.05, 0.01)
+    assert with_twins(scanned, alone, rows, start, EstimateSettings()) == alone
+    # and a mug has none
+    mug = library.make("mug")
+    points, normals = mug.sample_surface(30, seed=2)
+    rows = make(se3.apply(place(), points), 0.002, TOUCH, normals=normals @ place()[:3, :3].T, sigma_normal=0.2)
+    assert len(with_twins(mug, alone, rows, None, EstimateSettings())) <= 2
