@@ -124,7 +124,7 @@ def _most_frequent(relative: Array, most: float) -> Array:
         if len(near) < FEWEST_ALIKE * len(values):
             return np.zeros(3)
         found = near.mean(axis=0)
-    return found
+    return np.asarray(found, dtype=np.float64)
 
 
 def _filled(moved: NDArray[np.uint8], smallest: float) -> Mask:
