@@ -24,7 +24,7 @@ README = ROOT / "README.md"
 PAGES = [README, *sorted(DOCS.glob("*.md"))]
 # Pages whose blocks are run below, and those that another test runs or whose recordings and minutes no test has: of
 # these every command is held against the parser.
-RUN_HERE = {"tutorial.md", "live.md", "faq.md", "README.md", "commands.md", "gallery.md"}
+RUN_HERE = {"tutorial.md", "live.md", "faq.md", "README.md", "commands.md", "gallery.md", "gels.md"}
 ONLY_PARSED = {
     "formats.md": "test_formats_docs.py runs it on recordings that it makes",
     "benchmarks.md": "benches take minutes to hours, and some need recorded contact sets",
@@ -49,6 +49,12 @@ def test_a_tracker_runs_live(tmp_path, monkeypatch):
     truth = {frame.index: frame.camera_from_object_truth for frame in names["frames"]}
     for answer in names["seen"][-1], names["one"]:
         assert np.linalg.norm(answer.pose[:3, 3] - truth[answer.frame][:3, 3]) < 0.02
+
+
+def test_gels_are_made_and_used_as_their_page_says(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    docs_commands.run(DOCS / "gels.md", tmp_path)
+    assert (tmp_path / "out/gel/report.html").is_file()
 
 
 @pytest.mark.slow

@@ -41,7 +41,7 @@ class GelCalibrationSettings:
 
     colour: ColourSettings = field(default_factory=ColourSettings)
     # Share of the contact's radius inside which the skin surely lies on the ball.
-    inner: float = 0.9
+    inner: float = 0.8
     # Outlines may miss the ball's circle by this share of its radius: rougher ones are no ball, or of another radius.
     roughness: float = 0.2
     # Least depth (m) of a press by its outline: shallower ones hardly change a colour, so the radius must be wrong.
@@ -119,7 +119,7 @@ class Photometry:
             depths = tuple(1e-3 * float(x) for x in entry.get("depths_mm", ()))
             width, height = (int(x) for x in entry["size"])
             values = [float(entry.get(name, 0.0)) for name in ("darkest", "ball_mm", "presses", "misfit")]
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise InputError(f"{where}: expected coefficients, size and darkest in the calibration") from error
         if coefficients.shape != (3, 3 * TERMS) or not np.isfinite(coefficients).all() or not np.isfinite(values).all():
             raise InputError(f"{where}: expected finite coefficients (3, {3 * TERMS}), got {coefficients.shape}")
@@ -175,7 +175,7 @@ def calibrate(
 
     like: a calibration of another such sensor, whose slopes these have to resemble: it knows a wrong radius. Raises
     InputError, one line with the image's name: no background, another size, a saturated image, nothing pressed, an
-    outline that is no circle of such a ball; and when slopes do not follow from colours or are not like those of `like`.
+    outline that is no circle of such a ball; when slopes do not follow from colours, or are not like those of `like`.
     """
     settings = settings or GelCalibrationSettings()
     if not images:
@@ -233,14 +233,16 @@ def _check_like(ratios: list[float], radius: float, settings: GelCalibrationSett
     if not 1.0 / settings.alike < ratio < settings.alike:
         said = f"got ones of {1e3 * radius / ratio:.2g} mm" if ratio > 0.01 else "got ones of nothing round"
         by = "by the calibration to compare with"
-        raise InputError(f"calibration: expected presses of a {1e3 * radius:g} mm ball, {said} {by}: is the radius right?")
+        raise InputError(
+            f"calibration: expected presses of a {1e3 * radius:g} mm ball, {said} {by}: is the radius right?"
+        )
 
 
 def ball_normals(
     moved: Moved, gel: Gel, radius: float, where: str, settings: GelCalibrationSettings
 ) -> tuple[NDArray[np.bool_], Array, float]:
-    """Where (h, w) the skin lies on the ball, by how much (h, w, 3) its normal differs there from the untouched, and how
-    deep (m) the ball is pressed in beyond its outline.
+    """Where (h, w) the skin lies on the ball, by how much (h, w, 3) its normal differs there from the untouched, and
+    how deep (m) the ball is pressed in beyond its outline.
 
     The outline's points on the skin lie on a circle, over whose middle the ball's centre is.
     """
@@ -257,14 +259,14 @@ def ball_normals(
     skin = gel.points()
     edge = skin[outline[free, 1], outline[free, 0]]
     foot_of, axis, outline_radius, rough = _circle_of(edge)
-    # colours change the most where the skin leaves the ball: beyond, it bridges back
+    # colours change the most just before the skin leaves the ball: beyond, it bridges back, and they fall to nothing
     away = skin - foot_of
     from_axis = np.sqrt(np.maximum((away**2).sum(axis=2) - (away @ axis) ** 2, 0.0))
     ring = np.minimum(from_axis / gel.spacing, 1e4).astype(np.int64)[moved.core]
     change = np.linalg.norm(moved.difference, axis=2)[moved.core]
     profile = np.bincount(ring, change) / np.maximum(np.bincount(ring), 1)
     profile[int(outline_radius / gel.spacing) + 1 :] = 0.0
-    across = (int(np.argmax(profile)) + 0.5) * gel.spacing
+    across = _fall(profile) * gel.spacing
     if not across < radius:
         said = f"{2e3 * across:.3g} mm across"
         raise InputError(f"{where}: expected the outline of a ball of {2e3 * radius:.3g} mm or less, got one {said}")
@@ -298,6 +300,18 @@ def ball_normals(
     if met.sum() < 30:
         raise InputError(f"{where}: expected a press of at least 30 pixels, got {int(met.sum())}")
     return met, np.where(met[..., None], normal - gel.untouched_normals, 0.0), depth
+
+
+def _fall(profile: Array) -> float:
+    """Where (in rings) a profile (n,) by rings, from the middle outwards, has fallen to half its highest value."""
+    top = int(np.argmax(profile))
+    half = 0.5 * float(profile[top])
+    below = np.flatnonzero(profile[top:] < half)
+    after = top + int(below[0]) if len(below) else len(profile)
+    if after == len(profile) or after == 0:
+        return after - 0.5
+    high, low = float(profile[after - 1]), float(profile[after])
+    return after - 0.5 + (high - half) / max(high - low, 1e-300)  # a ring's value is that of its middle
 
 
 def _circle_of(edge: Array) -> tuple[Array, Array, float, float]:

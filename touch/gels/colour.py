@@ -38,17 +38,17 @@ class ColourSettings:
     # Largest drift of the exposure (share): beyond, it is the contact's own. Darker pixels (counts) tell none.
     drift: float = 0.05
     darkest: float = 12.0
-    # What channels drift apart by (share) when it may as well be skin that bridges: an exposure is one for all. More is a
-    # lamp's or a white balance's own.
+    # What channels drift apart by (share) when it may as well be skin that bridges: an exposure is one for all. More is
+    # a lamp's or a white balance's own.
     apart: float = 0.005
     # Gaps closed and specks dropped, pixels across (a tenth of a millimetre or two).
     gap: int = 7
     # Smaller moved areas, as a share of the image, are specks.
     smallest: float = 0.001
-    # Smaller areas between moved ones and the image's border, as a share of it, are no untouched skin: a corner under an
-    # object whose slope there happens to be the skin's own looks so, comes and goes with the grain, and would hold the
-    # height at nothing. 2 % of a DIGIT's image are 2 mm across.
-    island: float = 0.02
+    # Smaller areas between moved ones and the image's border, as a share of it, are no untouched skin: a corner under
+    # an object whose slope there happens to be the skin's own looks so, comes and goes with the grain, and would hold
+    # the height at nothing. This is 1 mm across in a DIGIT; larger corners of recorded images are untouched indeed.
+    island: float = 0.004
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def moved_skin(image: NDArray[np.uint8], gel: Gel, settings: ColourSettings | No
 
 
 def _most_frequent(relative: Array, most: float) -> Array:
-    """(3,) the mode of relative differences (h, w, 3) of all channels together, each up to `most`; 0 where there is none.
+    """(3,) the mode of relative differences (h, w, 3) of all channels together, each up to `most`; 0 if there is none.
 
     Untouched pixels are alike in all channels; those on a contact may be the most in one, hardly ever in all three.
     """
@@ -124,7 +124,7 @@ def _most_frequent(relative: Array, most: float) -> Array:
         if len(near) < FEWEST_ALIKE * len(values):
             return np.zeros(3)
         found = near.mean(axis=0)
-    return found
+    return np.asarray(found, dtype=np.float64)
 
 
 def _filled(moved: NDArray[np.uint8], smallest: float) -> Mask:

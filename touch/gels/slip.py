@@ -54,8 +54,8 @@ class PatchSlipSettings:
     # that over half a patch's width (m).
     spread: float = 1.0
     half: float = 0.004
-    # Sigmas of noise and creep together, from which one patch has slipped, and two have. Held still, 800 frames of other
-    # seeds never had two in a row beyond 1.8.
+    # Sigmas of noise and creep together, from which one patch has slipped, and two have. Held still, 800 frames of
+    # other seeds never had two in a row beyond 1.8.
     alone: float = 2.8
     together: float = 2.4
     # Frames ago that a patch is compared with: a slip lasts a tenth of a second and more, soft skin creeps in minutes.

@@ -242,7 +242,14 @@ def test_a_calibration_is_read_back_or_refused(digit):
     entry = dict(digit.calibration)
     again = Photometry.from_json(entry, "c")
     assert again.to_json() == entry
-    for key, value in (("format", "x"), ("coefficients", [[1.0]]), ("darkest", 0.0), ("size", "a"), ("depths_mm", [np.nan])):
+    for key, value in (
+        ("format", "x"),
+        ("coefficients", [[1.0]]),
+        ("darkest", 0.0),
+        ("size", "a"),
+        ("depths_mm", [np.nan]),
+        ("size", [np.inf, 1]),
+    ):
         with pytest.raises(InputError, match=r"^c: expected"):
             Photometry.from_json({**entry, key: value}, "c")
     image = photograph_gel(digit, np.zeros((320, 240)), np.random.default_rng(1))
