@@ -190,7 +190,8 @@ def multistart(
         usual = f"{1e3 * sigma:.1f} mm and {np.rad2deg(contacts.sigma_normal[0]):.0f} degrees"
         notes += (f"the contacts say no sigma, and so few do not tell: {usual} believed of each",)
     pose, verdict = modes[0].pose, verdict_of(modes, model, settings)
-    believed = inferred is None and some_false is None and few is contacts
+    # what is claimed to be finer than the lattice leaves over the lattice's own errors
+    believed = inferred is None and some_false is None and few is contacts and not exact
     if believed and _contradicted(model, modes[0], contacts, prior, settings):
         # no noise was inferred that would explain it, and no contact was called false
         verdict = "ambiguous"

@@ -109,21 +109,20 @@ class ConfidenceSettings:
     sure: float = 0.9
     # Whether the first mode is the right one, with a picture of it and by touch alone.
     seen: Regression = Regression(
-        weight=0.0011,
-        alone=1.69,
-        agree=22.1,
-        visible=0.334,
-        sharp=1.06,
-        past=-11.1,
-        behind_hand=1.85,
-        outline=-41.3,
-        touch=3.43,
-        outliers=-4.02,
-        contact_nats=-0.394,
-        spread=-1.48,
-        anywhere=-1.44,
-        constant=-3.51,
-        nearest=0.592,
+        alone=1.61,
+        agree=22.8,
+        visible=0.528,
+        sharp=2.06,
+        past=-29.8,
+        behind_hand=1.68,
+        outline=-31.4,
+        touch=4.48,
+        outliers=-3.01,
+        contact_nats=-0.655,
+        spread=-1.1,
+        anywhere=-1.08,
+        constant=-2.91,
+        nearest=0.547,
     )
     felt: Regression = Regression(weight=0.182, contact_nats=-0.556, blunt=-2.94, constant=2.01, nearest=0.502)
     # Share of the picture above which agreement speaks for an answer, and the most of what is seen past and of the

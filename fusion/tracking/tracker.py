@@ -7,9 +7,9 @@ The first frame is `fusion.estimation.estimate.estimate`. Later ones skip the se
 and the fingertips, so a few steps from the predicted pose find it, and one joint solution with the depth camera's and
 the robot's errors follows. Where a frame leaves several poses open they are all followed until frames decide
 (fusion.tracking.hypotheses), and now and then a frame is searched as if nothing were known, so that a track that began
-wrong finds out (fusion.tracking.state). Where all goes as expected a glance is enough (fusion.tracking.glancing). A
-frame may lack either sense, come late, or hold nothing. When an answer explains too little, the object is looked for
-with `estimate` again. Camera frame, metres, radians.
+wrong finds out (fusion.tracking.state). Where all goes as expected a glance is enough (`steps.glancing`). A frame may
+lack either sense, come late, or hold nothing. When an answer explains too little, the object is looked for with
+`estimate` again. Camera frame, metres, radians.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from fusion.estimation.trace import Trace
 from fusion.tracking import hypotheses as several
 from fusion.tracking.answer import TrackedEstimate, TrackSettings, as_carried, as_tracked
 from fusion.tracking.filter import Belief, Measurement, update
-from fusion.tracking.glancing import as_judged, glance, known_of, may_glance
 from fusion.tracking.hypotheses import Hypotheses, Hypothesis
-from fusion.tracking.judging import as_believed, as_followed, judge
 from fusion.tracking.motion import HandMotion, HandState
 from fusion.tracking.occluders import Occluders
-from fusion.tracking.predicting import predict
-from fusion.tracking.printed import as_before, as_printed
-from fusion.tracking.refining import Refined, loose, measurement_of, prefers, refine, shift, solve_leader
-from fusion.tracking.sensing import Sensed, pool_near
 from fusion.tracking.slip import SlipWatch, Watched
 from fusion.tracking.state import TrackState
+from fusion.tracking.steps.glancing import as_judged, glance, known_of, may_glance
+from fusion.tracking.steps.judging import as_believed, as_followed, judge
+from fusion.tracking.steps.predicting import predict
+from fusion.tracking.steps.printed import as_before, as_printed
+from fusion.tracking.steps.refining import Refined, loose, measurement_of, prefers, refine, shift, solve_leader
+from fusion.tracking.steps.sensing import Sensed, pool_near
 from scenes.errors import CaptureError
 from scenes.evidence.align import Prior
 from scenes.geometry import poses as se3

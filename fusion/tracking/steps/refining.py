@@ -21,7 +21,7 @@ from fusion.estimation.verdict import contact_residuals, nats_of_contacts
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Measurement
 from fusion.tracking.hypotheses import Hypotheses, weighed
-from fusion.tracking.sensing import Sensed
+from fusion.tracking.steps.sensing import Sensed
 from scenes.evidence import table as tables
 from scenes.evidence.align import AlignSettings, Prior, align
 from scenes.evidence.modes import covariance_of

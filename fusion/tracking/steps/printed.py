@@ -15,9 +15,9 @@ from fusion.estimation.answer import Estimate
 from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.steps.facing import as_seen_printed
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
-from fusion.tracking.sensing import Sensed, cropped
 from fusion.tracking.slip import SlipWatch
 from fusion.tracking.state import TrackState
+from fusion.tracking.steps.sensing import Sensed, cropped
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame

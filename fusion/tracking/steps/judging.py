@@ -13,8 +13,8 @@ from fusion.estimation.confidence import told_covariance
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
 from fusion.tracking.filter import Belief
 from fusion.tracking.hypotheses import Hypotheses, weights
-from fusion.tracking.sensing import Sensed
 from fusion.tracking.slip import Watched
+from fusion.tracking.steps.sensing import Sensed
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame

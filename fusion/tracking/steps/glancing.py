@@ -23,11 +23,11 @@ from fusion.estimation.verdict import contact_residuals, pixel_agreement
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Belief, Measurement
 from fusion.tracking.hypotheses import Hypotheses, weights
-from fusion.tracking.judging import Judged
 from fusion.tracking.occluders import Occluders
-from fusion.tracking.refining import loose
-from fusion.tracking.sensing import Sensed, pool_near
 from fusion.tracking.state import GlanceSettings, Known, TrackState
+from fusion.tracking.steps.judging import Judged
+from fusion.tracking.steps.refining import loose
+from fusion.tracking.steps.sensing import Sensed, pool_near
 from scenes.evidence import table as tables
 from scenes.evidence.align import AlignSettings, Prior, align
 from scenes.evidence.table import GATE_ABOVE, Evidence
