@@ -1,8 +1,9 @@
 """All that a track remembers from frame to frame, as plain arrays and numbers; and how closely it looks at which frame.
 
-Most frames are glanced at (`steps.glancing`), some looked at in full, few searched as if nothing were known: a track that follows a wrong pose agrees with itself for ever. Single frames searched without the track's memory do not
-share its mistake: they are asked soon after a start, ever more rarely while they agree, and often again when they
-do not or when something else gives cause for doubt. The rate is bounded on both sides.
+Most frames are glanced at (`steps.glancing`), some looked at in full, few searched as if nothing were known: a track
+that follows a wrong pose agrees with itself for ever. Single frames searched without the track's memory do not share
+its mistake: they are asked soon after a start, ever more rarely while they agree, and often again when they do not or
+when something else gives cause for doubt. The rate is bounded on both sides.
 """
 
 from __future__ import annotations
