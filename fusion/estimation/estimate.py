@@ -222,6 +222,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         pixel_rms_mm=1e3 * rms,
         notes=(
             why,
+            *posterior.way_round(model, modes, word, settings.confidence.tolerance, settings.verdict),
             *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility),
             *useless,
             *felt.untold,

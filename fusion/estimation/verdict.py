@@ -205,11 +205,19 @@ def verdict(
     if hidden:
         return "ambiguous", f"{', '.join(hidden)} unknown"
     if len(same.modes) > 1 and modes[0].weight < settings.sure_share:
-        return "ok", (
-            f"{len(same.modes)} modes hold {same.weight:.0%}: which way round is not known, and its surface is within"
-            f" {1e3 * tolerance:.3g} mm in all of them"
-        )
+        return "ok", f"{len(same.modes)} modes that look alike hold {same.weight:.0%}"
     return "ok", f"first mode holds {modes[0].weight:.0%}"
+
+
+def way_round(
+    model: ObjectModel, modes: tuple[Mode, ...], word: str, tolerance: float, settings: VerdictSettings | None = None
+) -> tuple[str, ...]:
+    """A note on an answer with the verdict `word` that is `ok` whichever way round it is; none where that is known."""
+    settings = settings or VerdictSettings()
+    if word != "ok" or modes[0].weight >= settings.sure_share:
+        return ()
+    ways = len(alike(model, modes, tolerance).modes)
+    return (f"which way round is not known: in {ways} poses the surface is where it is to {1e3 * tolerance:.3g} mm",)
 
 
 def judged(

@@ -89,7 +89,10 @@ def test_verdict_and_covariance_of_what_looks_alike(scanned):
     modes = modes_of(scanned, [np.pi, 0, 0], weights=(0.52, 0.48))
     word, why = posterior.verdict(scanned, modes, (), 0.9, SEEN)
     assert word == "ok"
-    assert "2 modes hold 100%" in why
+    assert why == "2 modes that look alike hold 100%"
+    assert "which way round is not known: in 2 poses" in posterior.way_round(scanned, modes, "ok", TOLERANCE)[0]
+    assert posterior.way_round(scanned, (*modes[:1], replace(modes[1], weight=0.0)), "ambiguous", TOLERANCE) == ()
+    assert posterior.way_round(scanned, (replace(modes[0], weight=1.0),), "ok", TOLERANCE) == ()
     assert posterior.verdict(scanned, modes, (), 0.9, SEEN, tolerance=1e-5)[0] == "ambiguous"
     wide = told_covariance(scanned, modes, "ok", 0.99, None)
     apart = se3.difference(modes[1].pose, modes[0].pose, scanned.centroid)
