@@ -245,7 +245,8 @@ def _on_planes(planes, camera, noise, column, row, reading, margin, sigmas):
     for k in range(planes.shape[0]):
         away = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2]
         height = reading * away + planes[k, 3]
-        room = margin + sigmas * planes[k, 4] * own
+        smooth = margin / sigmas
+        room = max(margin + sigmas * own, sigmas * planes[k, 4] * math.sqrt(own * own + smooth * smooth))
         if -max(room, planes[k, 5]) <= height < room:
             return True
     return False

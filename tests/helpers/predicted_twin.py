@@ -78,10 +78,10 @@ def is_hand(found, at, seen):
 
 def is_plane(found, rays, seen):
     out = np.zeros(seen.shape, dtype=bool)
+    settings, own = found.settings, found._belief.independent_sigma(seen)
+    sigmas, margin = settings.plane_sigmas, settings.plane_margin
     for plane in found._planes:
-        room = found.settings.plane_margin + found.settings.plane_sigmas * plane[4] * found._belief.independent_sigma(
-            seen
-        )
+        room = np.maximum(margin + sigmas * own, sigmas * plane[4] * np.hypot(own, margin / sigmas))
         height = seen * (rays @ plane[:3]) + plane[3]
         out |= (height < room) & (height >= -np.maximum(room, plane[5]))
     return out

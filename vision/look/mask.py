@@ -45,9 +45,10 @@ class MaskSettings:
     # independent noise on top.
     plane_margin: float = 0.006
     plane_sigmas: float = 3.0
-    # Table, wall and floor; of all readings a further plane holds this share.
+    # Table, wall and floor; of all readings a further plane holds this share: with half of that a hand and what it
+    # holds were one (tuning family `stranger`).
     most_planes: int = 3
-    next_plane_share: float = 0.1
+    next_plane_share: float = 0.2
     # Readings scatter about a plane at most so many times as far as is believed of the camera: beyond, it is no plane.
     plane_most_scatter: float = 5.0
     # Readings this near (m) to the rendered hand are the hand's: smooth bias at two sigmas, and the joints' errors.
@@ -167,7 +168,8 @@ def on_planes(points: Array, planes: Array, depth_model: DepthModel, settings: M
     on = np.zeros(points.shape[:-1], dtype=bool)
     for plane in planes:
         height = points @ plane[:3] + plane[3]
-        room = settings.plane_margin + settings.plane_sigmas * plane[4] * own
+        sigmas, smooth = settings.plane_sigmas, settings.plane_margin / settings.plane_sigmas
+        room = np.maximum(settings.plane_margin + sigmas * own, sigmas * plane[4] * np.hypot(own, smooth))
         on |= (height <= room) & (height >= -np.maximum(room, plane[5]))
     return on
 
