@@ -109,8 +109,8 @@ def test_a_plane_says_how_far_its_readings_scatter(worse, least, most):
 def test_table_and_wall_are_both_found():
     camera = Camera(300.0, 300.0, 159.5, 119.5, 320, 240)
     v = (np.arange(240)[:, None] - camera.cy) / camera.fy
-    # a table half a metre under the camera and a wall 1.6 m away
-    down = 0.4 + 0.0 * np.arange(320)
+    # a table 30 cm under the camera and a wall 1.6 m away
+    down = np.full(320, 0.3)
     table = np.where(v > 0.05, down / np.maximum(v, 1e-6), np.inf)
     depth = np.minimum(table, 1.6).astype(np.float32)
     frame = Frame(0, camera=camera, depth=depth)
