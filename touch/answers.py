@@ -65,7 +65,8 @@ class LocalizeSettings:
     # So many standard deviations above its usual, what contacts leave over contradicts the answer: 1 in 1000 by chance.
     contradicted_sigmas: float = 3.09
     # Share of the posterior that the first mode must hold to be the answer, and standard deviations (rad, m) of its
-    # directions beyond which it is none: as in the verdict on both senses.
+    # directions beyond which it is none: those as in the verdict on both senses, which asks for 0.95 of whatever looks
+    # alike; here a way round that looks alike is another mode.
     sure_share: float = 0.9
     unknown_angle: float = float(np.deg2rad(20.0))
     unknown_distance: float = 0.015

@@ -180,16 +180,6 @@ class ObjectModel:
         return float(0.5 * np.linalg.norm(cross, axis=1).sum())
 
     @cached_property
-    def surface_moments(self) -> tuple[Array, Array]:
-        """Mean (3,) and second moments (3, 3) of the surface's points about the centroid, metres, object axes."""
-        corners = self.vertices[self.faces] - self.centroid
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        share = np.linalg.norm(cross, axis=1) / max(2.0 * self.area, 1e-300)
-        total = corners.sum(axis=1)
-        squares = np.einsum("n,nki,nkj->ij", share, corners, corners) + np.einsum("n,ni,nj->ij", share, total, total)
-        return share @ total / 3.0, squares / 12.0
-
-    @cached_property
     def slippage(self) -> Array:
         """(6, 6) mean over the surface of j j^T, j = (p x n, n) about the centroid, object axes: how far (mean square,
         m^2) points move along their normals for a small turn (rad) and shift (m); what slides along itself counts

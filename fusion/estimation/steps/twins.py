@@ -23,7 +23,7 @@ from scenes.geometry.objects import ObjectModel
 
 Array = NDArray[np.float64]
 
-# Rows and steps by which a turned pose is laid onto what was sensed.
+# Rows and steps by which a turned pose is laid onto what was sensed: it is within the tolerance of where it ends.
 ROWS, STEPS = 200, 6
 
 
