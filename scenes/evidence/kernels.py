@@ -32,7 +32,7 @@ from scenes.evidence.row_kernels import (
     silent_last,
 )
 from scenes.evidence.table import FACING, GATE_ABOVE, GATE_BELOW, OFFSET, WEIGHT
-from scenes.geometry.lattice import distance_at, normal_at, seen_distance_at
+from scenes.geometry.lattice import distance_at, led_back_at, normal_at
 
 spare_blas()
 
@@ -86,7 +86,7 @@ def cost_terms(lattice, rows, huber, bend, rotation, middle, prior, need, hessia
             vy = sign * (r01 * rows[n, 3] + r11 * rows[n, 4] + r21 * rows[n, 5])
             vz = sign * (r02 * rows[n, 3] + r12 * rows[n, 4] + r22 * rows[n, 5])
             if gx * vx + gy * vy + gz * vz > 0.0:
-                d, gx, gy, gz = seen_distance_at(values, origin, spacing, qx, qy, qz, vx, vy, vz)
+                d, gx, gy, gz = led_back_at(values, origin, spacing, qx, qy, qz, vx, vy, vz)
                 fx, fy, fz = qx - d * gx, qy - d * gy, qz - d * gz
         d -= rows[n, OFFSET]
         gate, floor = (

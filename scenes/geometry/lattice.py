@@ -224,6 +224,12 @@ def seen_distance_at(values, origin, spacing, x, y, z, vx, vy, vz):
     d, gx, gy, gz = distance_at(values, origin, spacing, x, y, z)
     if gx * vx + gy * vy + gz * vz <= 0.0:
         return d, gx, gy, gz
+    return led_back_at(values, origin, spacing, x, y, z, vx, vy, vz)
+
+
+@numba.njit(cache=True, nogil=True)
+def led_back_at(values, origin, spacing, x, y, z, vx, vy, vz):
+    """seen_distance_at of a point whose nearest surface is known to look away from the camera."""
     step = _FIRST_STEP * spacing
     for _ in range(_STEPS):
         d, gx, gy, gz = distance_at(values, origin, spacing, x - step * vx, y - step * vy, z - step * vz)

@@ -70,3 +70,13 @@ def exp_times(theta, r, out):
         out[0, j] = e00 * p + e01 * q + e02 * s
         out[1, j] = e10 * p + e11 * q + e12 * s
         out[2, j] = e20 * p + e21 * q + e22 * s
+
+
+@numba.njit(cache=True, nogil=True)
+def apply_each(transforms, which, points, out):
+    """Fill out (n, 3) with each of points (n, 3) by its own of transforms (k, 4, 4), which (n,) one that is."""
+    for n in range(points.shape[0]):
+        pose = transforms[which[n]]
+        for i in range(3):
+            turned = pose[i, 0] * points[n, 0] + pose[i, 1] * points[n, 1] + pose[i, 2] * points[n, 2]
+            out[n, i] = turned + pose[i, 3]

@@ -217,7 +217,7 @@ class Hand:
     def mesh(self, joints: dict[str, float]) -> tuple[Array, Indices, Indices]:
         """Vertices (n, 3) in the hand frame, faces (m, 3) wound outwards, and each face's link (m,)."""
         hand_from_link = self._poses_of_values(self.joint_values(joints))
-        vertices = _apply_rows(hand_from_link[self._vertex_link], self._vertices)
+        vertices = _by_link(hand_from_link, self._vertex_link, self._vertices)
         return vertices, self._faces.copy(), self._face_link.copy()
 
     def surface_samples(self, spacing: float = SAMPLE_SPACING, corners: bool = True) -> tuple[Array, Array, Indices]:
@@ -233,7 +233,7 @@ class Hand:
     def points_on_surface(self, joints: dict[str, float], spacing: float = SAMPLE_SPACING) -> Array:
         """(n, 3) samples of the whole hand's surface in the hand frame."""
         points, _, link = self.surface_samples(spacing)
-        return _apply_rows(self._poses_of_values(self.joint_values(joints))[link], points)
+        return _by_link(self._poses_of_values(self.joint_values(joints)), link, points)
 
     def hand_from_sensor(self, joints: dict[str, float]) -> dict[str, Array]:
         """(4, 4) pose of every sensor at these joint positions."""
@@ -241,9 +241,13 @@ class Hand:
         return {name: hand_from_link[s.link] @ s.link_from_sensor for name, s in self.sensors.items()}
 
 
-def _apply_rows(transforms: Array, points: Array) -> Array:
-    """Each point (n, 3) by its own transform (n, 4, 4)."""
-    return np.einsum("nij,nj->ni", transforms[:, :3, :3], points) + transforms[:, :3, 3]
+def _by_link(hand_from_link: Array, link: Indices, points: Array) -> Array:
+    """Each point (n, 3) by the pose of its link (n,), of hand_from_link (k, 4, 4)."""
+    from scenes.geometry.rotation_kernels import apply_each
+
+    out = np.zeros((len(points), 3))
+    apply_each(np.ascontiguousarray(hand_from_link), link, points, out)
+    return out
 
 
 @lru_cache(maxsize=16)

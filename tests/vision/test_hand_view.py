@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from scenes.geometry import poses
+from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import Beliefs, CalibrationModel
-from vision.look.hand import camera_from_hand, prior_information, view_hand
+from vision.look.hand import camera_from_hand, is_near, prior_information, view_hand
 from vision.look.pixels import read_pixels
 
 FULL = (0, 0, 640, 480)
@@ -72,3 +73,25 @@ def test_an_error_made_at_the_camera_is_larger_at_the_hand():
     twist = rng.normal(size=(20_000, 6)) * ([calibration.rotation_sigma] * 3 + [calibration.translation_sigma] * 3)
     moved = poses.difference(poses.perturb(np.eye(4), twist, np.zeros(3)), np.eye(4), np.array([0.0, 0.0, 0.6]))
     assert np.allclose(np.cov(moved.T), far, atol=0.03 * far.max())
+
+
+@pytest.mark.parametrize("box", [FULL, (200, 100, 480, 300), (0, 0, 5, 5)])
+def test_the_hands_depth_is_that_of_a_renderer(exact_frame, box):
+    view = look(exact_frame)
+    vertices, faces, _ = exact_frame.hand.mesh(exact_frame.joints)
+    drawn = Renderer({"hand": (vertices, faces)}).render(exact_frame.camera, {"hand": view.aligned}, box)
+    depth = view.depth(exact_frame.camera, box)
+    there = drawn.ids >= 0
+    assert depth.shape == there.shape
+    assert (np.isfinite(depth) != there).mean() < 1e-3  # single precision, at the outline
+    both = np.isfinite(depth) & there
+    assert np.allclose(depth[both], drawn.depth[both], atol=1e-4)
+
+
+def test_what_is_near_the_hand_is_what_closest_points_tell(exact_frame, rng):
+    surface = look(exact_frame).surface
+    low, high = surface.bounds
+    points = rng.uniform(low - 0.02, high + 0.02, size=(500, 3))
+    near = is_near(surface, points, np.array([0.0, 0.0, -0.5]), 0.01)
+    assert 0 < near.sum() < len(near)
+    assert (near == (np.abs(surface.closest(points)[0]) < 0.01)).all()

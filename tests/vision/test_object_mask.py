@@ -172,3 +172,22 @@ def test_pieces_are_those_of_a_graph_of_neighbours(rng):
         expected[candidates] = order[np.searchsorted(np.unique(labels[candidates]), labels[candidates])]
         np.testing.assert_array_equal(connected_pieces(z, candidates, settings), expected)
     assert (connected_pieces(z, np.zeros(z.shape, dtype=bool), settings) == -1).all()
+
+
+def test_points_on_planes_are_those_of_plain_arrays(rng):
+    model, settings = DepthModel(), MaskSettings()
+    points = rng.uniform([-0.3, -0.3, 0.3], [0.3, 0.3, 1.2], size=(40, 50, 3))
+    planes = np.concatenate([poses_of_planes(rng), [[0.004, 0.02], [0.002, np.inf]]], axis=1)
+    own, on = model.independent_sigma(points[..., 2]), np.zeros((40, 50), dtype=bool)
+    for plane in planes:
+        height = points @ plane[:3] + plane[3]
+        noise = plane[4] * np.hypot(own, settings.plane_margin / settings.plane_sigmas)
+        room = np.maximum(settings.plane_margin + settings.plane_sigmas * own, settings.plane_sigmas * noise)
+        on |= (height <= room) & (height >= -np.maximum(room, plane[5]))
+    assert 0 < on.sum() < on.size
+    assert (on_planes(points, planes, model, settings) == on).all()
+
+
+def poses_of_planes(rng):
+    normals = poses.random_unit_vectors(2, rng)
+    return np.concatenate([normals, -normals @ [[0.0], [0.0], [0.8]]], axis=1)

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.geometry import poses as se3
+from scenes.geometry.cameras import Camera
+from scenes.geometry.rendering_kernels import mesh_rays
 from scenes.geometry.surface import Surface
 from scenes.recordings.beliefs import Beliefs, CalibrationModel
 from scenes.recordings.frames import Frame
@@ -71,6 +73,25 @@ class HandView:
     def gap(self, points: Array) -> float:
         """Least distance (m) between camera-frame points (n, 3), n at least 1, and the aligned hand."""
         return float(np.abs(self.surface.closest(se3.apply(se3.inverse(self.aligned), points))[0]).min())
+
+    def depth(self, camera: Camera, box: tuple[int, int, int, int]) -> Array:
+        """(h, w) depth (m) of the aligned hand through the pixels of a box (u0, v0, u1, v1); inf where it is not."""
+        out = np.full((box[3] - box[1], box[2] - box[0]), np.inf)
+        low, high = self.surface.bounds
+        corners = se3.apply(self.aligned, np.where(np.indices((2, 2, 2)).reshape(3, 8).T > 0, high, low))
+        u0, v0, u1, v1 = box
+        if (corners[:, 2] > 1e-3).all():
+            uv, _ = camera.project(corners)
+            first, last = np.floor(uv.min(axis=0)) - 1.0, np.ceil(uv.max(axis=0)) + 2.0
+            u0, v0 = (int(np.clip(a, b, c)) for a, b, c in zip(first, box[:2], box[2:]))
+            u1, v1 = (int(np.clip(a, b, c)) for a, b, c in zip(last, (u0, v0), box[2:]))
+        inverse = se3.inverse(self.aligned)
+        rays = np.zeros((v1 - v0, u1 - u0, 6), dtype=np.float32)
+        lens = camera.fx, camera.fy, camera.cx, camera.cy, u0, v0
+        mesh_rays(*lens, inverse[:3, 3] - self.surface.middle, np.ascontiguousarray(inverse[:3, :3]), rays)
+        met = self.surface.cast_local(rays.reshape(-1, 6)).reshape(rays.shape[:2])
+        out[v0 - box[1] : v1 - box[1], u0 - box[0] : u1 - box[0]] = met
+        return out
 
     def correct(self) -> Array:
         """camera_from_camera transform that moves what the robot reports to where the camera sees it."""

@@ -214,8 +214,8 @@ def _sorted(
     planes = no_planes() if planes is None else planes
     if len(planes):
         inside &= ~on_planes(pixels.points, planes, (beliefs or Beliefs()).depth, settings.mask)
-    others = pixels.take(~inside).thinned(settings.most_others)
-    mine = pixels.take(inside).thinned(settings.most_inside)
+    others = pixels.some(~inside, settings.most_others)
+    mine = pixels.some(inside, settings.most_inside)
     dropped: dict[str, int] = {}
     near_hand = np.zeros(len(mine), dtype=bool)
     if hand is not None and len(mine):

@@ -15,11 +15,10 @@ from scenes.geometry import poses
 from scenes.geometry.cameras import is_reading
 from scenes.geometry.nearest import Nearest
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import Beliefs, DepthModel
 from scenes.recordings.frames import Frame
 from vision.look.hand import HandView, HandViewSettings, view_hand
-from vision.look.piece_kernels import number_pieces
+from vision.look.piece_kernels import mark_planes, number_pieces
 from vision.look.pixels import Region, read_pixels
 from vision.look.regions import find_region
 
@@ -164,13 +163,12 @@ def on_planes(points: Array, planes: Array, depth_model: DepthModel, settings: M
 
     A plane: see `find_plane`.
     """
-    own = depth_model.independent_sigma(points[..., 2])
     on = np.zeros(points.shape[:-1], dtype=bool)
-    for plane in planes:
-        height = points @ plane[:3] + plane[3]
-        sigmas, smooth = settings.plane_sigmas, settings.plane_margin / settings.plane_sigmas
-        room = np.maximum(settings.plane_margin + sigmas * own, sigmas * plane[4] * np.hypot(own, smooth))
-        on |= (height <= room) & (height >= -np.maximum(room, plane[5]))
+    if len(planes):
+        own = depth_model.axial_floor, depth_model.axial_growth, depth_model.axial_from
+        flat = np.ascontiguousarray(points, np.float64).reshape(-1, 3)
+        margins = settings.plane_margin, settings.plane_sigmas
+        mark_planes(flat, np.ascontiguousarray(planes, np.float64), own, margins, on.reshape(-1))
     return on
 
 
@@ -275,15 +273,12 @@ def _hand_pixels(
     """(h, w) pixels of the box that show the hand: where it is rendered at that depth, or uncertainly beside it."""
     import cv2
 
-    assert frame.hand is not None
-    assert frame.joints is not None
     assert frame.camera is not None
-    vertices, faces, _ = frame.hand.mesh(frame.joints)
-    seen = Renderer({"hand": (vertices, faces)}).render(frame.camera, {"hand": view.aligned}, box)
-    there = (seen.ids >= 0).astype(np.uint8)
+    depth = view.depth(frame.camera, box)
+    there = np.isfinite(depth).astype(np.uint8)
     if not there.any():
         return np.zeros(z.shape, dtype=bool)
-    depth = seen.depth.astype(np.float32)
+    depth = np.where(there > 0, depth, 0.0).astype(np.float32)
     middle = float(np.median(depth[there > 0]))
     outline = int(np.ceil(settings.hand_outline * frame.camera.fx / middle))
     strip = outline + (settings.colour_strip if rgb is not None else 0)

@@ -55,6 +55,14 @@ class Pixels:
         """The chosen pixels."""
         return Pixels(self.uv[index], self.points[index], self.area)
 
+    def some(self, which: NDArray[np.bool_], most: int) -> Pixels:
+        """Of the chosen (n,) at most `most`, as `thinned`: only these are copied."""
+        chosen = np.flatnonzero(which)
+        if len(chosen) <= most:
+            return self.take(chosen)
+        index = chosen[(np.arange(most) * len(chosen)) // most]
+        return Pixels(self.uv[index], self.points[index], self.area * len(chosen) / most)
+
     def thinned(self, most: int) -> Pixels:
         """At most `most` of them, evenly over their order; each stands for more of the image."""
         if len(self) <= most:

@@ -32,10 +32,12 @@ OURS = ("palpate", "fused", "rows, then pressures (ours)")
 
 
 def run(settings: BenchSettings) -> Report:
-    """The fronts of vision (with and without a start), global, local, arrays, filters and occlusion (by family)."""
+    """The fronts of vision (with and without a start), global, local, arrays, filters and occlusion (by family); those
+    of occlusion alone where a family or objects are named.
+    """
     report = Report("peers", "Time against error, each method at several budgets", "", settings.seed)
     trials = []
-    if settings.family is None:  # the other fronts have no frames of families
+    if settings.family is None and settings.objects is None:  # the other fronts have their own objects, in no frames
         trials += [_vision(report, settings), _contacts(report, settings), _arrays(report, settings)]
         trials.append(_filters(report, settings))
     trials.append(_occlusion(report, settings))
@@ -110,7 +112,8 @@ def _occlusion(report: Report, settings: BenchSettings) -> str:
             report.tables.append(Table(f"Occlusion: {family.name}", [Column("method"), Column("why not")]))
             report.tables[-1].add("all", why_not(family))
             continue
-        frames = peers_occlusion.cases(family, settings.count(1, quick=1), settings.seed, settings.quick)
+        trials = settings.count(1, quick=1)
+        frames = peers_occlusion.cases(family, trials, settings.seed, settings.quick, settings.objects)
         if not frames:
             continue
         chosen = peers_occlusion.peers(settings.quick)
@@ -121,6 +124,9 @@ def _occlusion(report: Report, settings: BenchSettings) -> str:
         title = f"Occlusion: {family.name}, {much}, a start 16° and 33 mm off"
         _add(report, settings, title, points, "ADD-S < 5 mm", bound)
         count += len(frames)
+    if not count and settings.objects is not None:
+        names = ", ".join(settings.objects)
+        raise InputError(f"objects: expected some of the families' objects, got {names} that none has")
     return f"{count} frames"
 
 

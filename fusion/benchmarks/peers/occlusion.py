@@ -47,9 +47,11 @@ def hidden(family: Family) -> float:
     return min(family.levels, key=lambda level: abs(level - HIDDEN))
 
 
-def cases(family: Family, count: int, seed: int, quick: bool = False) -> list[Case]:
-    """`count` frames of each object, where grasps can hide so much."""
-    names = objects_of(family)[: 2 if quick else None]
+def cases(
+    family: Family, count: int, seed: int, quick: bool = False, asked: tuple[str, ...] | None = None
+) -> list[Case]:
+    """`count` frames of each object, or of the asked ones among them, where grasps can hide so much."""
+    names = objects_of(family, asked)[: 2 if quick else None]
     return [Case(made.model, made.frame) for made in frames_of(family, hidden(family), count, seed, names)]
 
 

@@ -54,8 +54,8 @@ def walk(
         best, _ = leaders(model, poses[order], apart)
         chosen = order[best[:keep]]
         width = share * np.repeat([s.angle, s.distance], 3)
-        drawn = [se3.perturb(pose, rng.normal(size=(draws, 6)) * width, model.centroid) for pose in poses[chosen]]
-        fresh = np.concatenate(drawn)
+        delta = rng.normal(size=(len(chosen), draws, 6)) * width
+        fresh = se3.perturb(poses[chosen, None], delta, model.centroid).reshape(-1, 4, 4)
         poses, at = np.concatenate([poses[chosen], fresh]), np.concatenate([at[chosen], costs(fresh)])
     order = np.argsort(at, kind="stable")
     best, _ = leaders(model, poses[order], apart)

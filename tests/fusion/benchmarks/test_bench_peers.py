@@ -14,6 +14,7 @@ from fusion.benchmarks.peers import local as peers_local
 from fusion.benchmarks.peers import occlusion as peers_occlusion
 from fusion.benchmarks.peers import pareto
 from fusion.benchmarks.printing.tables import BenchSettings, Column, Table
+from scenes.errors import InputError
 from scenes.geometry import poses
 from scenes.recordings.frames import Contacts
 from scenes.synthesis import library
@@ -127,3 +128,13 @@ def test_what_is_not_installed_is_a_row(monkeypatch):
     peers._absent(table, "chsel", missing["chsel"])
     assert table.texts()[0][:3] == ["chsel", missing["chsel"], "–"]
     assert BenchSettings(quick=True).count(4, quick=1) == 1
+
+
+def test_objects_that_are_asked_for_are_the_only_ones():
+    shown = peers_occlusion.cases(FAMILIES["clean"], 1, 0, asked=("mug",))
+    assert {case.model.name for case in shown} == {"mug"}
+
+
+def test_objects_that_no_family_has_are_refused():
+    with pytest.raises(InputError, match="objects: expected some of the families' objects, got sofa"):
+        peers.run(BenchSettings(objects=("sofa",), family="clean"))

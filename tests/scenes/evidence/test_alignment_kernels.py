@@ -9,7 +9,7 @@ from scenes.evidence import table as evidence
 from scenes.evidence.align import AlignSettings, Prior, align, costs, terms
 from scenes.evidence.kernels import SHORTEST_GRADIENT
 from scenes.evidence.row_kernels import loss_floor, robust
-from scenes.evidence.table import NO_GATE, TOUCH, VISION
+from scenes.evidence.table import NO_GATE, OFFSET, TOUCH, VISION
 from scenes.geometry import poses
 from scenes.geometry.rotation_kernels import exp_times, log_rotation
 from scenes.synthesis import library
@@ -362,3 +362,19 @@ def test_descending_never_raises_the_cost(mug, seed):
         # what is reported is the cost of what is returned
         assert np.allclose(costs(mug, table, result.poses, prior), result.costs, rtol=1e-7)
         previous = result.costs
+
+
+def test_one_sided_rows_cost_nothing_outside_wherever_they_stand_in_the_table(mug, rng):
+    points = rng.uniform(-3.0, 3.0, size=(400, 3)) * mug.radius
+    inside = mug.sample_surface(40, seed=2)[0] * 0.98
+    rows = evidence.outside(
+        np.concatenate([points, inside]), 0.003, TOUCH, radius=rng.uniform(0.0, 0.03, 440), gate=3.0
+    )
+    order = rng.permutation(len(rows))
+    pose = poses.perturb(np.eye(4), 0.1 * rng.normal(size=6), mug.centroid)
+    local = poses.apply(poses.inverse(pose), rows.points)
+    silent = mug.field.distance(local) > rows.rows[:, OFFSET]
+    assert 0 < silent.sum() < len(rows)
+    all_of_them = costs(mug, rows.take(order), pose[None])[0]
+    assert all_of_them == pytest.approx(costs(mug, rows.take(~silent), pose[None])[0], rel=1e-12)
+    assert all_of_them == pytest.approx(terms(mug, rows, pose)[0], rel=1e-12)

@@ -73,6 +73,17 @@ def test_batched_kinematics_and_couplings(hand, share):
     assert np.isclose(np.arccos(np.clip((np.trace(inside[:3, :3]) - 1) / 2, -1, 1)), 0.1, atol=1e-6)
 
 
+def test_every_vertex_moves_with_its_link(hand):
+    joints = dict.fromkeys(hand.joint_names, 0.3)
+    vertices, faces, face_link = hand.mesh(joints)
+    straight, _, _ = hand.mesh({})
+    moved, still = hand.forward_kinematics(joints), hand.forward_kinematics({})
+    for number, name in enumerate(hand.link_names):
+        own = np.unique(faces[face_link == number])
+        local = poses.apply(poses.inverse(still[name]), straight[own])
+        np.testing.assert_allclose(vertices[own], poses.apply(moved[name], local), atol=1e-12)
+
+
 def test_missing_joints_are_zero(hand):
     a, b = hand.forward_kinematics({}), hand.forward_kinematics(dict.fromkeys(hand.joint_names, 0.0))
     for link in hand.link_names:
