@@ -78,5 +78,5 @@ def apply_each(transforms, which, points, out):
     for n in range(points.shape[0]):
         pose = transforms[which[n]]
         for i in range(3):
-            turned = pose[i, 0] * points[n, 0] + pose[i, 1] * points[n, 1] + pose[i, 2] * points[n, 2]
+            turned = (pose[i, 0] * points[n, 0] + pose[i, 2] * points[n, 2]) + pose[i, 1] * points[n, 1]
             out[n, i] = turned + pose[i, 3]
