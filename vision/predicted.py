@@ -10,6 +10,7 @@ thing, of which a part is covered. Camera frame, metres.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -172,6 +173,9 @@ class Predictor:
         self._depth = np.ascontiguousarray(frame.depth, np.float32) if seeing else None
         self._belief = depth
         self._points = model.sample_surface(self.settings.bounding)[0]
+        # of one pose at a time: what was asked of it is asked again
+        self._views: dict[tuple[bytes, int], _View] = {}
+        self._predicted: dict[tuple[bytes, int], Prediction] = {}
         self._hand = _NO_IMAGE, _NO_IMAGE
         if frame.camera is not None and self._depth is not None and hand is not None:
             self._hand = _hand_depth(frame.camera, hand, self.settings)
@@ -207,11 +211,19 @@ class Predictor:
     def predict(self, candidates: Array, side: int | None = None) -> Prediction:
         """What becomes of the predicted pixels of each pose (n, 4, 4); side: rays along the outline's box."""
         side = self.settings.side if side is None else side
+        if len(candidates) > 1:
+            return self._summed(candidates, side)
+        key = candidates.tobytes(), side
+        if key not in self._predicted:
+            self._predicted[key] = self._summed(candidates, side)
+        return self._predicted[key]
+
+    def _summed(self, candidates: Array, side: int) -> Prediction:
         view = self._view(candidates, side)
         s, sums = self.settings, np.zeros((len(candidates), kernels.SUMS))
         flat = view.seen.ravel(), view.state.ravel(), view.past.ravel(), view.fade.ravel()
         limits = s.smooth, s.smooth_share, self.reach, s.plane_margin, s.plane_sigmas
-        kernels.sum_up(view.u, view.v, *self._known(), limits, *flat, sums)
+        kernels.sum_up(view.u, view.v, *self._known, limits, *flat, sums)
         # where nothing is read little is known: surfaces that give no reading are the object's or not
         total = np.maximum(sums[:, kernels.HITS] - s.unread * sums[:, kernels.UNREAD], 1.0)
         # what the image's border hides is hidden, too: the corner of an object tells little of it
@@ -240,6 +252,14 @@ class Predictor:
 
     def _view(self, candidates: Array, side: int) -> _View:
         """The predicted pixels of poses (n, 4, 4), side^2 rays each, and what each of them is."""
+        if len(candidates) > 1:
+            return self._cast(candidates, side)
+        key = candidates.tobytes(), side
+        if key not in self._views:
+            self._views[key] = self._cast(candidates, side)
+        return self._views[key]
+
+    def _cast(self, candidates: Array, side: int) -> _View:
         assert self.camera is not None
         assert self._depth is not None
         s, count = self.settings, len(candidates)
@@ -249,7 +269,7 @@ class Predictor:
         rotations, translations = (np.ascontiguousarray(candidates[:, :3, k]) for k in (slice(3), 3))
         middle = self.model.surface.middle
         k = kernels.outline_rays(
-            self._points, rotations, translations, self._known()[1], middle, u, v, rays, index, inside
+            self._points, rotations, translations, self._known[1], middle, u, v, rays, index, inside
         )
         met = self.model.surface.cast_local(rays[:k])
         expected, seen, past, fade = np.zeros((4, count, side**2))
@@ -259,7 +279,7 @@ class Predictor:
             index[:k],
             u,
             v,
-            *self._known(),
+            *self._known,
             (
                 s.tolerance,
                 s.fading,
@@ -274,6 +294,7 @@ class Predictor:
         )
         return _View(u, v, expected, seen, state, past, fade, inside)
 
+    @cached_property
     def _known(self) -> tuple[tuple[NDArray[Any], ...], tuple[float, ...], tuple[float, ...]]:
         """What the kernels are told of the frame: images and planes, the camera, and the noise of its depth."""
         assert self.camera is not None
@@ -291,16 +312,13 @@ class Predictor:
         depth, at the predicted depth, and not the hand's. And OUTSIDE rows on the rays that see past it, where it
         cannot be. side: rays along each side of the outline's box; default as many as show enough pixels.
         """
-        view = self._rows_view(pose, side, inner)
-        return self._shown(view, inner), self._empty(view)
-
-    def _rows_view(self, pose: Array, side: int | None, inner: int) -> _View:
-        if side is not None:
-            return self._view(pose[None], side)
-        few = self._view(pose[None], self.settings.sides_rows[0])
-        if len(self._shown(few, inner)) >= self.settings.enough_rows:
-            return few
-        return self._view(pose[None], self.settings.sides_rows[1])
+        few, many = self.settings.sides_rows
+        view = self._view(pose[None], few if side is None else side)
+        shown = self._shown(view, inner)
+        if side is None and len(shown) < self.settings.enough_rows:
+            view = self._view(pose[None], many)
+            shown = self._shown(view, inner)
+        return shown, self._empty(view)
 
     def _shown(self, view: _View, inner: int) -> Pixels:
         s, side = self.settings, view.side
