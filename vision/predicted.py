@@ -67,6 +67,10 @@ class PredictionSettings:
     hidden_by_unknown: float = 0.2
     most_of_piece: float = 30.0
     piece_step: int = 3
+    # Nats that it loses of these for each cell of it beyond the outline, where it is of one colour, too; and the share
+    # of it that may be beside the outline for how edges are smeared and colours lie beside depth.
+    beyond: float = 1.0
+    beside: float = 0.15
     # A pixel that is seen past counts this share beside the edge of something that is as near as the object.
     past_beside: float = 0.25
     # Of what gives no reading this share is left out of the count.
@@ -94,13 +98,15 @@ class PredictionSettings:
 class Prediction:
     """Shares (n,) of the predicted pixels, for n poses; those outside the image are hidden.
 
-    seen: at the depth predicted, falling off smoothly with the difference; agree: within the tolerance; past: seen
+    seen: at the depth predicted, falling off smoothly with the difference; beyond: of these, on what goes on beyond the
+    outline in one colour, as far as it does; agree: within the tolerance; past: seen
     through, or under a table; hidden: behind something that is not the robot's hand; behind_hand: the hand explains
     it; outline: of the border, where the seen surface runs on smoothly beyond it. count: rays that met the object
     inside the image.
     """
 
     seen: Array
+    beyond: Array
     agree: Array
     past: Array
     hidden: Array
@@ -155,17 +161,26 @@ class Predictor:
         settings: PredictionSettings | None = None,
         planes: Array | None = None,
         pieces: NDArray[np.int64] | None = None,
+        parts: int = 0,
+        whole: NDArray[np.int64] | None = None,
     ) -> None:
         """hand: the robot's own as seen in this frame; what it hides is no wonder. planes (k, 6): of table and walls,
         see vision.look.mask.find_plane.
 
         pieces (h, w) at every settings.piece_step pixels, from 0, -1 for none: connected surfaces of the image, given
         where nobody has a model of what hides the object, so that what is seen may be that. One piece is
-        then one thing, whose word is bounded however many pixels it has, and something in front is no wonder.
+        then one thing, whose word is bounded however many pixels it has, and something in front is no wonder. Those
+        with numbers below `parts` are of one colour, too: one that goes on beyond the outline is no part of the object.
+        whole (k,): the surface that each of the numbers is of, where colour parted them; its word is bounded.
         """
         self._planes = np.zeros((0, 6)) if planes is None else np.ascontiguousarray(planes)
         self._pieces = pieces
         self.settings = settings or PredictionSettings()
+        self._whole: NDArray[np.int64] = np.zeros(1, dtype=np.int64)
+        self._sizes: Array = np.zeros(0)
+        if pieces is not None and parts and whole is not None:
+            self._whole = np.concatenate([self._whole, whole + 1])
+            self._sizes = np.asarray(np.bincount(pieces[pieces >= 0])[:parts] * float(self.settings.piece_step**2))
         self._mask = None if frame.mask is None else _widened(frame.mask, self.settings.mask_margin)
         self.model = model
         self.camera: Camera | None = frame.camera
@@ -204,7 +219,11 @@ class Predictor:
             return np.zeros(len(candidates))
         p = self.predict(candidates, side)
         hidden = s.hidden if self._pieces is None else s.hidden_by_unknown
-        cost = s.cells * (s.past * p.past + hidden * p.hidden) - s.cells * s.seen * p.seen + s.runs_on * p.outline
+        cost = (
+            s.cells * (s.past * p.past + hidden * p.hidden)
+            - s.cells * s.seen * (p.seen - p.beyond)
+            + s.runs_on * p.outline
+        )
         # an object that is nowhere in the image is hidden by the image's border
         return np.where(p.count > 0, cost, s.cells * s.hidden)
 
@@ -229,8 +248,12 @@ class Predictor:
         # what the image's border hides is hidden, too: the corner of an object tells little of it
         total = total / np.maximum(view.inside, 1e-3)
         shares = sums / total[:, None]
+        seen, beyond = shares[:, kernels.SEEN], np.zeros(len(candidates))
+        if self._pieces is not None:
+            seen, beyond = self._bounded(view, self._pieces, total)
         return Prediction(
-            seen=shares[:, kernels.SEEN] if self._pieces is None else self._bounded(view, self._pieces, total),
+            seen=seen,
+            beyond=beyond,
             agree=shares[:, kernels.AGREE],
             past=shares[:, kernels.PAST],
             hidden=shares[:, kernels.BEHIND] + 1.0 - view.inside,
@@ -239,16 +262,32 @@ class Predictor:
             count=sums[:, kernels.HITS].astype(np.int64),
         )
 
-    def _bounded(self, view: _View, pieces: NDArray[np.int64], total: Array) -> Array:
-        """(n,) share seen, of each piece no more than what bounds its word."""
-        s = self.settings
+    def _bounded(self, view: _View, pieces: NDArray[np.int64], total: Array) -> tuple[Array, Array]:
+        """(n,) share seen, of each piece no more than what bounds its word; and how much of that is of pieces of one
+        colour that go on beyond the outline.
+        """
+        s, poses = self.settings, len(view.u)
         count = int(pieces.max(initial=-1)) + 2
         row = np.clip(view.v // s.piece_step, 0, pieces.shape[0] - 1)
         column = np.clip(view.u // s.piece_step, 0, pieces.shape[1] - 1)
-        label = pieces[row[:, :, None], column[:, None, :]] + 1 + count * np.arange(len(view.u))[:, None, None]
-        each = np.bincount(label.ravel(), view.fade.ravel(), minlength=count * len(view.u)).reshape(-1, count)
-        bound = s.most_of_piece / (s.cells * s.seen)
-        return np.asarray(np.minimum(each / total[:, None], bound).sum(axis=1))
+        label = (pieces[row[:, :, None], column[:, None, :]] + 1 + count * np.arange(poses)[:, None, None]).ravel()
+        each = np.bincount(label, view.fade.ravel(), minlength=count * poses).reshape(-1, count) / total[:, None]
+        sums, bound, parts = each, s.most_of_piece / (s.cells * s.seen), len(self._sizes)
+        if parts:
+            sums = np.zeros((poses, int(self._whole.max(initial=0)) + 1))
+            np.add.at(sums.T, self._whole, each.T)
+        seen = np.asarray(np.minimum(sums, bound).sum(axis=1))
+        if not parts:
+            return seen, np.zeros(poses)
+        earned = (each * np.minimum(1.0, bound / np.maximum(sums, 1e-9))[:, self._whole])[:, 1 : parts + 1]
+        met = np.bincount(label, view.has(kernels.HIT).ravel(), minlength=count * poses).reshape(-1, count)
+        # pixels that each ray stands for, and how much of each part is beyond what the outline holds, in cells
+        area = np.ptp(view.u, axis=1) * np.ptp(view.v, axis=1) / max(view.side - 1, 1) ** 2
+        held = met[:, 1 : parts + 1] * area[:, None]
+        cell = np.maximum(total * area, 1.0) / s.cells
+        outside = np.maximum((1.0 - s.beside) * self._sizes - held, 0.0) / cell[:, None]
+        lost = np.minimum(s.beyond / (s.cells * s.seen) * outside, earned)
+        return seen, np.asarray(lost.sum(axis=1))
 
     def _view(self, candidates: Array, side: int) -> _View:
         """The predicted pixels of poses (n, 4, 4), side^2 rays each, and what each of them is."""
