@@ -25,6 +25,7 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import DepthModel
 from touch.held import Held
 from vision.look.looked import Looked, RowSettings, free_space_rows, surface_rows
+from vision.look.pixels import Pixels
 from vision.predicted import Predictor
 from vision.sight import Sight
 from vision.starts import seen_starts
@@ -121,7 +122,8 @@ class PoolSettings:
 class Pool:
     """What is known of the frame beyond poses: rows of touch as they are believed now, and a prior; `predictor` says
     what must be seen, `sight` quickly what is seen past. looked and depth: what pixels are worth as rows. held: the
-    robot's own hand, where it is known.
+    robot's own hand, where it is known. coloured: pieces of the image by depth and colour; no_colours: why there are
+    none.
     """
 
     model: ObjectModel
@@ -137,6 +139,8 @@ class Pool:
     modes: ModeSettings
     settings: PoolSettings
     held: Held | None = None
+    coloured: tuple[Pixels, ...] = ()
+    no_colours: str = ""
 
     @property
     def apart(self) -> float:
@@ -178,10 +182,10 @@ class Pool:
             parts.append(poses)
         return np.concatenate(parts) if parts else np.zeros((0, 4, 4))
 
-    def piece_starts(self) -> tuple[tuple[Evidence, Array], ...]:
-        """Of each connected piece of the image its rows, and starts (n, 4, 4) that it proposes by itself."""
+    def piece_starts(self, pieces: tuple[Pixels, ...]) -> tuple[tuple[Evidence, Array], ...]:
+        """Of each piece of the image its rows, and starts (n, 4, 4) that it proposes by itself."""
         found = []
-        for piece in self.looked.pieces:
+        for piece in pieces:
             rows = surface_rows(replace(self.looked, pixels=piece, told_apart=True), self.depth, self.rows)
             settings = self.proposals.of_piece
             found.append((rows, seen_starts(self.model, piece.points, rows, self.sight.costs, self.rng, settings)))
