@@ -124,12 +124,13 @@ def _colours(
     few = np.ascontiguousarray(cv2.medianBlur(np.ascontiguousarray(rgb), 3)[::step, ::step])
     few = np.asarray(cv2.medianBlur(few, 3), dtype=np.uint8)[: shape[0], : shape[1]]
     none = np.zeros((*few.shape[:2], 3), dtype=np.float32)
-    if bool((few == few[..., :1]).all()):
+    red, green, blue = few[..., 0], few[..., 1], few[..., 2]
+    if bool((red == green).all()) and bool((red == blue).all()):
         return none, "the image has no colours"
-    brightest = few.max(axis=2)
+    brightest = np.maximum(np.maximum(red, green), blue)
     if float(np.percentile(brightest.ravel()[:: s.every], 95)) < s.darkest:
         return none, "the image is dark"
-    if float((few.min(axis=2) == 255).mean()) > s.clipped:
+    if float((np.minimum(np.minimum(red, green), blue) == 255).mean()) > s.clipped:
         return none, "the image is overexposed"
     lab = np.asarray(cv2.cvtColor(few.astype(np.float32) / np.float32(255), cv2.COLOR_RGB2LAB), dtype=np.float32)
     light = lab[..., :1]
@@ -140,13 +141,18 @@ def _colours(
     return np.ascontiguousarray(found, dtype=np.float32), ""
 
 
+def _sum(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(h, w) sums over three channels (h, w, 3): numpy is slow along an axis of three."""
+    return np.asarray(values[..., 0] + values[..., 1] + values[..., 2])
+
+
 def _blurred(colours: NDArray[np.float32], settings: PartingSettings) -> str:
     """Why the image is too blurred; "" when it is not: of a sharp edge most is within a cell, wherever it lies."""
     if colours.shape[1] < 5:
         return ""
     few = colours[::3]
-    change = np.square(few[:, 1:] - few[:, :-1]).sum(axis=2)
-    far = np.square(few[:, 4:] - few[:, :-4]).sum(axis=2)
+    change = _sum(np.square(few[:, 1:] - few[:, :-1]))
+    far = _sum(np.square(few[:, 4:] - few[:, :-4]))
     clear = far >= np.percentile(far, 98)
     steepest = np.max([change[:, k : k + far.shape[1]][clear] for k in range(4)], axis=0)
     share = float(np.sqrt(np.median(steepest / np.maximum(far[clear], 1e-9))))
@@ -169,8 +175,8 @@ def _unregistered(colours: NDArray[np.float32], z: Array, pieces: Numbers, setti
     thin = slice(None, None, -(-len(row) // s.edges))
     row, column = row[thin], column[thin]
     change = np.zeros(pieces.shape)
-    change[:, 1:-1] += np.abs(colours[:, 2:] - colours[:, :-2]).sum(axis=2)
-    change[1:-1] += np.abs(colours[2:] - colours[:-2]).sum(axis=2)
+    change[:, 1:-1] += _sum(np.abs(colours[:, 2:] - colours[:, :-2]))
+    change[1:-1] += _sum(np.abs(colours[2:] - colours[:-2]))
     change /= change + float(np.percentile(change[::3], 90)) + 1e-6
     steps = np.arange(-most, most + 1)
     padded = np.pad(change, most)

@@ -162,7 +162,9 @@ def coloured_pieces(
     """
     found = []
     for group in coloured.groups[: settings.most_coloured]:
-        pixels = _piece(np.isin(coloured.numbers, group), points, camera, model, settings)
+        of_it = np.zeros(len(coloured.whole) + 1, dtype=bool)  # the last one stands for no piece
+        of_it[group] = True
+        pixels = _piece(of_it[coloured.numbers], points, camera, model, settings)
         if pixels is not None:
             found.append(pixels)
     return tuple(found)

@@ -1,4 +1,5 @@
-"""What the colours of the outline are worth: the same frames with and without them, by family; recorded ones too.
+"""What colours are worth: the same frames with and without those of the outline, by family, recorded ones too; with
+and without those that part what touches; and with and without those of a print.
 
 Lateral error: how far the centroid is off across the camera's ray. Recorded frames are judged by how the outline
 overlaps the mask that somebody drew, and by how far the mask's pixels lie from the surface.
@@ -14,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.benchmarks.camera import prints
+from fusion.benchmarks.camera import parting, prints
 from fusion.benchmarks.families.making import frames_of, judge_for, objects_of, why_not
 from fusion.benchmarks.families.table import FAMILIES, RECORDED, Family, chosen
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Quantile, Rate, Report, Table, own_seed
@@ -129,8 +130,10 @@ def run(settings: BenchSettings) -> Report:
     report.claims += _claims(pairs)
     recorded, claims = _recorded(settings)
     report.claims += claims
+    parted, told = parting.run(settings, families, trials, MOST_HIDDEN)
+    report.claims += told
     printed, asked = prints.run(settings, trials)
-    for one in (recorded, printed):
+    for one in (recorded, parted, printed):
         if one is not None:
             report.tables.append(one)
             settings.show(one)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fusion.benchmarks.camera import colour
+from fusion.benchmarks.camera import colour, parting
 from fusion.benchmarks.families.table import FAMILIES
 from fusion.benchmarks.printing.tables import BenchSettings
 from scenes.geometry import poses
@@ -31,3 +31,16 @@ def test_frames_are_answered_without_and_with_colours(tmp_path):
     pairs = list(colour.pairs_of(FAMILIES["lab"], [0.0], ["box"], 1, 0))
     assert {pair.sense for pair in pairs} == {"fused", "vision"}
     assert all(pair.used for pair in pairs)
+
+
+def test_what_parting_by_colour_is_worth(tmp_path):
+    settings = BenchSettings(trials=1, quick=True, family="loose", objects=("box",), data=tmp_path)
+    table, claims = parting.run(settings, [FAMILIES["loose"], FAMILIES["lab"]], 1, 0.6)
+    # a hand whose model is known is told apart by that
+    assert [row[:4] for row in table.rows] == [
+        ["loose", sense, start, 1] for sense in ("fused", "vision") for start in ("none", "33 mm, 16°")
+    ]
+    assert all(row[4].share == 1.0 for row in table.rows)
+    assert len(claims) == 2
+    assert "hand's model" in parting.parts(FAMILIES["lab"])
+    assert parting.run(settings, [FAMILIES["lab"]], 1, 0.6) == (None, [])
