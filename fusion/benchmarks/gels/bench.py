@@ -283,8 +283,8 @@ def add_vision(report: Report, settings: BenchSettings) -> None:
             *(Quantile.of(moved[kind], 1e3) for kind in ("points", "gels")),
         )
     table.note = (
-        "Gels without a calibration: outline and its own colours. Points: contacts of the fingers whose gel is touched; a"
-        " fingertip feels all around, its gel one side. Start 16° and 33 mm off."
+        "Gels without a calibration: outline and its own colours. Points: contacts of the fingers whose gel is touched;"
+        " a fingertip feels all around, its gel one side. Start 16° and 33 mm off."
     )
     report.tables.append(table)
     settings.show(table)
