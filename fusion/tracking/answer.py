@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,7 @@ from vision.tracking.by_vision import VelocitySettings
 Array = NDArray[np.float64]
 
 # Pixels count half of what they do in one frame: frames share the edges of fingers that are taken for the object.
-RIGS = tuple(replace(rig, weight=0.5 * rig.weight) for rig in JointSettings().rigs)
+WEIGHT = 0.5 * JointSettings().pixel_weight
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class TrackSettings:
     leap: float = 2.5
     # The joint solution starts within a millimetre and knows the size of the shared errors from the first frames.
     joint: JointSettings = field(
-        default_factory=lambda: JointSettings(steps=4, most_inducing=24, spacing=1.6, modes=1, rigs=RIGS)
+        default_factory=lambda: JointSettings(steps=4, most_inducing=24, spacing=1.6, modes=1, pixel_weight=WEIGHT)
     )
     level_frames: int = 3
     # Factor on the variance that the solution takes for independent noise: it counts pixels by a part because
