@@ -31,6 +31,8 @@ SIDES = (8, 4096)
 PITCHES = (1e-4, 10.0)
 # Pixels of the shorter side that are worked with: of a thumbnail-sized gel, every 0.15 mm.
 WORKING_SIDE = 110
+# The same where only what changes slowly is told: lamps, and how deep the skin is on the whole.
+COARSE_SIDE = 24
 # A channel at 255 in more than this share of an image shows no shape there.
 SATURATED = 0.25
 # Smoothing (pixels) of a background's brightness.
@@ -99,9 +101,10 @@ class Gel:
     @cached_property
     def working(self) -> Gel:
         """The gel with every k-th pixel only, so many that smoothed images lose nothing; itself when it is coarse."""
-        step = self.working_step
-        if step == 1:
-            return self
+        return self if self.working_step == 1 else self.every(self.working_step)
+
+    def every(self, step: int) -> Gel:
+        """The gel with every step-th pixel of a row and column only, to be worked with as it is."""
         part = (slice(None, None, step), slice(None, None, step))
         surface = self.surface[part]
         background = None if self.background is None else np.ascontiguousarray(self.background[part])
@@ -114,6 +117,16 @@ class Gel:
         thin.__dict__["level"] = np.ascontiguousarray(self.level[part])
         thin.__dict__["working_step"] = 1
         return thin
+
+    @cached_property
+    def coarse_step(self) -> int:
+        """Every so many-th pixel tells all that changes slowly over the image."""
+        return max(1, min(self.width, self.height) // COARSE_SIDE)
+
+    @cached_property
+    def coarse(self) -> Gel:
+        """The gel with every `coarse_step`-th pixel only."""
+        return self if self.coarse_step == 1 else self.every(self.coarse_step)
 
     @cached_property
     def working_step(self) -> int:

@@ -1,24 +1,19 @@
-"""Photometric calibration of a gel: which colours mean which slope, from presses of a ball of known radius.
+"""Photometric calibration of a gel (touch.gels.photometry): what its colours are worth, from presses of a ball.
 
-A matt skin under lights shows I_c = r_c (a_c + b_c . n): its colours are linear in its normal, and the relative
-difference q_c = I_c / I0_c - 1 from the untouched skin does not know the reflectance r_c, nor the brightness of a lamp.
-So the normal's change n - n0 is linear in q, with coefficients that vary slowly over the image, as lamps are near:
-n - n0 = sum_k A_k f_k(u, v) q, f of second order. A ball's outline on the skin tells where its centre is, its radius
-then every normal inside: a small ridge regression gives A.
+A ball's outline on the skin tells where its centre is, its radius then every normal and every depth inside. Colours by
+normals and depths, not the other way round, are a small ridge regression: the geometry is exact, colours have noise.
 
-The radius itself is not in the colours: a ball twice as large with half the slopes explains them as well (the normal's
-x and y are linear in 1 / radius, and so is what the lamps' unknown brightness multiplies). Too small a radius shows in
-slopes that no skin follows; one that is too large only beside another sensor's calibration (`alike`).
+The radius itself is hardly in the colours: a ball twice as large with half the slopes explains them as well, its lamps
+being twice as strong, which nobody knows. Too small a radius shows in slopes that no skin follows. Of one that is too
+large the brightness tells: a slope s takes off about s^2 / 2 of what shines straight onto the skin, so that with slopes
+told too small by a factor f the lamps' share of the light at rest is told too large by f^2; above 1, darkness itself
+would have to be less than dark. Between, only another sensor's calibration knows (`like`).
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,13 +21,9 @@ from numpy.typing import NDArray
 from scenes.errors import InputError
 from scenes.robot.gels import Gel, check_image
 from touch.gels.colour import ColourSettings, Moved, moved_skin
+from touch.gels.photometry import DEPTH_TERMS, MILLIMETRES, TERMS, Photometry, image_terms, relative
 
 Array = NDArray[np.float64]
-
-FORMAT = "palpate-gel-calibration"
-VERSION = 1
-# Terms of the polynomial over the image (see _terms), and channels.
-TERMS = 6
 
 
 @dataclass(frozen=True)
@@ -53,114 +44,26 @@ class GelCalibrationSettings:
     # one kind of sensor differ by a tenth or two, a diameter taken for a radius by two.
     alike: float = 1.4
     # Ridge on the coefficients of normalised features, as a share of the samples: what the presses do not show stays 0.
-    ridge: float = 2e-3
-    # Background darker than this (of 255; no unit) has no relative difference: counts as that bright.
-    darkest: float = 12.0
-    # Slopes of the presses, in the mean square, that the fit may leave (no unit): beyond, radius or lights are wrong.
+    ridge: float = 1e-4
+    # Changes of colour, in the mean square, that the fit may leave (no unit): beyond, radius or lights are wrong.
     misfit: float = 0.35
-    # Pixels taken of each press, and of the untouched skin around it.
-    samples: int = 3000
+    # Largest share of the light at rest that lamps may have, mean over the image and colours (no unit): more than 1 is
+    # impossible, and what presses leave open is a tenth or two.
+    brightest: float = 1.3
+    # Pixels taken of each press.
+    samples: int = 1500
 
 
 @dataclass(frozen=True)
-class Photometry:
-    """coefficients (3, TERMS * 3): the change of the normal's x, y and z by features; size (width, height) of the
-    images; darkest (counts) as in the settings; ball (m), presses and misfit (share of the slopes that is left);
-    depths (m) of the presses, if the ball has that radius.
+class Lying:
+    """Where a skin lies on a ball, inside (h, w): by how much its normal differs from the untouched, change (h, w, 3),
+    and how deep it is pressed in, depth (h, w) m; deepest (m): how far the ball reaches beyond its outline.
     """
 
-    coefficients: Array
-    size: tuple[int, int]
-    darkest: float
-    ball: float = 0.0
-    presses: int = 0
-    misfit: float = 0.0
-    depths: tuple[float, ...] = ()
-
-    def normals(self, difference: NDArray[np.float32], gel: Gel) -> Array:
-        """(h, w, 3) normals of the skin, sensor frame, of unit length up to the calibration's error; working pixels."""
-        q = relative(difference, gel, self.darkest)
-        out = gel.untouched_normals.copy()
-        for channel, table in enumerate(self._tables(gel)):
-            out += table * q[..., channel, None]
-        return out
-
-    def _tables(self, gel: Gel) -> list[Array]:
-        """For each channel (h, w, 3): the change of the normal by a relative difference of 1; kept for the last gel."""
-        kept = self.__dict__.get("_kept")
-        if kept is None or kept[0] is not gel:
-            terms = np.stack(_terms(gel.width, gel.height), axis=2)
-            by_term = self.coefficients.reshape(3, TERMS, 3)
-            kept = gel, [terms @ by_term[:, :, channel].T for channel in range(3)]
-            self.__dict__["_kept"] = kept
-        return kept[1]
-
-    def to_json(self) -> dict[str, Any]:
-        """The calibration file's content."""
-        return {
-            "format": FORMAT,
-            "version": VERSION,
-            "size": list(self.size),
-            "darkest": self.darkest,
-            "coefficients": self.coefficients.tolist(),
-            "ball_mm": 1e3 * self.ball,
-            "presses": self.presses,
-            "misfit": self.misfit,
-            "depths_mm": [1e3 * depth for depth in self.depths],
-        }
-
-    @staticmethod
-    def from_json(entry: Mapping[str, Any], where: str) -> Photometry:
-        """Raises InputError for another format, shape or numbers that are not finite."""
-        if entry.get("format") != FORMAT or entry.get("version") != VERSION:
-            raise InputError(f"{where}: expected a gel's calibration ({FORMAT} {VERSION}), got {entry.get('format')!r}")
-        try:
-            coefficients = np.array(entry["coefficients"], dtype=np.float64)
-            depths = tuple(1e-3 * float(x) for x in entry.get("depths_mm", ()))
-            width, height = (int(x) for x in entry["size"])
-            values = [float(entry.get(name, 0.0)) for name in ("darkest", "ball_mm", "presses", "misfit")]
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise InputError(f"{where}: expected coefficients, size and darkest in the calibration") from error
-        if coefficients.shape != (3, 3 * TERMS) or not np.isfinite(coefficients).all() or not np.isfinite(values).all():
-            raise InputError(f"{where}: expected finite coefficients (3, {3 * TERMS}), got {coefficients.shape}")
-        if not np.isfinite(depths).all():
-            raise InputError(f"{where}: expected finite depths_mm, got {depths}")
-        if values[0] <= 0:
-            raise InputError(f"{where}: expected darkest above 0 counts, got {values[0]:g}")
-        ball, presses, misfit = 1e-3 * values[1], int(values[2]), values[3]
-        return Photometry(coefficients, (width, height), values[0], ball, presses, misfit, depths)
-
-
-_KEPT: WeakKeyDictionary[Gel, Photometry] = WeakKeyDictionary()
-
-
-def photometry_of(gel: Gel, where: str) -> Photometry:
-    """The gel's calibration, read once. Raises InputError for one that is malformed or of another size."""
-    assert gel.calibration is not None
-    found = _KEPT.get(gel)
-    if found is None:
-        found = Photometry.from_json(gel.calibration, where)
-        if found.size != (gel.width, gel.height):
-            got = f"{found.size[0]}x{found.size[1]}"
-            raise InputError(f"{where}: expected a calibration of {gel.width}x{gel.height} pixels, got one of {got}")
-        _KEPT[gel] = found
-    return found
-
-
-def read_photometry(path: Path) -> Photometry:
-    """A calibration file. Raises InputError, one line, for what is none."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: expected a gel's calibration, it cannot be read as JSON") from error
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: expected a gel's calibration, got {type(content).__name__}")
-    return Photometry.from_json(content, str(path))
-
-
-def relative(difference: NDArray[np.float32], gel: Gel, darkest: float) -> NDArray[np.float32]:
-    """(h, w, 3) differences of colours as shares of the background's; working pixels."""
-    return np.asarray(difference / np.maximum(gel.level, np.float32(darkest)))
+    inside: NDArray[np.bool_]
+    change: Array
+    depth: Array
+    deepest: float
 
 
 def calibrate(
@@ -187,44 +90,50 @@ def calibrate(
         want = f"{gel.width}x{gel.height} pixels"
         raise InputError(f"calibration: expected one of {want} to compare with, got one of {got}")
     work = gel.working
-    terms = _terms(work.width, work.height)
-    features, targets, depths, ratios = [], [], [], []
+    terms = image_terms(work.width, work.height).reshape(-1, TERMS)
+    features, colours, rests, depths, ratios = [], [], [], [], []
     for number, image in enumerate(images):
         where = names[number] if names is not None else f"press {number}"
         check_image(image, gel, where)
         moved = moved_skin(image, gel, settings.colour)
-        inside, change, depth = ball_normals(moved, work, radius, where, settings)
-        depths.append(depth)
+        ball = ball_normals(moved, work, radius, where, settings)
+        depths.append(ball.deepest)
+        seen = relative(moved.difference, work, settings.colour.darkest).astype(np.float64)
         if like is not None:
-            ratios.append(_ratio(like.normals(moved.difference, work) - work.untouched_normals, change, inside))
-        q = relative(moved.difference, work, settings.darkest)
-        for chosen in (inside, ~moved.inside):
-            index = np.flatnonzero(chosen)
-            index = index[:: max(1, len(index) // settings.samples)]
-            one = q.reshape(-1, 3)[index]
-            features.append(np.concatenate([term.reshape(-1)[index, None] * one for term in terms], axis=1))
-            targets.append(change.reshape(-1, 3)[index])
+            ratios.append(_ratio(like, work, seen, ball))
+        index = np.flatnonzero(ball.inside)
+        index = index[:: max(1, len(index) // settings.samples)]
+        change, deep = ball.change.reshape(-1, 3)[index], MILLIMETRES * ball.depth.reshape(-1)[index]
+        columns = [change[:, axis, None] * terms[index] for axis in range(3)]
+        features.append(np.concatenate([*columns, deep[:, None] * terms[index, :DEPTH_TERMS]], axis=1))
+        colours.append(seen.reshape(-1, 3)[index])
+        rest = work.untouched_normals.reshape(-1, 3)[index]
+        rests.append(np.concatenate([rest[:, axis, None] * terms[index] for axis in range(3)], axis=1))
     if like is not None:
         _check_like(ratios, radius, settings)
-    x, y = np.concatenate(features), np.concatenate(targets)
+    x, y = np.concatenate(features), np.concatenate(colours)
     scale = np.maximum(np.sqrt((x**2).mean(axis=0)), 1e-9)
     normalised = x / scale
     gram = normalised.T @ normalised + settings.ridge * len(x) * np.eye(x.shape[1])
     coefficients = (np.linalg.solve(gram, normalised.T @ y) / scale[:, None]).T
-    slope = np.linalg.norm(y[:, :2], axis=1) > 0.02
-    left = (x @ coefficients.T - y)[slope, :2]
-    misfit = float(np.sqrt((left**2).sum() / max((y[slope, :2] ** 2).sum(), 1e-300)))
+    left = x @ coefficients.T - y
+    misfit = float(np.sqrt((left**2).sum() / max((y**2).sum(), 1e-300)))
     if not misfit < settings.misfit:
-        said = f"left {100 * misfit:.0f} % of the ball's slopes unexplained"
-        raise InputError(f"calibration: expected colours that tell the slopes of a {1e3 * radius:g} mm ball, {said}")
+        said = f"left {100 * misfit:.0f} % of what the colours of a {1e3 * radius:g} mm ball change by unexplained"
+        raise InputError(f"calibration: expected colours that follow from slopes, {said}")
+    _check_light(np.concatenate(rests) @ coefficients[:, : 3 * TERMS].T, radius, settings)
+    by_normal, by_depth = coefficients[:, : 3 * TERMS].reshape(3, 3, TERMS), coefficients[:, 3 * TERMS :]
     size = gel.width, gel.height
-    return Photometry(coefficients, size, settings.darkest, radius, len(images), misfit, tuple(depths))
+    darkest = settings.colour.darkest
+    return Photometry(by_normal, by_depth, size, darkest, radius, len(images), misfit, tuple(depths))
 
 
-def _ratio(expected: Array, change: Array, inside: NDArray[np.bool_]) -> float:
-    """How many times as steep `expected` is as `change` (h, w, 3) inside (h, w)."""
-    one, other = expected[inside, :2], change[inside, :2]
-    return float((one * other).sum() / max((other**2).sum(), 1e-300))
+def _ratio(like: Photometry, gel: Gel, seen: Array, ball: Lying) -> float:
+    """How many times as much colours (h, w, 3) change as they would by `like` on the ball."""
+    by_normal, by_depth = like.maps(gel)
+    index = ball.inside
+    expected = np.einsum("pci,pi->pc", by_normal[index], ball.change[index]) + by_depth[index] * ball.depth[index, None]
+    return float((expected * seen[index]).sum() / max((expected**2).sum(), 1e-300))
 
 
 def _check_like(ratios: list[float], radius: float, settings: GelCalibrationSettings) -> None:
@@ -238,13 +147,18 @@ def _check_like(ratios: list[float], radius: float, settings: GelCalibrationSett
         )
 
 
-def ball_normals(
-    moved: Moved, gel: Gel, radius: float, where: str, settings: GelCalibrationSettings
-) -> tuple[NDArray[np.bool_], Array, float]:
-    """Where (h, w) the skin lies on the ball, by how much (h, w, 3) its normal differs there from the untouched, and
-    how deep (m) the ball is pressed in beyond its outline.
+def _check_light(direct: Array, radius: float, settings: GelCalibrationSettings) -> None:
+    """Raise InputError when the lamps' share of the light on untouched skin, direct (n, 3), is more than all of it."""
+    share = float(direct.mean())
+    if share > settings.brightest:
+        said = f"their slopes would take away {share:.2g} times the light that there is"
+        most = f"expected a ball of {1e3 * radius / np.sqrt(share):.2g} mm or less"
+        raise InputError(f"calibration: {most} by the presses' brightness, got {1e3 * radius:g} mm: {said}")
 
-    The outline's points on the skin lie on a circle, over whose middle the ball's centre is.
+
+def ball_normals(moved: Moved, gel: Gel, radius: float, where: str, settings: GelCalibrationSettings) -> Lying:
+    """Where the skin lies on the ball, and how. The outline's points on the skin lie on a circle, over whose middle the
+    ball's centre is.
     """
     import cv2
 
@@ -263,8 +177,8 @@ def ball_normals(
     away = skin - foot_of
     from_axis = np.sqrt(np.maximum((away**2).sum(axis=2) - (away @ axis) ** 2, 0.0))
     ring = np.minimum(from_axis / gel.spacing, 1e4).astype(np.int64)[moved.core]
-    change = np.linalg.norm(moved.difference, axis=2)[moved.core]
-    profile = np.bincount(ring, change) / np.maximum(np.bincount(ring), 1)
+    changed = np.linalg.norm(moved.difference, axis=2)[moved.core]
+    profile = np.bincount(ring, changed) / np.maximum(np.bincount(ring), 1)
     profile[int(outline_radius / gel.spacing) + 1 :] = 0.0
     across = _fall(profile) * gel.spacing
     if not across < radius:
@@ -299,7 +213,8 @@ def ball_normals(
     met = (aside < radius**2) & (from_axis < settings.inner * across) & moved.core
     if met.sum() < 30:
         raise InputError(f"{where}: expected a press of at least 30 pixels, got {int(met.sum())}")
-    return met, np.where(met[..., None], normal - gel.untouched_normals, 0.0), depth
+    change = np.where(met[..., None], normal - gel.untouched_normals, 0.0)
+    return Lying(met, change, np.where(met, gel.surface - place[..., 2], 0.0), depth)
 
 
 def _fall(profile: Array) -> float:
@@ -328,9 +243,3 @@ def _circle_of(edge: Array) -> tuple[Array, Array, float, float]:
     across = float(np.sqrt(max(c + a * a + b * b, 1e-18)))
     rough = float(np.abs(np.linalg.norm(local - np.array([a, b]), axis=1) - across).mean()) / across
     return middle + a * basis[0] + b * basis[1], axis, across, rough
-
-
-def _terms(width: int, height: int) -> list[Array]:
-    """(h, w) each: 1, u, v, u^2, uv, v^2 with u and v from -1 to 1 over the image."""
-    u, v = np.meshgrid(np.linspace(-1.0, 1.0, width), np.linspace(-1.0, 1.0, height))
-    return [np.ones_like(u), u, v, u * u, u * v, v * v]

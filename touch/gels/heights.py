@@ -1,9 +1,4 @@
-"""How deep a gel is pressed in, from its colours: slopes by the calibration, height by Poisson's equation.
-
-With n the skin's normal, P = D r the point on a pixel's line r at depth D: n . P_u = 0, so (ln D)_u = -(n . r_u) /
-(n . r) for a pinhole camera, and z_u = -n_x / n_z times the pitch for parallel lines. The difference of these slopes
-from the untouched skin's is integrated over the image: the least-squares surface solves Poisson's equation with free
-borders, which the discrete cosine transform diagonalises (Frankot and Chellappa, PAMI 1988, for its Fourier sibling).
+"""How deep a gel is pressed in, from its colours: normals by the calibration, heights by integrating their slopes.
 
 Without a calibration the outline alone speaks: a skin pressed in by an even load and held at the outline is the
 solution of Poisson's equation with a constant right side there (Prandtl's membrane), which for an ellipse is exactly
@@ -20,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.robot.gels import Gel, check_image
-from touch.gels.calibration import TERMS, GelCalibrationSettings, Photometry, photometry_of, relative
 from touch.gels.colour import ColourSettings, Mask, Moved, moved_skin
+from touch.gels.lamps import LampSettings, normals_of
+from touch.gels.photometry import photometry_of, relative
+from touch.gels.surfaces import UNTOUCHED, as_depth, integrate, level, slopes
 
 Array = NDArray[np.float64]
 
@@ -31,6 +28,7 @@ class HeightSettings:
     """What indentations are worth."""
 
     colour: ColourSettings = field(default_factory=ColourSettings)
+    lamps: LampSettings = field(default_factory=LampSettings)
     # Touched is what is deeper than this share of the deepest: flatter parts are skin that bridges to the rest.
     share: float = 0.25
     # and than this (m): below, heights are the integration's own drift.
@@ -86,7 +84,8 @@ def indentation_of(
         if known is not None:
             known = min(known[0] // step, work.width - 1), min(known[1] // step, work.height - 1), known[2]
         return from_outline(moved, work, known, settings)
-    return from_depth(heights(moved, work, photometry_of(gel, where), settings.cells), work, settings, moved.inside)
+    normal = normals_of(moved, work, photometry_of(gel, where), settings.lamps)
+    return from_depth(heights(moved.inside, normal, work, settings.cells), work, settings, moved.inside)
 
 
 def from_depth(depth: Array, gel: Gel, settings: HeightSettings, moved: Mask | None = None) -> Indentation:
@@ -102,68 +101,23 @@ def from_depth(depth: Array, gel: Gel, settings: HeightSettings, moved: Mask | N
     return Indentation(gel, np.maximum(depth, 0.0), touched, moved, sigma, True)
 
 
-def heights(moved: Moved, gel: Gel, photometry: Photometry, cells: int = 48) -> Array:
-    """(h, w) m by which the skin is pressed in, from calibrated colours, on working pixels; 0 outside of what moved."""
-    if not moved.inside.any():
+def heights(inside: Mask, normal: Array, gel: Gel, cells: int = 48) -> Array:
+    """(h, w) m by which the skin is pressed in: normals (m, 3) of its moved pixels, inside (h, w); 0 outside."""
+    if not inside.any():
         return np.zeros((gel.height, gel.width))
-    normal = photometry.normals(moved.difference, gel)
-    along_u, along_v = (new - old for new, old in zip(slopes(normal, gel), slopes(gel.untouched_normals, gel)))
-    outside = ~moved.inside
-    along_u[outside] = 0.0
-    along_v[outside] = 0.0
-    change = integrate(along_u, along_v)
-    # what did not move is level with itself; a contact that fills the image leaves its lowest part
-    if outside.mean() > 0.01:
-        change -= np.median(change[outside])
+    index = np.flatnonzero(inside)
+    untouched = gel.untouched_normals.reshape(-1, 3)[index]
+    fields = np.zeros((2, inside.size))
+    for field_, new, old in zip(fields, slopes(normal, gel, index), slopes(untouched, gel, index)):
+        field_[index] = new - old
+    change = integrate(*fields.reshape(2, *inside.shape))
+    change -= level(change, inside)
+    if (~inside).mean() > UNTOUCHED:
         # slopes that do not close leave a step at the outline, where the skin is held: taken off as smoothly as can be
-        change -= harmonic(change, moved.inside, cells)
-    else:
-        change -= np.percentile(change, 98.0)
-    # of a pinhole camera it is the logarithm of the depth that was integrated
-    pinhole = gel.distance is not None
-    depth = -(float(gel.distance or 0.0) + gel.surface) * np.expm1(np.clip(change, -1.0, 1.0)) if pinhole else -change
-    depth[outside] = 0.0
-    return np.clip(depth, 0.0, gel.thickness)
-
-
-def slopes(normal: Array, gel: Gel) -> tuple[Array, Array]:
-    """(h, w) each: what integrates along u and v to z (m; parallel lines) or ln D (pinhole), by normals (h, w, 3)."""
-    if gel.matrix is None:
-        assert gel.pitch is not None
-        z = np.maximum(normal[..., 2], 0.1)  # a skin steeper than 84 degrees is a wrong colour
-        return -gel.pitch * normal[..., 0] / z, -gel.pitch * normal[..., 1] / z
-    k, rays = gel.matrix, gel.rays
-    facing = normal[..., 0] * rays[..., 0] + normal[..., 1] * rays[..., 1] + normal[..., 2]
-    facing = np.maximum(facing, 0.1)
-    along_u = normal[..., 0] / k[0, 0]
-    along_v = (normal[..., 1] - normal[..., 0] * k[0, 1] / k[0, 0]) / k[1, 1]
-    return -along_u / facing, -along_v / facing
-
-
-def integrate(along_u: Array, along_v: Array) -> Array:
-    """(h, w) surface whose differences between neighbours fit slopes (h, w) best in the mean square; mean 0.
-
-    Slopes are a pixel's own; between two pixels the mean of both counts.
-    """
-    from scipy.fft import dctn, idctn
-
-    height, width = along_u.shape
-    between_u = 0.5 * (along_u[:, 1:] + along_u[:, :-1])
-    between_v = 0.5 * (along_v[1:] + along_v[:-1])
-    # divergence: the normal equations' right side
-    right = np.zeros((height, width))
-    right[:, :-1] += between_u
-    right[:, 1:] -= between_u
-    right[:-1] += between_v
-    right[1:] -= between_v
-    # eigenvalues of minus the Laplacian with free borders
-    eigen = (2.0 - 2.0 * np.cos(np.pi * np.arange(height) / height))[:, None]
-    eigen = eigen + (2.0 - 2.0 * np.cos(np.pi * np.arange(width) / width))
-    spectrum = dctn(right, type=2, norm="ortho")
-    eigen[0, 0] = 1.0
-    spectrum /= -eigen
-    spectrum[0, 0] = 0.0
-    return np.asarray(idctn(spectrum, type=2, norm="ortho"))
+        change -= harmonic(change, inside, cells)
+    depth = as_depth(change, gel)
+    depth[~inside] = 0.0
+    return depth
 
 
 def from_outline(moved: Moved, gel: Gel, known: tuple[int, int, float] | None, settings: HeightSettings) -> Indentation:
@@ -197,16 +151,16 @@ def _own_colours(moved: Moved, gel: Gel, cap: Array, settings: HeightSettings) -
     inside = moved.inside
     if inside.sum() < 100:
         return None
-    darkest = GelCalibrationSettings().darkest
-    q = relative(moved.difference, gel, darkest)[inside].astype(np.float64)
-    change = (gel.normals(cap) - gel.untouched_normals)[inside]
+    q = relative(moved.difference, gel, settings.colour.darkest)[inside].astype(np.float64)
+    untouched = gel.untouched_normals[inside]
+    change = gel.normals(cap)[inside] - untouched
     gram = q.T @ q + 1e-3 * float((q**2).sum()) * np.eye(3)
-    coefficients = np.zeros((3, 3 * TERMS))
-    coefficients[:, :3] = np.linalg.solve(gram, q.T @ change).T
-    left = change[:, :2] - q @ coefficients[:2, :3].T
+    coefficients = np.linalg.solve(gram, q.T @ change)
+    told = q @ coefficients
+    left = (change - told)[:, :2]
     if not (left**2).sum() < settings.unexplained**2 * (change[:, :2] ** 2).sum():
         return None
-    depth = heights(moved, gel, Photometry(coefficients, (gel.width, gel.height), darkest), settings.cells)
+    depth = heights(inside, untouched + told, gel, settings.cells)
     return depth if depth.max() > 0 else None
 
 

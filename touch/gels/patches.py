@@ -36,6 +36,8 @@ class PatchSettings:
     # Error (rad) of a measured normal and of one of an outline's cap.
     normal_measured: float = float(np.deg2rad(4.0))
     normal_outline: float = float(np.deg2rad(9.0))
+    # A cap's slope is as wrong as its depth, as a share, but no more than this: at the outline the depth is 0.
+    rim_most: float = 1.0
     # Fewer touched pixels than this share of the image are no contact.
     smallest: float = 0.0015
 
@@ -102,14 +104,19 @@ def patch_of(sensor: str, pressed: Indentation, settings: PatchSettings | None =
     u, v, points, normals = u[good], v[good], points[good], normals[good]
     chosen = _thinned(points, normals, settings.points)
     u, v, points, normals = u[chosen], v[chosen], points[chosen], normals[chosen]
-    slack = settings.normal_measured if pressed.measured else settings.normal_outline
+    slack = np.full(len(points), settings.normal_measured)
+    if not pressed.measured and len(points):
+        # a cap of another depth is as much steeper or flatter: nothing in its middle, the most at its rim
+        relative = pressed.sigma[v, u] / np.maximum(pressed.depth[v, u], 1e-9)
+        cosine = np.clip(-(normals * gel.untouched_normals[v, u]).sum(axis=1), -1.0, 1.0)
+        slack = np.hypot(settings.normal_outline, np.minimum(relative, settings.rim_most) * np.arccos(cosine))
     su, sv = _grid(silent, settings.silent)
     return Patch(
         sensor,
         points,
         normals,
         pressed.sigma[v, u],
-        np.full(len(points), slack),
+        slack,
         _places(gel, np.zeros_like(pressed.depth), su, sv),
         np.eye(4),
         pressed.measured,

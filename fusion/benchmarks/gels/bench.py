@@ -24,7 +24,7 @@ from scenes.synthesis import library
 from scenes.synthesis.gels import bridged, pressed_by, see
 from touch.gels.heights import indentation_of
 from touch.gels.localize import localize_gels
-from touch.gels.patches import patch_of
+from touch.gels.patches import patch_of, patches_of
 from touch.gels.rows import patch_rows
 from touch.localization import Localization, localize
 
@@ -269,7 +269,7 @@ def add_vision(report: Report, settings: BenchSettings) -> None:
         errors: dict[str, list[Array]] = {"points": [], "gels": []}
         for frame in frames:
             assert frame.camera_from_object_truth is not None
-            for kind, shown in (("points", replace(frame, gels={})), ("gels", _without_points(frame))):
+            for kind, shown in (("points", _same_places(frame)), ("gels", _without_points(frame))):
                 answer = estimate(shown, model, seed=frame.index)
                 errors[kind].append(
                     pose_error(answer.pose, frame.camera_from_object_truth, model.centroid, model.symmetries)
@@ -282,9 +282,21 @@ def add_vision(report: Report, settings: BenchSettings) -> None:
             *(Quantile.of(turned[kind], 180 / np.pi) for kind in ("points", "gels")),
             *(Quantile.of(moved[kind], 1e3) for kind in ("points", "gels")),
         )
-    table.note = "Gels without a calibration: outline and its own colours. Start 16° and 33 mm off."
+    table.note = (
+        "Gels without a calibration: outline and its own colours. Points: contacts of the fingers whose gel is touched;"
+        " a fingertip feels all around, its gel one side. Start 16° and 33 mm off."
+    )
     report.tables.append(table)
     settings.show(table)
+
+
+def _same_places(frame: Frame) -> Frame:
+    """The contacts of those fingers whose gels are touched, without the gels."""
+    assert frame.hand is not None
+    sensors = frame.hand.sensors
+    touched = {sensors[patch.sensor].link for patch in patches_of(frame) if len(patch)}
+    kept = [row for row, name in enumerate(frame.contacts.sensors) if sensors[name].link in touched]
+    return replace(frame, gels={}, contacts=frame.contacts.take(np.array(kept, dtype=np.int64)))
 
 
 def _without_points(frame: Frame) -> Frame:

@@ -52,7 +52,8 @@ def run(args: argparse.Namespace) -> int:
     from scenes.files import images
     from scenes.files.whole import replace_file
     from scenes.formats.conversion import located
-    from touch.gels.calibration import calibrate, read_photometry
+    from touch.gels.calibration import calibrate
+    from touch.gels.photometry import read_photometry
 
     check_target(args.out)
     paths = _images(args.images)
@@ -82,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
     )
     pressed = f"{found.presses} press{'' if found.presses == 1 else 'es'} of a {args.ball:g} mm ball"
     say(f"{pressed}; {100 * found.misfit:.0f} % of their slopes unexplained")
-    told = "" if like is not None else ": colours cannot tell (--like FILE can)"
+    told = "" if like is not None else ": colours tell only a radius far too large (--like FILE tells more)"
     say(f"if the ball has that radius, it was pressed {min(depths):.2g} to {max(depths):.2g} mm deep{told}")
     say(f"wrote {args.out}")
     return 0

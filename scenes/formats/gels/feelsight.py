@@ -13,6 +13,7 @@ skin's highest point. Gels need the hand: without `--hand` they are dropped and 
 
 from __future__ import annotations
 
+import re
 import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -44,6 +45,8 @@ TABLE_TOP = (0.05, 5.0)
 # Uncompressed depth of 30 s at 30 images a second in VGA is 550 MB in 16 bit, twice that in 32.
 LARGEST_DEPTH = 4 * 1024**3
 JOINTS = 16
+# What intrinsics may say of a lens.
+DISTORTION = ("k1", "k2", "p1", "p2", "k3")
 
 
 def is_log(folder: str | Path) -> bool:
@@ -200,6 +203,9 @@ def _frames(log: _Log, folder: Path, hand: Hand | None, dropped: Dropped) -> tup
     colours, segments = _numbered(folder / "image"), _numbered(folder / "seg")
     world_from_camera, turned = _forward(world_from_camera, log.world_from_object)
     remarks = [said] if said else []
+    lens = _entry(log.content, f"{CAMERAS}.{folder.name}.intrinsics")
+    if isinstance(lens, dict) and any(np.any(lens.get(key) or 0.0) for key in DISTORTION):
+        remarks.append(f"camera {folder.name} has a distortion, which is not undone")
     if turned:
         remarks.append(f"camera {folder.name} looks along its -z: turned to look along +z")
     fingers = _fingers(log, hand, dropped)
@@ -240,7 +246,7 @@ def _frames(log: _Log, folder: Path, hand: Hand | None, dropped: Dropped) -> tup
                 rgb=rgb,
                 mask=mask,
                 hand=hand,
-                joints=dict(zip(hand.joint_names, map(float, joints))) if hand and joints is not None else None,
+                joints=dict(zip(_joint_order(hand), map(float, joints))) if hand and joints is not None else None,
                 world_from_hand=held if known else None,
                 gels={
                     name: _gel_image(finger, number, log.digit, hand)
@@ -253,6 +259,17 @@ def _frames(log: _Log, folder: Path, hand: Hand | None, dropped: Dropped) -> tup
             )
 
     return frames(), remarks
+
+
+def _joint_order(hand: Hand) -> list[str]:
+    """The hand's joints in the log's order: index, middle, ring, thumb, which is that of the numbers in their names
+    (`joint_0.0` to `joint_15.0`); a left hand's URDF lists its fingers the other way round. As listed without numbers.
+    """
+    found = [re.search(r"(\d+)(?:\.0)?$", name) for name in hand.joint_names]
+    numbers = [int(one.group(1)) for one in found if one is not None]
+    if sorted(numbers) != list(range(JOINTS)):
+        return list(hand.joint_names)
+    return [name for _, name in sorted(zip(numbers, hand.joint_names))]
 
 
 def _intrinsics(entry: Any, where: str) -> tuple[Array, tuple[int, int] | None]:

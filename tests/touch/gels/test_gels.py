@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pressed_gels import ball_depth, flat_gel
 
 from fusion.estimation.estimate import estimate
 from scenes.errors import CaptureError, InputError
@@ -13,43 +14,17 @@ from scenes.evidence.table import GATE_ABOVE
 from scenes.geometry import poses as se3
 from scenes.recordings.frames import Contacts, Frame
 from scenes.robot.digit import digit_gel
-from scenes.robot.gels import Gel
 from scenes.robot.hands import Hand
 from scenes.robot.sensors import Sensor
 from scenes.synthesis import library
-from scenes.synthesis.gels import ball_presses, bridged, lit, lit_digit, photograph_gel, pressed_by, with_gels
+from scenes.synthesis.gels import bridged, lit_digit, photograph_gel, pressed_by, with_gels
 from touch.contacts import feel
-from touch.gels.calibration import Photometry, calibrate
-from touch.gels.heights import harmonic, indentation_of, integrate, membrane, slopes
+from touch.gels.heights import harmonic, indentation_of, membrane
 from touch.gels.localize import localize_gels, off_middle
 from touch.gels.patches import Patch, patch_of, patches_of
 from touch.gels.proposals import bend_of, propose
 from touch.gels.rows import gel_contacts, patch_rows
-
-BALL = 0.004
-
-
-def flat_gel(side=160, pitch=1e-4):
-    return Gel(side, side, np.zeros((side, side)), pitch, thickness=0.004)
-
-
-@pytest.fixture(scope="module")
-def digit():
-    """A lit DIGIT with its calibration by presses of a ball."""
-    rng = np.random.default_rng(3)
-    gel = lit_digit(rng)
-    images = ball_presses(gel, BALL, 0.0008, 10, rng)
-    return replace(gel, calibration=calibrate(images, gel, BALL).to_json())
-
-
-def ball_depth(gel, radius, depth, u, v):
-    """A ball over pixel (u, v): the oracle is plain geometry, column by column."""
-    place, out = gel.points()[v, u], gel.normals()[v, u]
-    centre = place + (radius - depth) * out
-    sphere = library.make("sphere")
-    scaled = type(sphere).from_mesh(sphere.vertices / sphere.radius * radius, sphere.faces, "ball")
-    return pressed_by(scaled, se3.make_pose(None, -centre), gel)
-
+from touch.gels.surfaces import integrate, slopes
 
 # ---- integration
 
@@ -189,72 +164,6 @@ def test_bad_images_are_refused(digit):
         indentation_of(np.zeros_like(image), digit, "g")
     with pytest.raises(InputError, match=r"expected indentations up to the gel's 5 mm, got 9 mm"):
         indentation_of(np.full((320, 240), 9000, dtype=np.uint16), digit, "g")
-
-
-def test_a_wrong_ball_is_refused():
-    rng = np.random.default_rng(4)
-    gel = lit(flat_gel(200), rng)
-    images = ball_presses(gel, BALL, 0.0008, 3, rng)
-    assert calibrate(images, gel, BALL).presses == 3
-    with pytest.raises(InputError, match=r"press 0: expected the outline of a ball of 2 mm or less"):
-        calibrate(images, gel, 0.001)
-    with pytest.raises(InputError, match=r"is the radius right"):
-        calibrate(images, gel, 0.09)
-    with pytest.raises(InputError, match=r"expected a radius from 0.1 to 100 mm"):
-        calibrate(images, gel, float("nan"))
-    with pytest.raises(InputError, match="press 0: expected a press of the ball, got an image like the background"):
-        calibrate([photograph_gel(gel, np.zeros((200, 200)), rng)], gel, BALL)
-    with pytest.raises(InputError, match="expected images of presses, got none"):
-        calibrate([], gel, BALL)
-
-
-def test_colours_do_not_tell_a_balls_radius_but_another_calibration_does(digit):
-    """A ball twice as large with half the slopes explains the colours as well: what leaves no more unexplained is no
-    mistake that can be seen. Beside another sensor's calibration it is.
-    """
-    rng = np.random.default_rng(50)
-    other = lit_digit(rng)
-    images = ball_presses(other, BALL, 0.0008, 4, rng)
-    like = Photometry.from_json(digit.calibration, "c")
-    right, twice = calibrate(images, other, BALL), calibrate(images, other, 2 * BALL)
-    assert abs(right.misfit - twice.misfit) < 0.1
-    np.testing.assert_allclose(right.depths, 2.0 * np.array(twice.depths), rtol=0.15)
-    assert calibrate(images, other, BALL, like=like).misfit == right.misfit
-    for wrong in (0.5 * BALL, 2 * BALL):
-        with pytest.raises(InputError, match=r"radius right\?|radius or more, got|ball of .* or less"):
-            calibrate(images, other, wrong, like=like)
-    with pytest.raises(InputError, match=r"expected presses of a 8 mm ball, got ones of [3-5]\.?\d? mm"):
-        calibrate(images, other, 2 * BALL, like=like)
-    with pytest.raises(InputError, match="expected one of 240x320 pixels to compare with, got one of 10x10"):
-        calibrate(images, other, BALL, like=replace(like, size=(10, 10)))
-
-
-def test_skin_steeper_than_it_can_be_is_a_ball_too_small():
-    rng = np.random.default_rng(4)
-    gel = lit(flat_gel(200), rng)
-    images = ball_presses(gel, BALL, 0.0012, 3, rng)
-    assert calibrate(images, gel, BALL).presses == 3
-    with pytest.raises(InputError, match=r"expected a ball of .* mm radius or more, got 2.8 mm.*steeper than skin"):
-        calibrate(images, gel, 0.0028)
-
-
-def test_a_calibration_is_read_back_or_refused(digit):
-    entry = dict(digit.calibration)
-    again = Photometry.from_json(entry, "c")
-    assert again.to_json() == entry
-    for key, value in (
-        ("format", "x"),
-        ("coefficients", [[1.0]]),
-        ("darkest", 0.0),
-        ("size", "a"),
-        ("depths_mm", [np.nan]),
-        ("size", [np.inf, 1]),
-    ):
-        with pytest.raises(InputError, match=r"^c: expected"):
-            Photometry.from_json({**entry, key: value}, "c")
-    image = photograph_gel(digit, np.zeros((320, 240)), np.random.default_rng(1))
-    with pytest.raises(InputError, match="expected a calibration of"):
-        indentation_of(image, replace(digit, calibration={**entry, "size": [10, 10]}))
 
 
 # ---- patches, proposals, the object

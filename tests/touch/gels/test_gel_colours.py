@@ -1,0 +1,151 @@
+"""Calibration by a ball, normals by colours, and what an image tells of its own lamps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pressed_gels import BALL, ball_depth, flat_gel
+
+from scenes.errors import InputError
+from scenes.robot.digit import digit_gel
+from scenes.synthesis.gels import ball_presses, bridged, lit, lit_digit, photograph_gel
+from touch.gels.calibration import calibrate
+from touch.gels.colour import Moved
+from touch.gels.heights import heights, indentation_of
+from touch.gels.kernels import face
+from touch.gels.lamps import LampSettings, lamps_of, normals_of
+from touch.gels.photometry import Photometry
+from touch.gels.surfaces import facing, slopes
+
+
+@pytest.mark.parametrize("gel", [digit_gel((60, 80)), flat_gel(60, 2e-4)], ids=["curved, pinhole", "flat, parallel"])
+def test_normals_have_their_slopes(gel):
+    rng = np.random.default_rng(0)
+    index = rng.choice(gel.width * gel.height, 50, replace=False)
+    normal = np.concatenate([rng.uniform(-0.5, 0.5, size=(50, 2)), np.ones((50, 1))], axis=1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    np.testing.assert_allclose(facing(*slopes(normal, gel, index), gel, index), normal, atol=1e-12)
+
+
+def test_normals_by_colours_are_the_nearest_of_unit_length():
+    from scipy.optimize import least_squares
+
+    rng = np.random.default_rng(4)
+    by_normal = np.eye(3) * 0.8 + 0.1 * rng.normal(size=(20, 3, 3))
+    rest = np.tile([0.0, 0.0, 1.0], (20, 1))
+    true = np.concatenate([rng.uniform(-0.4, 0.4, size=(20, 2)), np.ones((20, 1))], axis=1)
+    true /= np.linalg.norm(true, axis=1, keepdims=True)
+    change = np.einsum("kci,ki->kc", by_normal, true - rest) + 0.02 * rng.normal(size=(20, 3))
+    found = rest.copy()
+    face(by_normal, change, rest, 1e-3, 0.97, 30, found)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0)
+
+    # the plain twin, in angles
+    def left(angles, k):
+        tilt, about = angles
+        normal = np.array([np.sin(tilt) * np.cos(about), np.sin(tilt) * np.sin(about), np.cos(tilt)])
+        return [*(by_normal[k] @ (normal - rest[k]) - change[k]), *(np.sqrt(1e-3) * normal[:2])]
+
+    for k in range(20):
+        start = np.arccos(found[k, 2]) + 0.05, np.arctan2(found[k, 1], found[k, 0]) + 0.1
+        tilt, about = least_squares(left, start, args=(k,)).x
+        twin = np.sin(tilt) * np.array([np.cos(about), np.sin(about)])
+        np.testing.assert_allclose(found[k, :2], twin, atol=1e-3)
+
+
+def test_an_image_tells_how_its_lamps_mix(digit):
+    """Colours of a ball under lamps that mix otherwise than the calibration's: most of the mixture is found."""
+    photometry = Photometry.from_json(digit.calibration, "c")
+    work = digit.working
+    step = digit.working_step
+    depth = bridged(ball_depth(digit, 0.006, 0.0012, 120, 160), digit)[::step, ::step]
+    by_normal, by_depth = photometry.maps(work)
+    change = work.normals(depth) - work.untouched_normals
+    mixture = np.array([[1.2, 0.2, 0.0], [0.0, 0.9, -0.1], [0.1, 0.0, 1.1]])
+    seen = (np.einsum("hwci,hwi->hwc", by_normal, change) + by_depth * depth[..., None]) @ mixture.T
+    inside = depth > 1e-5
+    settings = LampSettings()
+    found = lamps_of(seen.astype(np.float32), inside, work, photometry, settings)
+    assert np.abs(found.mixture - mixture).mean() < 0.7 * np.abs(np.eye(3) - mixture).mean()
+    difference = (seen * np.maximum(work.level, photometry.darkest)).astype(np.float32)
+    moved, left = Moved(difference, np.ones(3), inside, inside, 1.0), []
+    for rounds in (0, settings.rounds):
+        normal = normals_of(moved, work, photometry, replace(settings, rounds=rounds))
+        left.append(np.sqrt(np.mean((heights(inside, normal, work) - depth)[inside] ** 2)))
+    assert left[1] < 0.7 * left[0]
+    assert (found.sigma[:9] < settings.mixed).all()
+    # nothing moved: nothing is learnt
+    nothing = lamps_of(np.zeros_like(seen, dtype=np.float32), np.zeros_like(inside), work, photometry, settings)
+    np.testing.assert_array_equal(nothing.mixture, np.eye(3))
+
+
+def test_a_wrong_ball_is_refused():
+    rng = np.random.default_rng(4)
+    gel = lit(flat_gel(200), rng)
+    images = ball_presses(gel, BALL, 0.0008, 3, rng)
+    assert calibrate(images, gel, BALL).presses == 3
+    with pytest.raises(InputError, match=r"press 0: expected the outline of a ball of 2 mm or less"):
+        calibrate(images, gel, 0.001)
+    with pytest.raises(InputError, match=r"is the radius right"):
+        calibrate(images, gel, 0.09)
+    with pytest.raises(InputError, match=r"expected a radius from 0.1 to 100 mm"):
+        calibrate(images, gel, float("nan"))
+    with pytest.raises(InputError, match="press 0: expected a press of the ball, got an image like the background"):
+        calibrate([photograph_gel(gel, np.zeros((200, 200)), rng)], gel, BALL)
+    with pytest.raises(InputError, match="expected images of presses, got none"):
+        calibrate([], gel, BALL)
+
+
+def test_a_wrong_radius_is_told_by_brightness_or_by_another_calibration(digit):
+    """A ball larger with slopes as much less explains how colours change just as well; but the square of that of the
+    light would have to shine straight onto the skin. A quarter more is too little to be seen alone.
+    """
+    rng = np.random.default_rng(50)
+    other = lit_digit(rng)
+    images = ball_presses(other, BALL, 0.0008, 4, rng)
+    like = Photometry.from_json(digit.calibration, "c")
+    right, larger = calibrate(images, other, BALL), calibrate(images, other, 1.15 * BALL)
+    assert abs(right.misfit - larger.misfit) < 0.02
+    assert calibrate(images, other, BALL, like=like).misfit == right.misfit
+    for wrong in (1.5, 2.0, 3.0):
+        with pytest.raises(InputError, match=r"expected a ball of .* mm or less by the presses' brightness"):
+            calibrate(images, other, wrong * BALL)
+    for wrong in (0.5 * BALL, 2 * BALL):
+        with pytest.raises(InputError, match=r"radius right\?|radius or more, got|ball of .* or less"):
+            calibrate(images, other, wrong, like=like)
+    with pytest.raises(InputError, match=r"expected presses of a 8 mm ball, got ones of [3-5]\.?\d? mm"):
+        calibrate(images, other, 2 * BALL, like=like)
+    with pytest.raises(InputError, match="expected one of 240x320 pixels to compare with, got one of 10x10"):
+        calibrate(images, other, BALL, like=replace(like, size=(10, 10)))
+
+
+def test_skin_steeper_than_it_can_be_is_a_ball_too_small():
+    rng = np.random.default_rng(4)
+    gel = lit(flat_gel(200), rng)
+    images = ball_presses(gel, BALL, 0.0012, 3, rng)
+    assert calibrate(images, gel, BALL).presses == 3
+    with pytest.raises(InputError, match=r"expected a ball of .* mm radius or more, got 2.8 mm.*steeper than skin"):
+        calibrate(images, gel, 0.0028)
+
+
+def test_a_calibration_is_read_back_or_refused(digit):
+    entry = dict(digit.calibration)
+    again = Photometry.from_json(entry, "c")
+    assert again.to_json() == entry
+    for key, value in (
+        ("format", "x"),
+        ("version", 1),
+        ("by_normal", [[1.0]]),
+        ("by_depth", [[1.0, np.nan, 0.0]] * 3),
+        ("darkest", 0.0),
+        ("size", "a"),
+        ("depths_mm", [np.nan]),
+        ("size", [np.inf, 1]),
+    ):
+        with pytest.raises(InputError, match=r"^c: expected"):
+            Photometry.from_json({**entry, key: value}, "c")
+    image = photograph_gel(digit, np.zeros((320, 240)), np.random.default_rng(1))
+    with pytest.raises(InputError, match="expected a calibration of"):
+        indentation_of(image, replace(digit, calibration={**entry, "size": [10, 10]}))
