@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -25,9 +25,6 @@ from vision.tracking.by_vision import VelocitySettings
 
 Array = NDArray[np.float64]
 
-# Pixels count half of what they do in one frame: frames share the edges of fingers that are taken for the object.
-RIGS = tuple(replace(rig, weight=0.5 * rig.weight) for rig in JointSettings().rigs)
-
 
 @dataclass(frozen=True)
 class TrackSettings:
@@ -49,17 +46,12 @@ class TrackSettings:
     # A frame's own answer this many times those widths from the prediction is not trusted: the object is searched.
     leap: float = 2.5
     # The joint solution starts within a millimetre and knows the size of the shared errors from the first frames.
-    joint: JointSettings = field(
-        default_factory=lambda: JointSettings(steps=4, most_inducing=24, spacing=1.6, modes=1, rigs=RIGS)
-    )
+    joint: JointSettings = field(default_factory=lambda: JointSettings(steps=4, most_inducing=24, spacing=1.6, modes=1))
     level_frames: int = 3
-    # Factor on the variance that the solution takes for independent noise: it counts pixels by a part because
-    # neighbours share errors, and these stay from frame to frame. Of 19 sequences of `lab` the squared change of a
-    # frame's own answer to the next was 1.1 of what this says.
-    noise: float = 0.3
-    # Variance that the next frame has, too, whatever is solved along, as a share of the independent: joint errors are
-    # 0.8 mm at the fingertips where contact noise is 0.9 mm, the mesh's own error is 0.4 mm.
-    lasting: float = 0.8
+    # Share of the variance that the solution takes for independent noise which really changes from frame to frame; it
+    # counts pixels by a part because neighbours share errors, and the rest of these stays. Of 19 sequences of `lab` the
+    # squared change of a frame's own answer to the next was 1.1 of what this says.
+    noise: float = 0.6
     # Share of the first estimate's variance that later frames do not average out.
     first_lasting: float = 0.6
     # Which frames are only glanced at.

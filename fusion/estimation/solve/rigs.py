@@ -31,17 +31,18 @@ def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[Joint
         tried.append(settle(problem, tried[-1].pose, rig.level, after=tried[-1]))
     score = np.array([t.log_evidence + np.log(rig.share) for t, rig in zip(tried, settings.rigs)])
     weights = np.exp(score - score.max())
+    weights = weights / weights.sum()
+    shares = tuple(float(share) for share in weights)
     best = int(np.argmax(score))
     rig = settings.rigs[best]
     if rig.weight > settings.least_weight:
-        first = solve(problem, tried[best].pose, rig.level, rig.weight)
+        first = replace(solve(problem, tried[best].pose, rig.level, rig.weight), shares=shares)
         return [first, *(solve(one, start, rig.level, rig.weight) for one, start in pairs[1:])]
-    weights = weights / weights.sum()
     likely = np.flatnonzero(weights >= settings.negligible)
     # of the others no more than poses and covariances goes into the mean
     most = int(np.argmax(weights[likely]))
     answers = [(answered if n == most else marginalised)(tried[k]) for n, k in enumerate(likely)]
-    first = _averaged(problem.model, answers, weights[likely], answers[most])
+    first = replace(_averaged(problem.model, answers, weights[likely], answers[most]), shares=shares)
     return [first, *(solve(one, start, rig.level) for one, start in pairs[1:])]
 
 
