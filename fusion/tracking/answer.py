@@ -77,7 +77,10 @@ class TrackSettings:
     # lost and then every so many.
     near_angle: float = float(np.deg2rad(10.0))
     near_distance: float = 0.02
-    global_every: int = 10
+    global_every: int = 5
+    # Confidence (a probability, no unit) from which what is found everywhere is followed though it is ambiguous: more
+    # likely right than not, where nothing else is known. It is not ok before other frames have found it, too.
+    found_again: float = 0.5
     # Error that is left in the robot's frame after the hand was last seen (rad, m), and motion of what is seen
     # relative to a fixed camera, per frame without a hand.
     left_angle: float = float(np.deg2rad(0.15))

@@ -183,7 +183,8 @@ class Tracker:
                 found = self._estimated(replace(frame, prior=None), prior)
             except CaptureError as error:  # a frame amid a track whose sizes make no sense is a frame without evidence
                 return replace(lost, notes=(*lost.notes, str(error)))
-            if found.verdict == "ok" or (prior is not None and found.verdict == "ambiguous"):
+            likely = prior is not None or several.sure_of(found) >= s.found_again
+            if found.verdict == "ok" or (found.verdict == "ambiguous" and likely):
                 found = replace(as_before(self.model, found, lost, s.first), trace=(*lost.trace, *found.trace))
                 self.believe(frame, found)
                 return as_tracked(found, "re-initialised")
@@ -225,7 +226,8 @@ class Tracker:
 
     def _search_around(self, frame: Frame, answer: TrackedEstimate) -> str:
         """Search a frame around a track that nothing has spoken for; what came of it, in words. Only what is surely
-        elsewhere has a vote: the search began at the track, and finds it gladly.
+        elsewhere has a vote, and less of one than what is believed needs: the search began at the track, and what is
+        near it is gladly found.
         """
         s = self.settings
         prior = Prior.isotropic(answer.pose, s.renewal.around_angle, s.renewal.around_distance)
@@ -236,6 +238,7 @@ class Tracker:
         mode = replace(found.modes[0], pose=self.model.symmetries.nearest(found.pose, answer.pose))
         better = prefers(answer, mode, self._sensed, s)
         vote = several.vote_of(found.verdict, several.sure_of(found), s.hypotheses) if found.verdict == "ok" else 0.0
+        vote = min(vote, s.hypotheses.most_repeated)
         carried = (self._leader(answer), *self._state.hypotheses[1:])
         if better > 0.0 or not vote or several.alike(self.model, carried[0], mode, s.hypotheses):
             return "; nothing surer around it"
