@@ -289,7 +289,7 @@ class Tracker:
             pool = pool_near(viewed, self.model, asked, looked, felt, beliefs, first, s.room)
             sensed = self._sensed = Sensed(viewed, looked, seen, felt, pool, self._state.things, s.occluders)
         with trace.stage("align", True, "") as stage:
-            prior = loose(predicted.pose, predicted.covariance, s)
+            prior = loose(predicted.pose, predicted.own, s)
             found = refine(self.model, carried, prior, sensed, s)
             of = f"{len(carried)} hypotheses" if len(carried) > 1 else "a few steps from the prediction"
             stage.note(len(found.seen) + felt_rows, "another hypothesis leads" if found.switched else of)

@@ -130,7 +130,7 @@ def _glanced_at(
     if not sensed.told_apart:
         near = sensed.rows_at(start, settings.side)
         sensed = replace(sensed, seen=near)
-    prior = loose(predicted.pose, predicted.covariance, settings)
+    prior = loose(predicted.pose, predicted.own, settings)
     fit = fitted(model, near, _touching(felt), start, prior, how.steps)
     measured = known.measured(model, fit, predicted.pose)
     residuals = contact_residuals(model, felt.contacts, fit, first.verdict)

@@ -45,7 +45,9 @@ class Refined:
 
 
 def loose(pose: Array, covariance: Array, settings: TrackSettings) -> Prior:
-    """A prior of a frame's own answer: the prediction, so wide that a slip is not held back."""
+    """A prior of a frame's own answer: the prediction, so wide that a slip is not held back. covariance (6, 6): of what
+    may be otherwise in this frame than in the last; an error that both share moves nothing from one to the other.
+    """
     wide = covariance + np.diag(np.repeat([settings.loose_angle, settings.loose_distance], 3) ** 2)
     return Prior(pose, np.asarray(np.linalg.inv(wide), dtype=np.float64))
 
