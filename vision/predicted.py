@@ -10,6 +10,7 @@ thing, of which a part is covered. Camera frame, metres.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,6 @@ from numpy.typing import NDArray
 
 from scenes.evidence import table as tables
 from scenes.evidence.table import VISION, Evidence
-from scenes.geometry import poses as se3
 from scenes.geometry.cameras import Camera, is_reading
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import DepthModel
@@ -25,6 +25,7 @@ from scenes.recordings.frames import Frame
 from vision import predicted_kernels as kernels
 from vision.look.hand import HandView
 from vision.look.pixels import Pixels
+from vision.predicted_hand import hand_depth, widened
 
 Array = NDArray[np.float64]
 
@@ -56,6 +57,10 @@ class PredictionSettings:
     # Independent cells that a whole outline amounts to: neighbours share what is in front of them. With 100 the
     # few that are seen at 90 % hidden outvoted touch (tuning family `d435`); with 50 nothing else changed there.
     cells: float = 50.0
+    # Pixels (px^2) that a cell has at least: a camera smears its noise over as many. And the least share of all cells
+    # that a small outline amounts to: a bottle seen from its end, an object far away.
+    cell: float = 25.0
+    least_cells: float = 0.2
     # Nats that one cell earns when it is seen where it must be, costs when the camera sees past it, and costs when
     # something unknown is in front: of a right pose few cells are seen past, and what hides it is somewhere by chance.
     seen: float = 2.0
@@ -66,6 +71,10 @@ class PredictionSettings:
     hidden_by_unknown: float = 0.2
     most_of_piece: float = 30.0
     piece_step: int = 3
+    # Nats that it loses of these for each cell of it beyond the outline, where it is of one colour, too; and the share
+    # of it that may be beside the outline for how edges are smeared and colours lie beside depth.
+    beyond: float = 1.0
+    beside: float = 0.15
     # A pixel that is seen past counts this share beside the edge of something that is as near as the object.
     past_beside: float = 0.25
     # Of what gives no reading this share is left out of the count.
@@ -93,19 +102,22 @@ class PredictionSettings:
 class Prediction:
     """Shares (n,) of the predicted pixels, for n poses; those outside the image are hidden.
 
-    seen: at the depth predicted, falling off smoothly with the difference; agree: within the tolerance; past: seen
+    seen: at the depth predicted, falling off smoothly with the difference; beyond: of these, on what goes on beyond the
+    outline in one colour, as far as it does; agree: within the tolerance; past: seen
     through, or under a table; hidden: behind something that is not the robot's hand; behind_hand: the hand explains
     it; outline: of the border, where the seen surface runs on smoothly beyond it. count: rays that met the object
-    inside the image.
+    inside the image. area: of the outline (px^2), what the image's border cuts off included.
     """
 
     seen: Array
+    beyond: Array
     agree: Array
     past: Array
     hidden: Array
     behind_hand: Array
     outline: Array
     count: NDArray[np.int64]
+    area: Array
 
 
 @dataclass(frozen=True)
@@ -154,27 +166,39 @@ class Predictor:
         settings: PredictionSettings | None = None,
         planes: Array | None = None,
         pieces: NDArray[np.int64] | None = None,
+        parts: int = 0,
+        whole: NDArray[np.int64] | None = None,
     ) -> None:
         """hand: the robot's own as seen in this frame; what it hides is no wonder. planes (k, 6): of table and walls,
         see vision.look.mask.find_plane.
 
         pieces (h, w) at every settings.piece_step pixels, from 0, -1 for none: connected surfaces of the image, given
         where nobody has a model of what hides the object, so that what is seen may be that. One piece is
-        then one thing, whose word is bounded however many pixels it has, and something in front is no wonder.
+        then one thing, whose word is bounded however many pixels it has, and something in front is no wonder. Those
+        with numbers below `parts` are of one colour, too: one that goes on beyond the outline is no part of the object.
+        whole (k,): the surface that each of the numbers is of, where colour parted them; its word is bounded.
         """
         self._planes = np.zeros((0, 6)) if planes is None else np.ascontiguousarray(planes)
         self._pieces = pieces
         self.settings = settings or PredictionSettings()
-        self._mask = None if frame.mask is None else _widened(frame.mask, self.settings.mask_margin)
+        self._whole: NDArray[np.int64] = np.zeros(1, dtype=np.int64)
+        self._sizes: Array = np.zeros(0)
+        if pieces is not None and parts and whole is not None:
+            self._whole = np.concatenate([self._whole, whole + 1])
+            self._sizes = np.asarray(np.bincount(pieces[pieces >= 0])[:parts] * float(self.settings.piece_step**2))
+        self._mask = None if frame.mask is None else widened(frame.mask, self.settings.mask_margin)
         self.model = model
         self.camera: Camera | None = frame.camera
         seeing = frame.depth is not None and frame.camera is not None
         self._depth = np.ascontiguousarray(frame.depth, np.float32) if seeing else None
         self._belief = depth
         self._points = model.sample_surface(self.settings.bounding)[0]
+        # of one pose at a time: what was asked of it is asked again
+        self._views: dict[tuple[bytes, int], _View] = {}
+        self._predicted: dict[tuple[bytes, int], Prediction] = {}
         self._hand = _NO_IMAGE, _NO_IMAGE
         if frame.camera is not None and self._depth is not None and hand is not None:
-            self._hand = _hand_depth(frame.camera, hand, self.settings)
+            self._hand = hand_depth(frame.camera, hand, self.settings.hand_step)
 
     @property
     def sees(self) -> bool:
@@ -200,46 +224,95 @@ class Predictor:
             return np.zeros(len(candidates))
         p = self.predict(candidates, side)
         hidden = s.hidden if self._pieces is None else s.hidden_by_unknown
-        cost = s.cells * (s.past * p.past + hidden * p.hidden) - s.cells * s.seen * p.seen + s.runs_on * p.outline
+        cost = s.cells * (s.past * p.past + hidden * p.hidden - s.seen * (p.seen - p.beyond)) + s.runs_on * p.outline
+        cost = cost * self._size(candidates, p)
         # an object that is nowhere in the image is hidden by the image's border
         return np.where(p.count > 0, cost, s.cells * s.hidden)
 
     def predict(self, candidates: Array, side: int | None = None) -> Prediction:
         """What becomes of the predicted pixels of each pose (n, 4, 4); side: rays along the outline's box."""
         side = self.settings.side if side is None else side
+        if len(candidates) > 1:
+            return self._summed(candidates, side)
+        key = candidates.tobytes(), side
+        if key not in self._predicted:
+            self._predicted[key] = self._summed(candidates, side)
+        return self._predicted[key]
+
+    def _summed(self, candidates: Array, side: int) -> Prediction:
         view = self._view(candidates, side)
         s, sums = self.settings, np.zeros((len(candidates), kernels.SUMS))
         flat = view.seen.ravel(), view.state.ravel(), view.past.ravel(), view.fade.ravel()
         limits = s.smooth, s.smooth_share, self.reach, s.plane_margin, s.plane_sigmas
-        kernels.sum_up(view.u, view.v, *self._known(), limits, *flat, sums)
+        kernels.sum_up(view.u, view.v, *self._known, limits, *flat, sums)
         # where nothing is read little is known: surfaces that give no reading are the object's or not
         total = np.maximum(sums[:, kernels.HITS] - s.unread * sums[:, kernels.UNREAD], 1.0)
         # what the image's border hides is hidden, too: the corner of an object tells little of it
         total = total / np.maximum(view.inside, 1e-3)
         shares = sums / total[:, None]
+        seen, beyond = shares[:, kernels.SEEN], np.zeros(len(candidates))
+        if self._pieces is not None:
+            seen, beyond = self._bounded(view, self._pieces, total)
+        pixel = np.ptp(view.u, axis=1) * np.ptp(view.v, axis=1) / max(side - 1, 1) ** 2
         return Prediction(
-            seen=shares[:, kernels.SEEN] if self._pieces is None else self._bounded(view, self._pieces, total),
+            seen=seen,
+            beyond=beyond,
             agree=shares[:, kernels.AGREE],
             past=shares[:, kernels.PAST],
             hidden=shares[:, kernels.BEHIND] + 1.0 - view.inside,
             behind_hand=shares[:, kernels.BEHIND_HAND],
             outline=sums[:, kernels.OUTLINE],
             count=sums[:, kernels.HITS].astype(np.int64),
+            area=sums[:, kernels.HITS] * pixel / np.maximum(view.inside, s.least_cells),
         )
 
-    def _bounded(self, view: _View, pieces: NDArray[np.int64], total: Array) -> Array:
-        """(n,) share seen, of each piece no more than what bounds its word."""
-        s = self.settings
+    def _size(self, candidates: Array, picture: Prediction) -> Array:
+        """(n,) share of all cells that the outline of each pose (n, 4, 4) amounts to: its area beside the object's from
+        a usual side, at its distance, and beside what as many cells need. Shares alone would have a can's end that
+        nothing hides tell as much as its side of which a hand hides a third.
+        """
+        assert self.camera is not None
+        s, distance = self.settings, np.maximum((candidates[:, :3] @ np.append(self.model.centroid, 1.0))[:, 2], 1e-3)
+        usual = self.model.mean_outline * self.camera.fx * self.camera.fy / distance**2
+        return np.clip(picture.area / np.maximum(usual, s.cells * s.cell), s.least_cells, 1.0)
+
+    def _bounded(self, view: _View, pieces: NDArray[np.int64], total: Array) -> tuple[Array, Array]:
+        """(n,) share seen, of each piece no more than what bounds its word; and how much of that is of pieces of one
+        colour that go on beyond the outline.
+        """
+        s, poses = self.settings, len(view.u)
         count = int(pieces.max(initial=-1)) + 2
         row = np.clip(view.v // s.piece_step, 0, pieces.shape[0] - 1)
         column = np.clip(view.u // s.piece_step, 0, pieces.shape[1] - 1)
-        label = pieces[row[:, :, None], column[:, None, :]] + 1 + count * np.arange(len(view.u))[:, None, None]
-        each = np.bincount(label.ravel(), view.fade.ravel(), minlength=count * len(view.u)).reshape(-1, count)
-        bound = s.most_of_piece / (s.cells * s.seen)
-        return np.asarray(np.minimum(each / total[:, None], bound).sum(axis=1))
+        label = (pieces[row[:, :, None], column[:, None, :]] + 1 + count * np.arange(poses)[:, None, None]).ravel()
+        each = np.bincount(label, view.fade.ravel(), minlength=count * poses).reshape(-1, count) / total[:, None]
+        sums, bound, parts = each, s.most_of_piece / (s.cells * s.seen), len(self._sizes)
+        if parts:
+            sums = np.zeros((poses, int(self._whole.max(initial=0)) + 1))
+            np.add.at(sums.T, self._whole, each.T)
+        seen = np.asarray(np.minimum(sums, bound).sum(axis=1))
+        if not parts:
+            return seen, np.zeros(poses)
+        earned = (each * np.minimum(1.0, bound / np.maximum(sums, 1e-9))[:, self._whole])[:, 1 : parts + 1]
+        met = np.bincount(label, view.has(kernels.HIT).ravel(), minlength=count * poses).reshape(-1, count)
+        # pixels that each ray stands for, and how much of each part is beyond what the outline holds, in cells
+        area = np.ptp(view.u, axis=1) * np.ptp(view.v, axis=1) / max(view.side - 1, 1) ** 2
+        held = met[:, 1 : parts + 1] * area[:, None]
+        cell = np.maximum(total * area, 1.0) / s.cells
+        outside = np.maximum((1.0 - s.beside) * self._sizes - held, 0.0) / cell[:, None]
+        lost = np.minimum(s.beyond / (s.cells * s.seen) * outside, earned)
+        return seen, np.asarray(lost.sum(axis=1))
 
     def _view(self, candidates: Array, side: int) -> _View:
         """The predicted pixels of poses (n, 4, 4), side^2 rays each, and what each of them is."""
+        if len(candidates) > 1:
+            return self._cast(candidates, side)
+        key = candidates.tobytes(), side
+        if key not in self._views:
+            self._views[key] = self._cast(candidates, side)
+        return self._views[key]
+
+    def _cast(self, candidates: Array, side: int) -> _View:
         assert self.camera is not None
         assert self._depth is not None
         s, count = self.settings, len(candidates)
@@ -249,7 +322,7 @@ class Predictor:
         rotations, translations = (np.ascontiguousarray(candidates[:, :3, k]) for k in (slice(3), 3))
         middle = self.model.surface.middle
         k = kernels.outline_rays(
-            self._points, rotations, translations, self._known()[1], middle, u, v, rays, index, inside
+            self._points, rotations, translations, self._known[1], middle, u, v, rays, index, inside
         )
         met = self.model.surface.cast_local(rays[:k])
         expected, seen, past, fade = np.zeros((4, count, side**2))
@@ -259,7 +332,7 @@ class Predictor:
             index[:k],
             u,
             v,
-            *self._known(),
+            *self._known,
             (
                 s.tolerance,
                 s.fading,
@@ -274,6 +347,7 @@ class Predictor:
         )
         return _View(u, v, expected, seen, state, past, fade, inside)
 
+    @cached_property
     def _known(self) -> tuple[tuple[NDArray[Any], ...], tuple[float, ...], tuple[float, ...]]:
         """What the kernels are told of the frame: images and planes, the camera, and the noise of its depth."""
         assert self.camera is not None
@@ -291,16 +365,13 @@ class Predictor:
         depth, at the predicted depth, and not the hand's. And OUTSIDE rows on the rays that see past it, where it
         cannot be. side: rays along each side of the outline's box; default as many as show enough pixels.
         """
-        view = self._rows_view(pose, side, inner)
-        return self._shown(view, inner), self._empty(view)
-
-    def _rows_view(self, pose: Array, side: int | None, inner: int) -> _View:
-        if side is not None:
-            return self._view(pose[None], side)
-        few = self._view(pose[None], self.settings.sides_rows[0])
-        if len(self._shown(few, inner)) >= self.settings.enough_rows:
-            return few
-        return self._view(pose[None], self.settings.sides_rows[1])
+        few, many = self.settings.sides_rows
+        view = self._view(pose[None], few if side is None else side)
+        shown = self._shown(view, inner)
+        if side is None and len(shown) < self.settings.enough_rows:
+            view = self._view(pose[None], many)
+            shown = self._shown(view, inner)
+        return shown, self._empty(view)
 
     def _shown(self, view: _View, inner: int) -> Pixels:
         s, side = self.settings, view.side
@@ -357,43 +428,3 @@ class Predictor:
         if self._hand[0].size:
             hidden |= self._hand[0][v // s.hand_step, u // s.hand_step] < beyond + s.hand_margin
         return np.asarray(hidden | ~inside)
-
-
-def _widened(mask: NDArray[np.bool_], margin: int) -> NDArray[np.bool_]:
-    """(h, w) the mask and what is within `margin` pixels of it along either axis."""
-    import cv2
-
-    return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((2 * margin + 1,) * 2, np.uint8)) > 0)
-
-
-def _hand_depth(camera: Camera, hand: HandView, settings: PredictionSettings) -> tuple[Array, Array]:
-    """Least and largest depth (m) of the hand at and beside every so many pixels; +inf and -inf where it is not."""
-    import cv2
-
-    step = settings.hand_step
-    low = np.full((-(-camera.height // step), -(-camera.width // step)), np.inf)
-    inverse = se3.inverse(hand.aligned)
-    u0, v0, u1, v1 = _box_of(camera, hand, step)
-    u, v = np.arange(u0, u1) * step, np.arange(v0, v1) * step
-    rays = np.stack(
-        np.broadcast_arrays((u - camera.cx) / camera.fx, ((v - camera.cy) / camera.fy)[:, None], 1.0), axis=-1
-    ).reshape(-1, 3)
-    depth = hand.surface.cast(np.broadcast_to(inverse[:3, 3], rays.shape), rays @ inverse[:3, :3].T)
-    low[v0:v1, u0:u1] = depth.reshape(len(v), len(u))
-    high = np.where(np.isfinite(low), low, -np.inf)
-    around = np.ones((3, 3), np.uint8)
-    return np.asarray(cv2.erode(low, around)), np.asarray(cv2.dilate(high, around))
-
-
-def _box_of(camera: Camera, hand: HandView, step: int) -> tuple[int, int, int, int]:
-    """Columns and rows (u0, v0, u1, v1), of every `step` pixels, that can see the hand; all when it is near."""
-    columns, rows = -(-camera.width // step), -(-camera.height // step)
-    ends = hand.surface.bounds
-    corners = np.array([[ends[i][0], ends[j][1], ends[k][2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-    uv, z = camera.project(se3.apply(hand.aligned, corners))
-    if (z <= 1e-3).any():
-        return 0, 0, columns, rows
-    low, high = np.floor(uv.min(axis=0) / step) - 1, np.ceil(uv.max(axis=0) / step) + 2
-    u0, u1 = (int(np.clip(x, 0, columns)) for x in (low[0], high[0]))
-    v0, v1 = (int(np.clip(x, 0, rows)) for x in (low[1], high[1]))
-    return u0, v0, u1, v1

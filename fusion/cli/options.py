@@ -99,7 +99,8 @@ def add_sure(parser: argparse.ArgumentParser) -> None:
         "--outline",
         action=argparse.BooleanOptionalAction,
         default=True,
-        help="whether the object's outline in the image (colour, grey, infra-red) may move the answer",
+        help="whether the object's outline in the image (colour, grey, infra-red) may move the answer, and the image's"
+        " colours tell apart what touches",
     )
     parser.add_argument(
         "--print",
@@ -116,7 +117,8 @@ def with_sure(settings: EstimateSettings, args: argparse.Namespace) -> EstimateS
     from fusion.estimation.asked import sure_to_be_within
 
     if not args.outline:
-        settings = replace(settings, contour=replace(settings.contour, used=False, own=False))
+        look = replace(settings.look, colour=replace(settings.look.colour, used=False))
+        settings = replace(settings, contour=replace(settings.contour, used=False, own=False), look=look)
     if args.printed:
         settings = replace(settings, texture=replace(settings.texture, counts=True))
     return sure_to_be_within(settings, None if args.sure_within is None else 1e-3 * args.sure_within)

@@ -25,6 +25,7 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import DepthModel
 from touch.held import Held
 from vision.look.looked import Looked, RowSettings, free_space_rows, surface_rows
+from vision.look.pixels import Pixels
 from vision.predicted import Predictor
 from vision.sight import Sight
 from vision.starts import seen_starts
@@ -121,7 +122,8 @@ class PoolSettings:
 class Pool:
     """What is known of the frame beyond poses: rows of touch as they are believed now, and a prior; `predictor` says
     what must be seen, `sight` quickly what is seen past. looked and depth: what pixels are worth as rows. held: the
-    robot's own hand, where it is known.
+    robot's own hand, where it is known. coloured: pieces of the image by depth and colour; no_colours: why there are
+    none.
     """
 
     model: ObjectModel
@@ -137,6 +139,8 @@ class Pool:
     modes: ModeSettings
     settings: PoolSettings
     held: Held | None = None
+    coloured: tuple[Pixels, ...] = ()
+    no_colours: str = ""
 
     @property
     def apart(self) -> float:
@@ -178,10 +182,10 @@ class Pool:
             parts.append(poses)
         return np.concatenate(parts) if parts else np.zeros((0, 4, 4))
 
-    def piece_starts(self) -> tuple[tuple[Evidence, Array], ...]:
-        """Of each connected piece of the image its rows, and starts (n, 4, 4) that it proposes by itself."""
+    def piece_starts(self, pieces: tuple[Pixels, ...]) -> tuple[tuple[Evidence, Array], ...]:
+        """Of each piece of the image its rows, and starts (n, 4, 4) that it proposes by itself."""
         found = []
-        for piece in self.looked.pieces:
+        for piece in pieces:
             rows = surface_rows(replace(self.looked, pixels=piece, told_apart=True), self.depth, self.rows)
             settings = self.proposals.of_piece
             found.append((rows, seen_starts(self.model, piece.points, rows, self.sight.costs, self.rng, settings)))
@@ -293,10 +297,10 @@ class Pool:
             best = leaders(self.model, candidates, self.apart)[0]
         least = min(at.min(initial=np.inf), np.inf if known is None else known.costs.min(initial=np.inf))
         best = best[(at[best] <= least + s.hopeless) | (np.arange(len(best)) < s.always_fitted)]
-        poses = candidates[best[: most or s.fitted]]
-        tried = Alignment(poses, np.full(len(poses), np.inf), np.zeros((len(poses), 6, 6)), np.zeros(len(poses), int))
-        for side in s.sides:
-            tried = self._among(self._fitted(tried, side)) if len(tried.poses) else tried
+        best = best[: most or s.fitted]
+        tried = Alignment(candidates[best], at[best], np.zeros((len(best), 6, 6)), np.zeros(len(best), int))
+        for turn, side in enumerate(s.sides):
+            tried = self._among(self._fitted(tried, side, turn == 0)) if len(tried.poses) else tried
         return tried if known is None else self._among(known.joined(tried))
 
     def _among(self, tried: Alignment) -> Alignment:
@@ -363,25 +367,27 @@ class Pool:
         clear = p.past[0] <= past and p.outline[0] <= runs_on
         return bool(clear and p.agree[0] >= max(least, share * (1.0 - p.hidden[0] - p.behind_hand[0])))
 
-    def _fitted(self, tried: Alignment, side: int) -> Alignment:
+    def _fitted(self, tried: Alignment, side: int, fresh: bool) -> Alignment:
         """Each pose fitted to the pixels that it predicts, its steps counted; where it was if that is likelier. What
-        took no step in the round before is not fitted again. Costs: the pool's, inf for what was never fitted. side:
-        rays along each side of an outline.
+        took no step in the round before is not fitted again. Costs: the pool's. side: rays along each side of an
+        outline; fresh: none of them was ever fitted.
         """
         poses, hessians, steps = tried.poses.copy(), tried.hessians.copy(), np.zeros_like(tried.iterations)
-        fresh = np.isinf(tried.costs)
+        moved = []
         for k in np.flatnonzero(fresh | (tried.iterations > 0)):
             shown = self.evidence(tried.poses[k], side)
-            rows = tables.stack(thin(shown, self.settings.first_rows) if fresh[k] else shown, self.felt)
+            rows = tables.stack(thin(shown, self.settings.first_rows) if fresh else shown, self.felt)
             if len(rows):
                 found = align(self.model, rows, tried.poses[k : k + 1], self.prior, self.settings.fit)
                 poses[k], hessians[k], steps[k] = found.poses[0], found.hessians[0], found.iterations[0]
-        # what was fitted before has its costs
-        costs = self.costs(np.concatenate([poses, tried.poses[fresh]]))
-        after, before = costs[: len(poses)], tried.costs.copy()
-        before[fresh] = costs[len(poses) :]
-        worse = after > before
+                moved.append(k)
+        # what stays where it was has its costs
+        after = tried.costs.copy()
+        if moved:
+            after[moved] = self.costs(poses[moved])
+        worse = after > tried.costs
         poses[worse], steps[worse] = tried.poses[worse], 0
         # one that was never fitted has no Hessian of its own
-        hessians[worse & ~fresh] = tried.hessians[worse & ~fresh]
-        return Alignment(poses, np.minimum(after, before), hessians, steps)
+        if not fresh:
+            hessians[worse] = tried.hessians[worse]
+        return Alignment(poses, np.minimum(after, tried.costs), hessians, steps)

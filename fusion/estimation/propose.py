@@ -267,12 +267,23 @@ def modes_anywhere(
     pieces = pool.looked.pieces
     of_pieces: list[tuple[Evidence, Array]] = []
 
+    def by_colour() -> Array:
+        found = pool.piece_starts(pool.coloured)
+        begun.extend(starts for _, starts in found)
+        begun.append(pool.of_pieces(found))
+        return begun[-1]
+
     def walked() -> Array:
-        of_pieces.extend(pool.piece_starts())
+        of_pieces.extend(pool.piece_starts(pieces))
         own = [starts for _, starts in of_pieces]
         everywhere = np.concatenate([poses_of(asked.modes), *begun, *own, pool.held_starts()])
         return walk(pool.model, pool.sifted(everywhere), pool.costs, pool.rng, pool.proposals.walk_far)
 
+    if not pool.predictor.told_apart:
+        asked.enter(f"{counted(len(pool.coloured), 'piece')} by colour", by_colour, enough or pool.no_colours)
+        if not enough and pool.coloured and asked.convinced:
+            asked.look_beside()
+            enough = asked.settled if plan.skipping else ""
     sources = ["a walk", *[counted(len(pieces), "piece")] * bool(pieces), *["the hand"] * (pool.held is not None)]
     asked.enter(", ".join(sources), walked, enough)
     why_not = enough

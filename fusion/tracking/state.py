@@ -145,9 +145,8 @@ class TrackState:
     belief: of the leading hypothesis, None before a start; hypotheses: the leader first; hand: at the last frame;
     index: of that; unseen: frames without evidence; lost_for: frames; usual: share of pixels that the pose explains,
     usually; things: what goes with the object and is not it; rigs: of each of the first frames, the mean square of how
-    large its shared errors may be (levels) and the mean variance of a pixel, 1 over its weight; right: chance that the
-    leader is the right one, as last judged; sure: whether the last answer was ok; known: from the last look in full,
-    None when the next frame must be looked at so.
+    large its shared errors may be (levels); right: chance that the leader is the right one, as last judged; sure:
+    whether the last answer was ok; known: from the last look in full, None when the next frame must be looked at so.
     """
 
     belief: Belief | None = None
@@ -158,7 +157,7 @@ class TrackState:
     lost_for: int = 0
     usual: float | None = None
     things: Occluders = field(default_factory=Occluders)
-    rigs: list[tuple[float, float]] = field(default_factory=list)
+    rigs: list[float] = field(default_factory=list)
     renewal: Renewal = field(default_factory=Renewal)
     right: float = 0.0
     sure: bool = False

@@ -21,7 +21,16 @@ import numpy as np
 
 from scenes._numba import spare_blas
 from scenes.evidence.prior_kernels import prior_terms
-from scenes.evidence.row_kernels import FLOOR_ABOVE, FLOOR_BELOW, INVERSE, NARROW, prepare, robust
+from scenes.evidence.row_kernels import (
+    FLOOR_ABOVE,
+    FLOOR_BELOW,
+    INVERSE,
+    NARROW,
+    near_rows,
+    prepare,
+    robust,
+    silent_last,
+)
 from scenes.evidence.table import FACING, GATE_ABOVE, GATE_BELOW, OFFSET, WEIGHT
 from scenes.geometry.lattice import distance_at, normal_at, seen_distance_at
 
@@ -218,10 +227,13 @@ def cost_poses(lattice, rows, stage, prior, rotations, middles, costs):
     scratch = np.zeros((10, 3))
     hessian = np.zeros((6, 6))
     gradient = np.zeros(6)
-    prepared = prepare(rows, blur, blur_normal)
+    prepared, speaking = silent_last(prepare(rows, blur, blur_normal))
+    active = prepared.copy()
     for b in range(rotations.shape[0]):
+        # one-sided rows that are outside cost nothing
+        k, _ = near_rows(lattice, prepared, speaking, rotations[b], middles[b], 0.0, active)
         costs[b] = cost_terms(
-            lattice, prepared, huber, bend, rotations[b], middles[b], prior, False, hessian, gradient, scratch
+            lattice, active[:k], huber, bend, rotations[b], middles[b], prior, False, hessian, gradient, scratch
         )
 
 

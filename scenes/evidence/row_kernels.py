@@ -13,11 +13,14 @@ import numpy as np
 
 from scenes.evidence.table import (
     COLUMNS,
+    FACING,
     GATE_ABOVE,
     GATE_BELOW,
+    OFFSET,
     SIGMA,
     SIGMA_NORMAL,
 )
+from scenes.geometry.lattice import beyond_box, value_at
 
 # Columns of a prepared row beside those of scenes.evidence.table: 1 / sigma under the blur, the variance of its normal
 # under the blur (0 without one), and the constants of the loss on either side of the surface.
@@ -74,3 +77,48 @@ def loss_floors(rows):
         out[n, 0] = loss_floor(rows[n, GATE_ABOVE])
         out[n, 1] = loss_floor(rows[n, GATE_BELOW])
     return out
+
+
+@numba.njit(cache=True, nogil=True)
+def silent_last(prepared):
+    """Prepared rows (n, PREPARED), otherwise in order, with the one-sided ones last that say nothing where they are
+    outside; and how many come before these.
+    """
+    out = np.zeros_like(prepared)
+    k = 0
+    for silent in range(2):
+        for n in range(prepared.shape[0]):
+            # with a side that it must be seen from, a point may be inside from far away
+            if (prepared[n, GATE_ABOVE] == 0.0 and prepared[n, FACING] == 0.0) == (silent == 1):
+                out[k] = prepared[n]
+                k += 1
+        if silent == 0:
+            speaking = k
+    return out, speaking
+
+
+@numba.njit(cache=True, nogil=True)
+def near_rows(lattice, rows, speaking, rotation, middle, reach, active):
+    """Fill active after its first `speaking` rows with the one-sided rows (from there on, as in silent_last) that a
+    pose, or one near it, may have within the surface or nearer to it than reach (m); returns how many rows are active,
+    and how far (m) the farthest row left out is from the pose's middle.
+    """
+    values, origin, spacing, centroid = lattice
+    k = speaking
+    lever = 0.0
+    for n in range(speaking, rows.shape[0]):
+        yx = rows[n, 0] - middle[0]
+        yy = rows[n, 1] - middle[1]
+        yz = rows[n, 2] - middle[2]
+        qx = rotation[0, 0] * yx + rotation[1, 0] * yy + rotation[2, 0] * yz + centroid[0]
+        qy = rotation[0, 1] * yx + rotation[1, 1] * yy + rotation[2, 1] * yz + centroid[1]
+        qz = rotation[0, 2] * yx + rotation[1, 2] * yy + rotation[2, 2] * yz + centroid[2]
+        far = reach + rows[n, OFFSET]
+        # beyond the lattice's box the box itself is nearer than the surface: no look-up tells more
+        if beyond_box(values, origin, spacing, qx, qy, qz) > far or value_at(values, origin, spacing, qx, qy, qz) > far:
+            lever = max(lever, math.sqrt(yx * yx + yy * yy + yz * yz))
+            continue
+        for i in range(PREPARED):
+            active[k, i] = rows[n, i]
+        k += 1
+    return k, lever

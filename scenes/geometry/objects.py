@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scenes.cache import Arrays, are_triangles, remembered_of_file
 from scenes.errors import MeshError, unknown
 from scenes.files.problems import UNREADABLE
-from scenes.geometry import distance_field, mesh_repair
+from scenes.geometry import distance_field, mesh_repair, poses
 from scenes.geometry.distance_field import DistanceField
 from scenes.geometry.surface import Surface
 from scenes.geometry.symmetries import Symmetries
@@ -33,6 +33,8 @@ MANY_VERTICES = 100_000
 KEPT_SAMPLES = 1000
 # Points of the surface that `slippage` is the mean over: its square root is then known to 1 %.
 SLIPPING_POINTS = 4000
+# Sides from which an outline is looked at: their mean is within 1 % of that of all.
+SIDES = 48
 # Raised whenever reading, repairing or measuring a mesh changes, so that old cache entries are not read.
 MESH_VERSION = 2
 
@@ -178,6 +180,19 @@ class ObjectModel:
         corners = self.vertices[self.faces]
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         return float(0.5 * np.linalg.norm(cross, axis=1).sum())
+
+    @cached_property
+    def mean_outline(self) -> float:
+        """Area of the outline as seen from far away, square metres: the mean over all sides, of the convex hull."""
+        import cv2
+
+        sides = poses.around(SIDES)
+        across = np.cross(sides, np.eye(3)[np.argmin(np.abs(sides), axis=1)])
+        across /= np.linalg.norm(across, axis=1)[:, None]
+        vertices = self.vertices if len(self.vertices) <= MANY_VERTICES else _outer(self.vertices)
+        drawn = vertices @ np.stack([across, np.cross(sides, across)]).transpose(1, 2, 0)
+        outlines = [cv2.contourArea(cv2.convexHull(points.astype(np.float32))) for points in drawn]
+        return float(np.mean(outlines))
 
     @cached_property
     def slippage(self) -> Array:

@@ -12,6 +12,7 @@ Small angles use Taylor branches (Solà et al., "A micro Lie theory", 2018, appe
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -310,3 +311,14 @@ def displaced(pose: Array, angle: float, distance: float, centre: ArrayLike, rng
     """
     directions = random_unit_vectors(2, rng)
     return perturb(pose, np.concatenate([angle * directions[0], distance * directions[1]]), centre)
+
+
+@lru_cache(maxsize=8)
+def around(count: int) -> Array:
+    """(count, 3) unit vectors evenly over the sphere (Fibonacci lattice)."""
+    height = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+    turn = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(count)
+    across = np.sqrt(1.0 - height**2)
+    out = np.stack([across * np.cos(turn), across * np.sin(turn), height], axis=1)
+    out.setflags(write=False)
+    return out

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import InputError
+from scenes.geometry import poses
 from scenes.robot.sensors import Sensor, surface_hull
 
 Array = NDArray[np.float64]
@@ -61,12 +61,12 @@ class Tip:
         """(n, 3) points spread over the core's surface, sensor frame; the centre alone for a sphere."""
         if self.kind == "sphere":
             return self.centre[None].copy()
-        return self.points(_directions(count))
+        return self.points(poses.around(count))
 
     @property
     def radius(self) -> float:
         """Mean distance (m) from the centre to the surface."""
-        return float(self.reach(_directions(COARSE)).mean()) + self.rounding
+        return float(self.reach(poses.around(COARSE)).mean()) + self.rounding
 
     @property
     def extent(self) -> float:
@@ -87,7 +87,7 @@ def tip_skin(sensor: Sensor, count: int = 400) -> Array:
     tip = tip_of(sensor)
     if tip is None:
         return np.zeros((0, 3))
-    directions = _directions(count)
+    directions = poses.around(count)
     return tip.points(directions) + tip.rounding * directions
 
 
@@ -115,17 +115,6 @@ def _rounding(name: str, smallest: float) -> float:
     if smallest < 1e-4:
         raise InputError(f"sensor {name!r}: expected a fingertip of a tenth of a millimetre or more, got {smallest} m")
     return min(ROUNDING, 0.5 * smallest)
-
-
-@lru_cache(maxsize=4)
-def _directions(count: int) -> Array:
-    """(count, 3) unit vectors evenly over the sphere (Fibonacci lattice)."""
-    height = 1.0 - (2.0 * np.arange(count) + 1.0) / count
-    turn = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(count)
-    across = np.sqrt(1.0 - height**2)
-    out = np.stack([across * np.cos(turn), across * np.sin(turn), height], axis=1)
-    out.setflags(write=False)
-    return out
 
 
 # The nearest point of a core is looked for among so many directions in a cone, whose half angle (rad) shrinks from more

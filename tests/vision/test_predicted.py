@@ -107,6 +107,37 @@ def on_a_table(model):
     return Frame(0, camera=camera, depth=depth), pose, np.array([[*normal, -normal @ tilt[:3, 3], 1.0, np.inf]])
 
 
+def test_an_outline_counts_by_its_size_not_only_by_its_share():
+    """A bottle's end that nothing hides says less than its side; an object of a few pixels says little."""
+    frame, model = plain_view("bottle"), library.make("bottle")
+    truth = frame.camera_from_object_truth
+    looking = predictor(frame, model)
+    axis = np.argmax(np.ptp(model.vertices, axis=0))
+    middle = poses.apply(truth, model.centroid[None])[0]
+    ray = middle / np.linalg.norm(middle)
+    side, end = np.eye(4), np.eye(4)
+    for pose, toward in ((side, np.cross(ray, [0.0, 1.0, 0.0])), (end, ray)):
+        pose[:3, :3] = turning(np.eye(3)[axis], toward / np.linalg.norm(toward))
+        pose[:3, 3] = middle - pose[:3, :3] @ model.centroid
+    far = poses.make_pose(None, 11.0 * middle) @ side
+    where = np.array([side, end, far])
+    picture = looking.predict(where)
+    size = looking._size(where, picture)
+    assert size[0] > 1.5 * size[1] > 0.0
+    assert size[2] == PredictionSettings().least_cells
+    # as many pixels as a renderer draws
+    drawn = Renderer({"object": (model.vertices, model.faces)})
+    for pose, area in zip(where[:2], picture.area):
+        assert area == pytest.approx((drawn.render(frame.camera, {"object": pose}).depth > 0).sum(), rel=0.1)
+
+
+def turning(a, b):
+    """(3, 3) the smallest turn of direction a onto b."""
+    axis = np.cross(a, b)
+    sine = np.linalg.norm(axis)
+    return poses.exp_rotation((axis / max(sine, 1e-12) * np.arctan2(sine, a @ b))[None])[0]
+
+
 def test_nothing_is_under_the_table_and_a_table_is_no_object():
     model = library.make("box")
     frame, pose, plane = on_a_table(model)

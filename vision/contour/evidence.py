@@ -48,10 +48,10 @@ class ContourSettings:
     floor: float = 0.25
     # Lines within this distance (px) of each other say the same: measured, neighbours 4 px apart correlate by a half.
     apart: float = 8.0
-    # Side (px) of the blocks of the image within which lines may share more than that, and the fewest blocks beyond
-    # what is fitted to them that tell how much they scatter.
+    # Side (px) of the blocks of the image within which lines may share more than that; and as how many blocks that
+    # show how far blocks disagree the belief counts, that of the mesh's own error: as in the covariance.
     block: float = 24.0
-    least_blocks: int = 3
+    believed_blocks: float = 8.0
     # Share of lines that are wrong, and the standard deviation (px) of the Gaussian within which a line is read.
     outliers: float = 0.2
     window: float = 2.5
@@ -119,7 +119,8 @@ class ContourEvidence:
         centre = pose[:3, :3] @ model.centroid + pose[:3, 3]
         self.jacobian = np.concatenate([se3.cross(place - centre, slope), slope], axis=1)
         self.common = np.concatenate([normal, np.ones((len(place), 1))], axis=1)
-        fatter = np.hypot(s.fatter, mesh_sigma * float(np.median(camera.fx / z)))
+        self._mesh = mesh_sigma * float(np.median(camera.fx / z))
+        fatter = np.hypot(s.fatter, self._mesh)
         self.shift = s.shift if self.lines.grey else s.shift_colour
         self.believed = np.array([self.shift, self.shift, fatter]) ** 2.0
         self.common_information = np.diag(1.0 / self.believed)
@@ -158,14 +159,18 @@ class ContourEvidence:
         return gradient, 0.5 * (hessian + hessian.T)
 
     def _temper(self, left: Array, weight: Array) -> None:
-        """Make all lines less sure by as much as their pulls scatter more than they should: by the median of the lines,
-        or from block to block of the image, for patterns, shades and a projector's dots are shared beyond neighbours.
+        """Make all lines less sure by as much as their pulls scatter more than they should, by the median of the lines;
+        and those of a block of the image together no surer than whole blocks disagree: the mesh's own error, patterns,
+        shades and a projector's dots are shared beyond neighbours. By how much, is believed of meshes and seen here.
         """
         off = left + self.common @ self._common
-        blocks = int(self._block.max()) + 1
+        found, information = np.zeros(3), np.zeros(int(self._block.max()) + 1)
         # a pose and the lines' common errors fit five of an outline's blocks, about
-        ratio = kernels.misfit(off, weight, self.share, self.alone, self._block, blocks, 5, self.settings.least_blocks)
-        self.share = self.alone / max(float(ratio), 1.0)
+        kernels.misfit(off, weight, self.share, self.alone, self._block, 5, found, information)
+        ratio, apart, beyond = found
+        prior = self.settings.believed_blocks
+        apart = (prior * self._mesh**2 + beyond * apart) / (prior + beyond)
+        self.share = self.alone / ratio / (1.0 + apart * information)[self._block]
 
     def _register(self, left: Array, weight: Array, gradient: Array, information: Array) -> None:
         """Widen what a colour image's shift against depth may be to what this frame shows of it, where all else has

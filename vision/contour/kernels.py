@@ -192,33 +192,37 @@ def spreads(places, reach, found):
 
 
 @numba.njit(cache=True, nogil=True)
-def misfit(off, weight, share, alone, block, blocks, fitted, least):
-    """How many times the variance of lines (n,), off by so many px, is what their weights say: by the median line, and
-    by the sums of blocks of the image where at least `least` are left when `fitted` are used up; the larger. share:
-    what the weights count neighbours by now, alone: without what was found before; block (n,) of each line.
+def misfit(off, weight, share, alone, block, fitted, ratio, information):
+    """How many times the variance of lines (n,), off by so many px, is what their weights say, by the median line, 1 at
+    least; ratio[0]. Fills information (b,) of blocks of the image with what their lines tell then, were neighbours no
+    more alike than these; ratio[1]: variance (px^2) of what whole blocks are off by beyond that, 0 at least, when
+    `fitted` of them are used up (the method of moments; DerSimonian and Laird 1986); ratio[2]: blocks beyond these.
+
+    share: what the weights count neighbours by now, alone: without what was found before; block (n,) of each line.
     """
     scatter = np.zeros(len(off))
-    pulls, information = np.zeros(blocks), np.zeros(blocks)
+    pulls = np.zeros(len(information))
     count = 0
     for i in range(len(off)):
-        if weight[i] <= 0.0:
-            continue
-        scatter[count] = weight[i] / share[i] * off[i] ** 2
-        count += 1
-        own = weight[i] * alone[i] / share[i]
+        if weight[i] > 0.0:
+            scatter[count] = weight[i] / share[i] * off[i] ** 2
+            count += 1
+    # of a square whose mean is 1, by its median: 1 / 0.6745^2
+    ratio[0] = max(1.0, np.median(scatter[:count]) * 2.198) if count else 1.0
+    for i in range(len(off)):
+        own = weight[i] * alone[i] / share[i] / ratio[0]
         information[block[i]] += own
         pulls[block[i]] += own * off[i]
-    if count == 0:
-        return 1.0
-    ratio = np.median(scatter[:count]) * 2.198  # of a square whose mean is 1, by its median: 1 / 0.6745^2
-    total, some = 0.0, 0
-    for b in range(blocks):
+    total, squares, misfit, some = 0.0, 0.0, 0.0, 0
+    for b in range(len(information)):
         if information[b] > 0.0:
-            total += pulls[b] ** 2 / information[b]
+            total += information[b]
+            squares += information[b] ** 2
+            misfit += pulls[b] ** 2 / information[b]
             some += 1
-    if some - fitted >= least:
-        ratio = max(ratio, total / (some - fitted))
-    return ratio
+    ratio[2] = max(some - fitted, 0)
+    apart = total - squares / total if total > 0.0 else 0.0
+    ratio[1] = max(0.0, misfit - ratio[2]) / apart if apart > 1e-9 and some > fitted else 0.0
 
 
 @numba.njit(cache=True, nogil=True)

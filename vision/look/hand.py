@@ -65,11 +65,7 @@ class HandView:
         local = se3.apply(hand_from_camera, points)
         out = self.surface.may_be_within(local, distance)
         asked = np.flatnonzero(out)
-        # a ray that meets the hand near its point proves it, in a quarter of the time that the closest point takes
-        along = local[asked] - hand_from_camera[:3, 3]
-        met = self.surface.cast(np.broadcast_to(hand_from_camera[:3, 3], along.shape), along)
-        left = asked[~(np.abs(met - 1.0) * np.linalg.norm(along, axis=1) < distance)]
-        out[left] = np.abs(self.surface.closest(local[left])[0]) < distance
+        out[asked] = is_near(self.surface, local[asked], hand_from_camera[:3, 3], distance)
         return out
 
     def gap(self, points: Array) -> float:
@@ -114,7 +110,7 @@ def view_hand(
     may_be = np.flatnonzero(surface.may_be_within(local, gate))
     step = max(1, len(may_be) // settings.most)
     few = may_be[::step]
-    points = pixels.points[few[np.abs(surface.closest(local[few])[0]) < gate]]
+    points = pixels.points[few[is_near(surface, local[few], se3.inverse(measured)[:3, 3], gate)]]
     if len(points) < settings.fewest:
         return HandView(measured, measured, measured[:3, 3], np.zeros(6), points[:0], np.zeros(0), points[:0], surface)
     centre = points.mean(axis=0)
@@ -155,6 +151,19 @@ def fit_hand(
     # the last step is a fraction of a millimetre: what it changes is linear
     distance, agree = distance + jac @ (xi - off), robust > 0
     return HandView(measured, aligned, centre, xi, points[agree], distance[agree], direction[agree], surface)
+
+
+def is_near(surface: Surface, points: Array, eye: Array, distance: float) -> NDArray[np.bool_]:
+    """(n,) whether points (n, 3) are nearer than `distance` (m) to a surface, or inside it that deep. eye (3,): from
+    where they are seen; a ray that meets the surface near its point proves it, in a quarter of the time that the
+    closest point takes.
+    """
+    along = points - eye
+    met = surface.cast(np.broadcast_to(eye, along.shape), along)
+    near = np.abs(met - 1.0) * np.linalg.norm(along, axis=1) < distance
+    left = np.flatnonzero(~near)
+    near[left] = np.abs(surface.closest(points[left])[0]) < distance
+    return near
 
 
 def hand_terms(surface: Surface, camera_from_hand: Array, points: Array, gate: float) -> tuple[Array, Array, Array]:

@@ -11,10 +11,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.geometry.cameras import is_reading
+from scenes.geometry.cameras import Camera, is_reading
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
+from vision.look.colours import Coloured, PartingSettings
 from vision.look.hand import HandView, HandViewSettings, view_hand
 from vision.look.looked import Looked, RowSettings, no_pixels, no_planes, nothing_seen
 from vision.look.mask import MaskSettings, connected_pieces, find_planes, object_mask, on_planes
@@ -56,11 +57,14 @@ class LookSettings:
     most_pieces: int = 10
     most_in_piece: int = 1200
     piece_share: float = 0.1
+    # Pieces by colour and depth that propose, at most.
+    most_coloured: int = 6
     # Smoothed depths of neighbours that differ by more (m, and as a share of depth) part a piece in two: a third of
     # what parts things for certain; of pieces that share this much the coarser is kept.
     piece_fine: float = 0.002
     piece_fine_share: float = 0.003
     piece_same: float = 0.9
+    colour: PartingSettings = field(default_factory=PartingSettings)
     hand: HandViewSettings = field(default_factory=HandViewSettings)
     mask: MaskSettings = field(default_factory=MaskSettings)
     rows: RowSettings = field(default_factory=RowSettings)
@@ -132,8 +136,6 @@ def _find_pieces(
     into which finer steps of depth part them: a finger that lies on the object is one piece with it, or two.
     """
     assert frame.camera is not None
-    camera, step = frame.camera, settings.piece_step
-    v, u = np.mgrid[0 : camera.height : step, 0 : camera.width : step]
     out: list[Pixels] = []
     coarse: list[NDArray[np.bool_]] = []
     points, pieces = surfaces(frame, planes, beliefs, settings)
@@ -142,18 +144,41 @@ def _find_pieces(
         order = np.argsort(-size, kind="stable")[: settings.most_pieces - len(out)]
         for piece in order:
             own = numbers == piece
-            middle = float(np.median(points[..., 2][own])) if size[piece] else 0.0
-            # the mean shadow of a convex body is a quarter of its surface (Cauchy)
-            shown = model.area / 4.0 * camera.fx * camera.fy / max(middle, 1e-3) ** 2 / step**2
-            if size[piece] < max(settings.least_masked / step**2, settings.piece_share * shown):
-                continue
             # what finer steps did not part is there already
             if any((own & other).sum() > settings.piece_same * other.sum() for other in coarse):
                 continue
-            coarse.append(own)
-            pixels = Pixels(np.stack([u[own], v[own]], axis=1).astype(np.int64), points[own], float(step**2))
-            out.append(pixels.thinned(settings.most_in_piece))
+            pixels = _piece(own, points, frame.camera, model, settings)
+            if pixels is not None:
+                coarse.append(own)
+                out.append(pixels)
     return tuple(out)
+
+
+def coloured_pieces(
+    coloured: Coloured, points: Array, camera: Camera, model: ObjectModel, settings: LookSettings
+) -> tuple[Pixels, ...]:
+    """What colour says may be one thing of surfaces with points (h, w, 3), largest first, those that are not far too
+    small to be the object's.
+    """
+    found = []
+    for group in coloured.groups[: settings.most_coloured]:
+        pixels = _piece(np.isin(coloured.numbers, group), points, camera, model, settings)
+        if pixels is not None:
+            found.append(pixels)
+    return tuple(found)
+
+
+def _piece(own: Mask, points: Array, camera: Camera, model: ObjectModel, settings: LookSettings) -> Pixels | None:
+    """The pixels that `own` (h, w) of points (h, w, 3) have; None where these are far too few for the object's."""
+    step, count = settings.piece_step, int(own.sum())
+    middle = float(np.median(points[..., 2][own])) if count else 0.0
+    # the mean shadow of a convex body is a quarter of its surface (Cauchy)
+    shown = model.area / 4.0 * camera.fx * camera.fy / max(middle, 1e-3) ** 2 / step**2
+    if count < max(settings.least_masked / step**2, settings.piece_share * shown):
+        return None
+    v, u = np.nonzero(own)
+    pixels = Pixels(step * np.stack([u, v], axis=1).astype(np.int64), points[own], float(step**2))
+    return pixels.thinned(settings.most_in_piece)
 
 
 def finer_surfaces(points: Array, pieces: NDArray[np.int64], settings: LookSettings) -> NDArray[np.int64]:

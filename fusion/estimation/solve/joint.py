@@ -96,23 +96,20 @@ class Settled:
         return self.system.size if self.system.problem.ties_depth else SCALE
 
 
-def solve(problem: JointProblem, pose: Array, level: float, weight: float | None = None) -> JointResult:
+def solve(problem: JointProblem, pose: Array, level: float) -> JointResult:
     """The minimum near `pose` (4, 4) for shared errors `level` times as large as believed, and how sure it is."""
-    return answered(settle(problem, pose, level, weight))
+    return answered(settle(problem, pose, level))
 
 
-def settle(
-    problem: JointProblem, pose: Array, level: float, weight: float | None = None, after: Settled | None = None
-) -> Settled:
+def settle(problem: JointProblem, pose: Array, level: float, after: Settled | None = None) -> Settled:
     """Gauss-Newton from `pose` (4, 4) for shared errors `level` times as large as believed.
 
-    weight: of a pixel; the least of all rigs' when not told, so that log evidences of levels can be compared. Where
-    nothing of known shape ties depth's scale and bias (problem.ties_depth), they are not solved for, because a wrong
-    outline is then explained by a wrong scale: they widen the covariance by what they do to the pose (a consider
+    Where nothing of known shape ties depth's scale and bias (problem.ties_depth), they are not solved for, because a
+    wrong outline is then explained by a wrong scale: they widen the covariance by what they do to the pose (a consider
     analysis, Schmidt 1966), and move nothing. after: a solution of another level of the same problem, whose unknowns it
     begins with.
     """
-    system = System(problem, pose, level, problem.settings.least_weight if weight is None else weight)
+    system = System(problem, pose, level)
     # what is whitened by a level is in units of it
     here, unknown = pose, system.start() if after is None else after.unknown * (after.level / level)
     free = system.size if problem.ties_depth else SCALE

@@ -19,8 +19,7 @@ def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[Joint
     """Solve each problem from its start, at least one; how large shared errors are is averaged over at the first.
 
     A rig weighs exp(log evidence) times how usual it is. The first answer is the rigs' weighted mean and mixture
-    covariance, so that not knowing the rig is part of its uncertainty; other modes use the best. Where that is one
-    whose pixels count more, all are solved with these.
+    covariance, so that not knowing the rig is part of its uncertainty; other modes use the best.
     """
     problem, settings = problems[0], problems[0].settings
     pairs = list(zip(problems, starts))[: settings.modes]
@@ -33,16 +32,12 @@ def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[Joint
     weights = np.exp(score - score.max())
     weights = weights / weights.sum()
     shares = tuple(float(share) for share in weights)
-    best = int(np.argmax(score))
-    rig = settings.rigs[best]
-    if rig.weight > settings.least_weight:
-        first = replace(solve(problem, tried[best].pose, rig.level, rig.weight), shares=shares)
-        return [first, *(solve(one, start, rig.level, rig.weight) for one, start in pairs[1:])]
     likely = np.flatnonzero(weights >= settings.negligible)
     # of the others no more than poses and covariances goes into the mean
     most = int(np.argmax(weights[likely]))
     answers = [(answered if n == most else marginalised)(tried[k]) for n, k in enumerate(likely)]
     first = replace(_averaged(problem.model, answers, weights[likely], answers[most]), shares=shares)
+    rig = settings.rigs[likely[most]]
     return [first, *(solve(one, start, rig.level) for one, start in pairs[1:])]
 
 

@@ -9,15 +9,11 @@ from dataclasses import dataclass
 class Rig:
     """A size of shared errors that may be the case. Tuned on generated captures.
 
-    level: factor on what calibration, depth scale and bias are believed to be off by. share: how usual it is. weight:
-    of a pixel. Neighbours share what nothing here describes: fingers whose joints are off, flying pixels, the side of
-    a thin wall. Counted as independent, answers of a usual rig were twice as sure as they should have been; where
-    nothing else is shared, neither is that.
+    level: factor on what calibration, depth scale and bias are believed to be off by. share: how usual it is.
     """
 
     level: float
     share: float
-    weight: float
 
 
 @dataclass(frozen=True)
@@ -33,7 +29,10 @@ class JointSettings:
     # Rigs that are tried: factors on the believed sizes of calibration, scale and bias errors, how usual each is before
     # anything is seen, and the weight of a pixel in it. A rig without shared errors, a usual one, a poor one; with one
     # in between, at 0.2 or 0.4, frames that show little of the hand took it too often, and were too sure.
-    rigs: tuple[Rig, ...] = (Rig(0.25, 0.1, 0.35), Rig(1.0, 0.7, 0.22), Rig(2.0, 0.15, 0.22), Rig(4.0, 0.05, 0.22))
+    rigs: tuple[Rig, ...] = (Rig(0.25, 0.1), Rig(1.0, 0.7), Rig(2.0, 0.15), Rig(4.0, 0.05))
+    # Weight of a pixel. Neighbours share what nothing here describes: fingers whose joints are off, flying pixels, the
+    # side of a thin wall. Counted as independent, answers were twice as sure as they should have been.
+    pixel_weight: float = 0.22
     # Rigs of less than this share of the mixture are left out of it.
     negligible: float = 2e-3
     # Share of a contact's sigma by which its normal may have been felt elsewhere on a bent surface (AlignSettings).
@@ -64,8 +63,3 @@ class JointSettings:
     believed_blocks: float = 8.0
     # Least cosine of the incidence of a pixel: cameras read nothing of surfaces steeper than 80 degrees.
     least_cosine: float = 0.17
-
-    @property
-    def least_weight(self) -> float:
-        """The least weight that a rig's pixels have."""
-        return min(rig.weight for rig in self.rigs)

@@ -25,14 +25,12 @@ FIXED = 13
 class System:
     """Cost, gradient and Gauss-Newton matrix of a JointProblem about (delta, whitened xi, s, b)."""
 
-    def __init__(self, problem: JointProblem, pose: Array, level: float, weight: float) -> None:
-        """Pose (4, 4): where it is solved from. level: factor on what shared errors are believed to be; weight: of a
-        pixel.
-        """
+    def __init__(self, problem: JointProblem, pose: Array, level: float) -> None:
+        """Pose (4, 4): where it is solved from. level: factor on what shared errors are believed to be."""
         self.problem = problem
         self.size = FIXED + len(problem.bias)
         # a cloud keeps the weights of its rows
-        rows = problem.seen.rows
+        rows, weight = problem.seen.rows, problem.settings.pixel_weight
         self.weight = np.where(problem.on, weight, rows[:, WEIGHT]) if problem.camera is not None else rows[:, WEIGHT]
         self.weight = np.ascontiguousarray(self.weight)
         middle = pose[:3, :3] @ problem.model.centroid + pose[:3, 3]

@@ -24,9 +24,11 @@ from scenes.recordings.frames import Frame
 from scenes.words import counted
 from touch.contacts import Felt, feel
 from touch.held import Held
+from vision.look.colours import parted_by_colour
 from vision.look.hand import HandView, camera_from_hand
-from vision.look.look import look, surfaces
+from vision.look.look import coloured_pieces, look, surfaces
 from vision.look.looked import Looked
+from vision.look.pixels import Pixels
 from vision.predicted import Predictor
 from vision.sight import Sight
 
@@ -93,14 +95,60 @@ def sense(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: 
     sight = Sight(viewed, model, beliefs.depth, settings.sight)
     # where neither mask nor hand tells what hides the object, what is seen may be that
     unknown = not looked.told_apart and viewed.depth is not None
-    pieces = surfaces(viewed, looked.planes, beliefs, settings.look)[1] if unknown else None
-    predictor = Predictor(viewed, model, beliefs.depth, hand, settings.prediction, looked.planes, pieces)
+    with trace.stage("colours", unknown, "nothing is to be told apart") as stage:
+        parted = _parted(viewed, looked, model, asked) if unknown else Parted()
+        stage.note(parted.parts, f"surfaces parted into {parted.parts}" if parted.parts else parted.why_not)
+    known = looked.planes, parted.numbers, parted.parts, parted.whole
+    predictor = Predictor(viewed, model, beliefs.depth, hand, settings.prediction, *known)
     asks = settings.look.rows, settings.proposals, settings.modes, settings.pool
     rng = np.random.default_rng(asked.seed)
     pool = Pool(
-        model, felt.rows, believed, predictor, sight, looked, beliefs.depth, rng, *asks, held=_held(frame, hand)
+        model,
+        felt.rows,
+        believed,
+        predictor,
+        sight,
+        looked,
+        beliefs.depth,
+        rng,
+        *asks,
+        held=_held(frame, hand),
+        coloured=parted.pieces,
+        no_colours=parted.why_not,
     )
     return Sensed(frame, viewed, touched, looked, felt, seen, tables.stack(seen, felt.rows), sight, pool)
+
+
+@dataclass(frozen=True)
+class Parted:
+    """Surfaces of the image: numbers (h, w), the first `parts` of them parted by colour, and the whole that each is of,
+    as Predictor takes them; pieces that colour proposes, and why there are none.
+    """
+
+    numbers: NDArray[np.int64] | None = None
+    parts: int = 0
+    whole: NDArray[np.int64] | None = None
+    pieces: tuple[Pixels, ...] = ()
+    why_not: str = ""
+
+
+def _parted(viewed: Frame, looked: Looked, model: ObjectModel, asked: Asked) -> Parted:
+    """The surfaces of a frame with depth; where there is an image beside it, parted by its colours. Pieces that propose
+    are made where nothing is believed of the pose.
+    """
+    assert viewed.camera is not None
+    how, anywhere = asked.settings.look, asked.prior is None
+    points, numbers = surfaces(viewed, looked.planes, asked.beliefs, how)
+    if viewed.rgb is None:
+        return Parted(numbers, why_not="no image beside depth")
+    box = looked.region.box(viewed.camera) if looked.region is not None and not anywhere else None
+    found = parted_by_colour(viewed.rgb, points, numbers, how.colour, box, anywhere)
+    if found.why_not:
+        return Parted(numbers, why_not=found.why_not)
+    pieces = coloured_pieces(found, points, viewed.camera, model, how)
+    return Parted(
+        found.numbers, found.count, found.whole, pieces, "" if pieces else "no piece by colour is large enough"
+    )
 
 
 def _held(frame: Frame, seen: HandView | None) -> Held | None:

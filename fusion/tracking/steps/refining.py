@@ -125,7 +125,7 @@ def solve_leader(
     prior: Prior,
     found: Refined,
     sensed: Sensed,
-    rigs: list[tuple[float, float]],
+    rigs: list[float],
     beliefs: Beliefs,
     settings: TrackSettings,
 ) -> JointResult:
@@ -175,19 +175,17 @@ def _solved(
     )  # fmt: skip
 
 
-def rig_of(shares: Sequence[float], rigs: Sequence[Rig]) -> tuple[float, float]:
-    """Mean square of the level of shared errors and mean variance of a pixel (1 over its weight) of a mixture of rigs.
+def rig_of(shares: Sequence[float], rigs: Sequence[Rig]) -> float:
+    """Mean square of the level of shared errors of a mixture of rigs.
 
-    Covariances go with these, so that one rig that has them is as wide as the mixture (the law of total variance).
+    Covariances go with it, so that one rig that has it is as wide as the mixture (the law of total variance).
     """
-    pairs = tuple(zip(shares, rigs))
-    return sum(w * rig.level**2 for w, rig in pairs), sum(w / rig.weight for w, rig in pairs)
+    return sum(share * rig.level**2 for share, rig in zip(shares, rigs))
 
 
-def mean_rig(found: Sequence[tuple[float, float]]) -> Rig:
+def mean_rig(found: Sequence[float]) -> Rig:
     """The rig of several frames, at least one: as wide as their mixtures (see `rig_of`) are on average."""
-    square, variance = (float(x) for x in np.mean(found, axis=0))
-    return Rig(float(np.sqrt(square)), 1.0, 1.0 / variance)
+    return Rig(float(np.sqrt(np.mean(found))), 1.0)
 
 
 def measurement_of(

@@ -123,7 +123,10 @@ def test_what_is_hidden_widens_an_answer_but_not_what_a_prior_told():
     covariance = root @ root.T + 1e-8 * np.eye(6)
     mode = Mode(np.eye(4), 1.0, 0.0, covariance)
     little, much = (
-        Prediction(np.array([agree]), np.array([agree]), *np.zeros((4, 1)), np.array([200])) for agree in (0.02, 0.95)
+        Prediction(
+            np.array([agree]), np.zeros(1), np.array([agree]), *np.zeros((4, 1)), np.array([200]), np.array([9e3])
+        )
+        for agree in (0.02, 0.95)
     )
     s = ConfidenceSettings()
     assert as_shown(mode, None, None) is mode

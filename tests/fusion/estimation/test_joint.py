@@ -109,7 +109,7 @@ def steps_of(problem, unknown):
 def test_the_gradient_is_that_of_the_cost(drill, seed, camera):
     rng = np.random.default_rng(seed)
     problem, pose = made_problem(drill, rng, camera)
-    system = System(problem, pose, 1.0, problem.settings.least_weight)
+    system = System(problem, pose, 1.0)
     unknown = np.zeros(FIXED + len(problem.bias))
     _, gradient, normal = system.terms(pose, unknown)
     numeric = numeric_gradient(system, pose, unknown, steps_of(problem, unknown))
@@ -124,7 +124,7 @@ def test_the_gradient_is_that_of_the_cost(drill, seed, camera):
 def test_the_kernels_agree_with_their_twins(drill, seed, camera):
     rng = np.random.default_rng(seed)
     problem, pose = made_problem(drill, rng, camera)
-    system = System(problem, pose, 1.0, problem.settings.least_weight)
+    system = System(problem, pose, 1.0)
     unknown = np.zeros(FIXED + len(problem.bias))
     unknown[SCALE], unknown[FIXED:], unknown[XI] = 0.01, 0.3 * rng.normal(size=len(unknown) - FIXED), 0.2
     pose = poses.perturb(pose, 0.02 * rng.normal(size=6), drill.centroid)
@@ -136,7 +136,7 @@ def test_the_kernels_agree_with_their_twins(drill, seed, camera):
 def test_the_gradient_holds_away_from_zero_corrections(drill, seed):
     rng = np.random.default_rng(seed)
     problem, pose = made_problem(drill, rng)
-    system = System(problem, pose, 1.0, problem.settings.least_weight)
+    system = System(problem, pose, 1.0)
     unknown = np.zeros(FIXED + len(problem.bias))
     unknown[SCALE], unknown[FIXED:], unknown[XI] = 0.01, 0.008 * rng.normal(size=len(unknown) - FIXED), 0.012
     _, gradient, normal = system.terms(pose, unknown)
@@ -148,7 +148,7 @@ def test_the_gradient_holds_away_from_zero_corrections(drill, seed):
 def test_the_hands_block_is_that_of_its_pixels(exact_frame, drill):
     """Quadratic in the corrections: gradient and value against the residuals written out."""
     problem, _ = frame_problem(exact_frame, drill)
-    system = System(problem, exact_frame.camera_from_object_truth, 1.0, problem.settings.least_weight)
+    system = System(problem, exact_frame.camera_from_object_truth, 1.0)
     rng = np.random.default_rng(0)
     unknown = 0.3 * rng.normal(size=FIXED + len(problem.bias))
     cost, gradient, normal = joint_twin.hand(system, unknown)
@@ -199,7 +199,7 @@ def test_known_shared_errors_are_found_from_exact_data(exact_frame, drill, seed)
     # at the believed size of the shared errors, which is the size they were drawn with
     result = solve(problem, solve(problem, start, 1.0).pose, 1.0)
     unknown = np.zeros(FIXED + len(problem.bias))
-    system = System(problem, result.pose, 1.0, problem.settings.least_weight)
+    system = System(problem, result.pose, 1.0)
     unknown[XI] = np.linalg.solve(system.white_xi, result.xi)
     unknown[SCALE] = result.scale / system.white[SCALE]
     normal = system.terms(result.pose, unknown)[2]
@@ -221,7 +221,7 @@ def test_solving_lowers_the_cost_and_keeps_the_pose_rigid(drill, rng):
     start = poses.perturb(pose, [0.05, -0.03, 0.02, 0.004, 0.003, -0.004], drill.centroid)
     result = solve(problem, start, 1.0)
     unknown = np.zeros(FIXED + len(problem.bias))
-    system = System(problem, start, 1.0, problem.settings.least_weight)
+    system = System(problem, start, 1.0)
     assert result.cost < system.terms(start, unknown)[0]
     poses.check_pose(result.pose)
     assert np.linalg.norm(poses.difference(result.pose, pose, drill.centroid)[3:]) < 0.003
@@ -252,7 +252,7 @@ def test_the_level_of_shared_errors_follows_the_data(drill):
     """Pixels that agree with the contacts need no shared error; pixels 6 mm off need much of it."""
     problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-5)
     # these pixels share nothing
-    own = replace(problem.settings, rigs=tuple(replace(rig, weight=1.0) for rig in problem.settings.rigs))
+    own = replace(problem.settings, pixel_weight=1.0)
     seen, felt = problem.seen, problem.felt
     together = JointProblem(drill, seen, felt, None, None, Beliefs(), CAMERA, settings=own)
     agree = solve_modes([together], [pose])[0]
@@ -269,13 +269,13 @@ def test_the_level_of_shared_errors_follows_the_data(drill):
         assert np.linalg.eigvalsh(result.unsolved).min() > 0.0
 
 
-def test_where_nothing_is_shared_pixels_count_more(drill):
-    """The covariance is that of the rig which the frame was taken for: pixels that agree exactly are trusted."""
+def test_a_rig_that_is_not_known_widens_the_answer(drill):
+    """However well pixels agree, the covariance is the mixture of all rigs that may be the case."""
     problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-5)
     calm = solve_modes([problem], [pose])[0]
-    usual = solve(problem, pose, 1.0)
+    alone, usual = solve(problem, pose, calm.level), solve(problem, pose, 1.0)
     assert calm.level < usual.level
-    assert np.trace(calm.covariance[3:, 3:]) < 0.5 * np.trace(usual.covariance[3:, 3:])
+    assert np.trace(alone.covariance[3:, 3:]) < np.trace(calm.covariance[3:, 3:]) < np.trace(usual.covariance[3:, 3:])
 
 
 def test_a_surface_that_is_off_smoothly_speaks_of_the_mesh(drill, rng):
@@ -288,13 +288,13 @@ def test_a_surface_that_is_off_smoothly_speaks_of_the_mesh(drill, rng):
     off = replace(problem, seen=replace(problem.seen, rows=rows))
     found = []
     for one in (problem, off):
-        system = System(one, pose, 1.0, 0.22)
+        system = System(one, pose, 1.0)
         system.terms(pose, np.zeros(system.size))
         found.append(system.mesh_variance())
     believed = problem.beliefs.mesh_sigma**2
     assert found[0] < believed < found[1]
     # what is believed stays where nothing is seen
-    blind = System(replace(problem, seen=evidence.empty()), pose, 1.0, 0.22)
+    blind = System(replace(problem, seen=evidence.empty()), pose, 1.0)
     assert blind.mesh_variance() == pytest.approx(believed)
 
 

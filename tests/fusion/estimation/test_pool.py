@@ -248,10 +248,10 @@ def test_a_joint_solution_that_the_picture_refuses_is_not_taken(drill):
 
 
 def picture(**shares):
-    usual = {"seen": 0.9, "agree": 0.95, "past": 0.0, "hidden": 0.0, "behind_hand": 0.0, "outline": 0.0}
+    usual = {"seen": 0.9, "beyond": 0.0, "agree": 0.95, "past": 0.0, "hidden": 0.0, "behind_hand": 0.0, "outline": 0.0}
     values = usual | shares
     values["seen"] = min(values["seen"], 0.95 * values["agree"])
-    return Prediction(*(np.array([values[k]]) for k in values), np.array([200]))
+    return Prediction(*(np.array([values[k]]) for k in values), np.array([200]), np.array([9e3]))
 
 
 def confidence(*answer):

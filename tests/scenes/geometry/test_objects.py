@@ -8,6 +8,7 @@ import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
 
 from scenes.errors import InputError, MeshError
 from scenes.geometry import poses
@@ -213,3 +214,10 @@ def test_cells_near_a_mesh_are_those_that_its_widened_boxes_reach(rng):
     reached = ((place >= first) & (place <= last)).all(axis=2).any(axis=1)
     assert 0.1 < reached.mean() < 0.9
     assert np.array_equal(model.surface.may_be_within(points, distance), reached)
+
+
+@pytest.mark.parametrize("name", ["box", "hammer", "light_bulb"])
+def test_the_mean_outline_is_a_quarter_of_the_hull(name):
+    """Cauchy's formula: the mean projected area of a convex body is a quarter of its surface."""
+    model = library.make(name)
+    assert model.mean_outline == pytest.approx(0.25 * ConvexHull(model.vertices).area, rel=0.01)
