@@ -25,9 +25,6 @@ from vision.tracking.by_vision import VelocitySettings
 
 Array = NDArray[np.float64]
 
-# Pixels count half of what they do in one frame: frames share the edges of fingers that are taken for the object.
-WEIGHT = 0.5 * JointSettings().pixel_weight
-
 
 @dataclass(frozen=True)
 class TrackSettings:
@@ -49,17 +46,12 @@ class TrackSettings:
     # A frame's own answer this many times those widths from the prediction is not trusted: the object is searched.
     leap: float = 2.5
     # The joint solution starts within a millimetre and knows the size of the shared errors from the first frames.
-    joint: JointSettings = field(
-        default_factory=lambda: JointSettings(steps=4, most_inducing=24, spacing=1.6, modes=1, pixel_weight=WEIGHT)
-    )
+    joint: JointSettings = field(default_factory=lambda: JointSettings(steps=4, most_inducing=24, spacing=1.6, modes=1))
     level_frames: int = 3
-    # Factor on the variance that the solution takes for independent noise: it counts pixels by a part because
-    # neighbours share errors, and these stay from frame to frame. Of 19 sequences of `lab` the squared change of a
-    # frame's own answer to the next was 1.1 of what this says.
-    noise: float = 0.3
-    # Variance that the next frame has, too, whatever is solved along, as a share of the independent: joint errors are
-    # 0.8 mm at the fingertips where contact noise is 0.9 mm, the mesh's own error is 0.4 mm.
-    lasting: float = 0.8
+    # Share of the variance that the solution takes for independent noise which really changes from frame to frame; it
+    # counts pixels by a part because neighbours share errors, and the rest of these stays. Of 19 sequences of `lab` the
+    # squared change of a frame's own answer to the next was 1.1 of what this says.
+    noise: float = 0.6
     # Share of the first estimate's variance that later frames do not average out.
     first_lasting: float = 0.6
     # Which frames are only glanced at.
@@ -85,7 +77,10 @@ class TrackSettings:
     # lost and then every so many.
     near_angle: float = float(np.deg2rad(10.0))
     near_distance: float = 0.02
-    global_every: int = 10
+    global_every: int = 5
+    # Confidence (a probability, no unit) from which what is found everywhere is followed though it is ambiguous: more
+    # likely right than not, where nothing else is known. It is not ok before other frames have found it, too.
+    found_again: float = 0.5
     # Error that is left in the robot's frame after the hand was last seen (rad, m), and motion of what is seen
     # relative to a fixed camera, per frame without a hand.
     left_angle: float = float(np.deg2rad(0.15))

@@ -9,7 +9,7 @@ camera axes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,19 +46,21 @@ class Belief:
 
 @dataclass(frozen=True)
 class Measurement:
-    """One frame's own answer, without the prediction: pose (4, 4); own and shared as in a Belief."""
+    """One frame's own answer, without the prediction: pose (4, 4); own and shared as in a Belief; biased (6, 6): what
+    of the latter comes of the depth bias, and is otherwise elsewhere in the image.
+    """
 
     pose: Array
     own: Array
     shared: Array
+    biased: Array = field(default_factory=lambda: np.zeros((6, 6)))
 
     @staticmethod
-    def of(pose: Array, independent: Array, shared: Array, noise: float, lasting: float) -> Measurement:
-        """From what independent noise and shared errors make of the frame's covariance (6, 6).
-
-        noise: factor on the former; lasting: share of it that the next frame has, too, on top.
+    def of(pose: Array, independent: Array, shared: Array, biased: Array, noise: float) -> Measurement:
+        """From what independent noise and shared errors, the depth bias's among them, make of the frame's covariance
+        (6, 6); noise: share of the former that the next frame does not have, too.
         """
-        return Measurement(pose, noise * independent, shared + lasting * independent)
+        return Measurement(pose, noise * independent, shared + (1.0 - noise) * independent, biased)
 
 
 def block(rotation: Array) -> Array:
@@ -179,7 +181,7 @@ class SlipTest:
             self._quiet += 1
             return False
         s, centre = self.settings, self.model.centroid
-        changed = 2.0 * (1.0 - self._correlation(pixel)) * measured.shared
+        changed = 2.0 * (1.0 - self._correlation(pixel)) * measured.biased
         floor = np.diag(np.repeat([s.floor_angle, s.floor_distance], 3) ** 2)
         noise = measured.own + changed + floor
         innovation = se3.difference(measured.pose, self._held.pose, centre)

@@ -57,9 +57,9 @@ class Known:
     """What the last look in full has found out.
 
     index: of its frame; pose (4, 4) as solved; offset (6,): from a fit of the rows alone to that, camera axes; own,
-    shared (6, 6): covariances of a measurement; correction (4, 4) camera_from_camera of what the robot reports; share,
-    sight, felt: how pixels, image (nats) and contacts (mm, root mean square) agreed with such a fit; verdict, why,
-    right, visible, unobservable: how it was judged.
+    shared, biased (6, 6): covariances of a measurement; correction (4, 4) camera_from_camera of what the robot reports;
+    share, sight, felt: how pixels, image (nats) and contacts (mm, root mean square) agreed with such a fit; verdict,
+    why, right, visible, unobservable: how it was judged.
     """
 
     index: int
@@ -67,6 +67,7 @@ class Known:
     offset: Array
     own: Array
     shared: Array
+    biased: Array
     correction: Array
     share: float
     sight: float
@@ -81,7 +82,7 @@ class Known:
         """What a fit (4, 4) of a later frame's rows measures; nearest (4, 4): of symmetric twins the one near this."""
         pose = model.symmetries.nearest(se3.perturb(fit, self.offset, model.centroid), nearest)
         turn = block(pose[:3, :3] @ self.pose[:3, :3].T)
-        return Measurement(pose, turn @ self.own @ turn.T, turn @ self.shared @ turn.T)
+        return Measurement(pose, *(turn @ one @ turn.T for one in (self.own, self.shared, self.biased)))
 
 
 @dataclass(frozen=True)
@@ -143,9 +144,9 @@ class TrackState:
 
     belief: of the leading hypothesis, None before a start; hypotheses: the leader first; hand: at the last frame;
     index: of that; unseen: frames without evidence; lost_for: frames; usual: share of pixels that the pose explains,
-    usually; things: what goes with the object and is not it; rigs: levels of shared errors that the first frames were
-    taken for; right: chance that the leader is the right one, as last judged; sure: whether the last answer was ok;
-    known: from the last look in full, None when the next frame must be looked at so.
+    usually; things: what goes with the object and is not it; rigs: of each of the first frames, the mean square of how
+    large its shared errors may be (levels); right: chance that the leader is the right one, as last judged; sure:
+    whether the last answer was ok; known: from the last look in full, None when the next frame must be looked at so.
     """
 
     belief: Belief | None = None

@@ -24,8 +24,6 @@ from fusion.estimation.answer import Estimate, Mode
 from fusion.estimation.asked import as_prior, check_senses, sure_to_be_within
 from fusion.estimation.confidence import whole_covariance, within
 from fusion.estimation.estimate import estimate
-from fusion.estimation.solve.joint import JointResult
-from fusion.estimation.solve.settings import Rig
 from fusion.estimation.trace import Trace
 from fusion.tracking import hypotheses as several
 from fusion.tracking.answer import TrackedEstimate, TrackSettings, as_carried, as_tracked
@@ -39,9 +37,10 @@ from fusion.tracking.steps.glancing import as_judged, glance, known_of, may_glan
 from fusion.tracking.steps.judging import as_believed, as_followed, judge
 from fusion.tracking.steps.predicting import predict
 from fusion.tracking.steps.printed import as_before, as_printed
-from fusion.tracking.steps.refining import Refined, loose, measurement_of, prefers, refine, shift, solve_leader
+from fusion.tracking.steps.refining import loose, measurement_of, prefers, refine, shift, solve_leader
 from fusion.tracking.steps.sensing import Sensed, pool_near
 from scenes.errors import CaptureError
+from scenes.evidence import table as tables
 from scenes.evidence.align import Prior
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -184,7 +183,8 @@ class Tracker:
                 found = self._estimated(replace(frame, prior=None), prior)
             except CaptureError as error:  # a frame amid a track whose sizes make no sense is a frame without evidence
                 return replace(lost, notes=(*lost.notes, str(error)))
-            if found.verdict == "ok" or (prior is not None and found.verdict == "ambiguous"):
+            likely = prior is not None or several.sure_of(found) >= s.found_again
+            if found.verdict == "ok" or (found.verdict == "ambiguous" and likely):
                 found = replace(as_before(self.model, found, lost, s.first), trace=(*lost.trace, *found.trace))
                 self.believe(frame, found)
                 return as_tracked(found, "re-initialised")
@@ -226,7 +226,8 @@ class Tracker:
 
     def _search_around(self, frame: Frame, answer: TrackedEstimate) -> str:
         """Search a frame around a track that nothing has spoken for; what came of it, in words. Only what is surely
-        elsewhere has a vote: the search began at the track, and finds it gladly.
+        elsewhere has a vote, and less of one than what is believed needs: the search began at the track, and what is
+        near it is gladly found.
         """
         s = self.settings
         prior = Prior.isotropic(answer.pose, s.renewal.around_angle, s.renewal.around_distance)
@@ -237,6 +238,7 @@ class Tracker:
         mode = replace(found.modes[0], pose=self.model.symmetries.nearest(found.pose, answer.pose))
         better = prefers(answer, mode, self._sensed, s)
         vote = several.vote_of(found.verdict, several.sure_of(found), s.hypotheses) if found.verdict == "ok" else 0.0
+        vote = min(vote, s.hypotheses.most_repeated)
         carried = (self._leader(answer), *self._state.hypotheses[1:])
         if better > 0.0 or not vote or several.alike(self.model, carried[0], mode, s.hypotheses):
             return "; nothing surer around it"
@@ -287,7 +289,7 @@ class Tracker:
             pool = pool_near(viewed, self.model, asked, looked, felt, beliefs, first, s.room)
             sensed = self._sensed = Sensed(viewed, looked, seen, felt, pool, self._state.things, s.occluders)
         with trace.stage("align", True, "") as stage:
-            prior = loose(predicted.pose, predicted.covariance, s)
+            prior = loose(predicted.pose, predicted.own, s)
             found = refine(self.model, carried, prior, sensed, s)
             of = f"{len(carried)} hypotheses" if len(carried) > 1 else "a few steps from the prediction"
             stage.note(len(found.seen) + felt_rows, "another hypothesis leads" if found.switched else of)
@@ -295,10 +297,14 @@ class Tracker:
             leader = found.hypotheses[0].pose
             if found.switched:
                 prior = replace(prior, pose=leader)
-            solved = self._solve(frame, leader, prior, found, sensed)
+            learned = len(self._state.rigs)
+            solved = solve_leader(self.model, frame, leader, prior, found, sensed, self._state.rigs, self._beliefs, s)
             blind = self._state.hand is not None and not len(looked.pixels)
             calibration, corrected = self._beliefs.calibration, self._looker.correction is not None
-            measured = measurement_of(self.model, solved, predicted.pose, blind, corrected, calibration, s)
+            rows = tables.stack(found.seen, felt.rows)
+            measured = measurement_of(self.model, solved, predicted.pose, rows, blind, corrected, calibration, s)
+            if len(self._state.rigs) > learned:  # of what all frames share the first was told no more than this one
+                predicted = replace(predicted, shared=measured.shared)
             if looked.hand is not None and felt_rows:
                 felt = felt.corrected(solved.correct())
             off = 1e3 * shift(felt.correction, self._middle(solved.pose))
@@ -365,24 +371,9 @@ class Tracker:
         patches = in_palm(frame, felt.reported_patches) if felt.reported_patches else []
         return self._watch.feel(readings_of(self._felt_frame(frame)), patches)
 
-    def _solve(self, frame: Frame, leader: Array, prior: Prior, found: Refined, sensed: Sensed) -> JointResult:
-        s, rigs = self.settings, self._state.rigs
-        known = len(rigs) >= s.level_frames
-        how = replace(s.joint, rigs=(self._usual_rig(),)) if known else s.joint
-        seen, most_worse = found.seen, s.first.most_worse
-        solved = solve_leader(self.model, frame, leader, prior, seen, sensed, self._beliefs, how, most_worse)
-        if not known and len(seen) and sensed.looked.hand is not None:
-            rigs.append(solved.level)
-        return solved
-
     def _middle(self, pose: Array) -> Array:
         """Where the object's centroid is (3,): its file's origin may be anywhere."""
         return se3.apply(pose, self.model.centroid[None])[0]
-
-    def _usual_rig(self) -> Rig:
-        """The rig that most of the first frames were taken for, the lesser of two."""
-        usual = sorted(self._state.rigs)[(len(self._state.rigs) - 1) // 2]
-        return next(rig for rig in self.settings.joint.rigs if rig.level == usual)
 
     def _updated(
         self, frame: Frame, predicted: Belief, measured: Measurement, switched: bool, felt: Felt

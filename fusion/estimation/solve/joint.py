@@ -44,6 +44,9 @@ class JointResult:
     of calibration, depth scale and bias; a direction that the frame does not tell is as wide as the object, in shared.
     as_seen (4, 4): where the uncorrected depth image shows the object, scale and mean bias put back along its ray.
     follows (6, 6): by how much xi is expected to be otherwise where the pose turns out to be otherwise.
+    unsolved (6, 6): what else of the covariance pixels share, solved for by nothing: the mesh's own error, and by how
+    much parts of the image disagree. biased (6, 6): what of `shared` comes of the depth bias. shares: of the mixture,
+    of each rig that was tried; empty where none were.
     """
 
     pose: Array
@@ -59,6 +62,9 @@ class JointResult:
     shared: Array = field(default_factory=lambda: np.zeros((6, 6)))
     as_seen: Array = field(default_factory=lambda: np.eye(4))
     follows: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    unsolved: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    biased: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    shares: tuple[float, ...] = ()
 
     @property
     def millimetres(self) -> float:
@@ -115,8 +121,9 @@ def answered(settled: Settled) -> JointResult:
     """A solution with its covariances."""
     one, system = marginalised(settled), settled.system
     misfit = system.misfit()
-    independent, shared, follows = _split(system, settled.pose, settled.normal)
-    return replace(one, independent=misfit * independent, shared=misfit * shared, follows=follows)
+    independent, shared, biased, follows = _split(system, settled.pose, settled.normal)
+    parts = misfit * independent, misfit * shared, misfit * biased
+    return replace(one, independent=parts[0], shared=parts[1], biased=parts[2], follows=follows)
 
 
 def marginalised(settled: Settled) -> JointResult:
@@ -130,10 +137,10 @@ def marginalised(settled: Settled) -> JointResult:
         covariance = gain + inverse @ inverse.T
     system.terms(here, unknown)
     misfit = system.misfit()
-    covariance = misfit * covariance + system.excess_spread(whole[:free, :free], misfit) + _mesh_spread(system)
+    unsolved = system.excess_spread(whole[:free, :free], misfit) + _mesh_spread(system)
     return JointResult(
         here,
-        covariance,
+        misfit * covariance + unsolved,
         system.white_xi @ unknown[XI],
         system.centre,
         float(system.white[SCALE] * unknown[SCALE]),
@@ -142,6 +149,7 @@ def marginalised(settled: Settled) -> JointResult:
         settled.level,
         system.seen_cost,
         as_seen=_as_seen(system, here, unknown),
+        unsolved=unsolved,
     )
 
 
@@ -166,9 +174,9 @@ def _as_seen(system: System, pose: Array, unknown: Array) -> Array:
     return out
 
 
-def _split(system: System, pose: Array, normal: Array) -> tuple[Array, Array, Array]:
-    """The covariance of the frame alone, in what independent noise and what shared errors make of it; and how the
-    calibration follows the pose: the regression of xi on delta.
+def _split(system: System, pose: Array, normal: Array) -> tuple[Array, Array, Array, Array]:
+    """The covariance of the frame alone, in what independent noise and what shared errors make of it, and what of
+    these the depth bias does; and how the calibration follows the pose: the regression of xi on delta.
 
     With H the evidence's information and L the priors', the estimate's covariance (H + L)^-1 is
     (H + L)^-1 H (H + L)^-1 from noise in the evidence plus (H + L)^-1 L (H + L)^-1 from errors as the priors have.
@@ -180,12 +188,13 @@ def _split(system: System, pose: Array, normal: Array) -> tuple[Array, Array, Ar
     evidence[np.arange(6, len(normal)), np.arange(6, len(normal))] -= 1.0
     inverse = np.linalg.solve(evidence + np.diag(believed), np.eye(len(normal))[:, :6])
     shared = inverse.T @ (believed[:, None] * inverse)
+    biased = inverse[FIXED:].T @ inverse[FIXED:]
     # by its own widths the pose's block is a correlation, singular where a direction is known to the last digit
     variance = np.diag(inverse[POSE])
     width = 1.0 / np.sqrt(np.maximum(variance, 1e-12 * max(float(variance.max()), 1e-280)))
     correlation = np.linalg.pinv(inverse[POSE] * width * width[:, None], rcond=1e-12, hermitian=True)
     follows = system.white_xi @ ((inverse[XI] * width) @ correlation * width)
-    return inverse.T @ evidence @ inverse, shared, follows
+    return inverse.T @ evidence @ inverse, shared, biased, follows
 
 
 def _marginal(normal: Array) -> Array:

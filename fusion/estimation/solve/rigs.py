@@ -31,11 +31,12 @@ def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[Joint
     score = np.array([t.log_evidence + np.log(rig.share) for t, rig in zip(tried, settings.rigs)])
     weights = np.exp(score - score.max())
     weights = weights / weights.sum()
+    shares = tuple(float(share) for share in weights)
     likely = np.flatnonzero(weights >= settings.negligible)
     # of the others no more than poses and covariances goes into the mean
     most = int(np.argmax(weights[likely]))
     answers = [(answered if n == most else marginalised)(tried[k]) for n, k in enumerate(likely)]
-    first = _averaged(problem.model, answers, weights[likely], answers[most])
+    first = replace(_averaged(problem.model, answers, weights[likely], answers[most]), shares=shares)
     rig = settings.rigs[likely[most]]
     return [first, *(solve(one, start, rig.level) for one, start in pairs[1:])]
 

@@ -130,7 +130,7 @@ def _glanced_at(
     if not sensed.told_apart:
         near = sensed.rows_at(start, settings.side)
         sensed = replace(sensed, seen=near)
-    prior = loose(predicted.pose, predicted.covariance, settings)
+    prior = loose(predicted.pose, predicted.own, settings)
     fit = fitted(model, near, _touching(felt), start, prior, how.steps)
     measured = known.measured(model, fit, predicted.pose)
     residuals = contact_residuals(model, felt.contacts, fit, first.verdict)
@@ -186,7 +186,8 @@ def known_of(
     sight = float(Sight(frame, model, beliefs.depth, first.sight).costs(fit[None])[0])
     off = _apart(contact_residuals(model, felt.contacts, fit, first.verdict))
     return Known(
-        frame.index, measured.pose, offset, measured.own, measured.shared, felt.correction, share, sight, off,
+        frame.index, measured.pose, offset, measured.own, measured.shared, measured.biased, felt.correction, share,
+        sight, off,
         said.verdict, said.why, said.right, said.visible, said.unobservable,
     )  # fmt: skip
 

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate, Mode
 from fusion.estimation.confidence import chances
+from fusion.estimation.moments import moments
 from fusion.estimation.solve.joint import JointResult
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import solve_modes
-from fusion.estimation.solve.settings import JointSettings
+from fusion.estimation.solve.settings import Rig
 from fusion.estimation.verdict import contact_residuals, nats_of_contacts
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Measurement
@@ -44,7 +45,9 @@ class Refined:
 
 
 def loose(pose: Array, covariance: Array, settings: TrackSettings) -> Prior:
-    """A prior of a frame's own answer: the prediction, so wide that a slip is not held back."""
+    """A prior of a frame's own answer: the prediction, so wide that a slip is not held back. covariance (6, 6): of what
+    may be otherwise in this frame than in the last; an error that both share moves nothing from one to the other.
+    """
     wide = covariance + np.diag(np.repeat([settings.loose_angle, settings.loose_distance], 3) ** 2)
     return Prior(pose, np.asarray(np.linalg.inv(wide), dtype=np.float64))
 
@@ -120,17 +123,42 @@ def solve_leader(
     frame: Frame,
     start: Array,
     prior: Prior,
+    found: Refined,
+    sensed: Sensed,
+    rigs: list[float],
+    beliefs: Beliefs,
+    settings: TrackSettings,
+) -> JointResult:
+    """The leader's joint solution from `start` (4, 4) with all shared errors. How large these are does not change from
+    frame to frame, so that no number of frames tells it better than a few do: the rig is the mean of what the first
+    that see it were taken for, which go into `rigs` (see `rig_of`).
+    """
+    s, seen, asked = settings, found.seen, settings.joint.rigs
+    if len(rigs) < s.level_frames:
+        tried = _solved(model, frame, start, prior, seen, sensed, asked, beliefs, s)
+        if not tried.shares or not len(seen):
+            return tried
+        rigs.append(rig_of(tried.shares, asked))
+    return _solved(model, frame, start, prior, seen, sensed, (mean_rig(rigs),), beliefs, s)
+
+
+def _solved(
+    model: ObjectModel,
+    frame: Frame,
+    start: Array,
+    prior: Prior,
     seen: Evidence,
     sensed: Sensed,
+    rigs: tuple[Rig, ...],
     beliefs: Beliefs,
-    how: JointSettings,
-    most_worse: float,
+    settings: TrackSettings,
 ) -> JointResult:
-    """The leader's joint solution from `start` (4, 4); where the picture speaks against it by more than `most_worse`
-    nats, the start, as wide as the two are apart.
+    """The joint solution from `start` (4, 4); where the picture speaks against it by more nats than
+    are allowed, the start, as wide as the two are apart.
     """
     hand = sensed.looked.hand
     felt = sensed.felt.reported_rows if hand is not None else sensed.felt.rows
+    how, most_worse = replace(settings.joint, rigs=rigs), settings.first.most_worse
     problem = JointProblem.of(model, frame, seen, felt, prior, hand, beliefs, how)
     solved = solve_modes([problem], [start])[0]
     if sensed.pool is None:
@@ -147,19 +175,37 @@ def solve_leader(
     )  # fmt: skip
 
 
+def rig_of(shares: Sequence[float], rigs: Sequence[Rig]) -> float:
+    """Mean square of the level of shared errors of a mixture of rigs.
+
+    Covariances go with it, so that one rig that has it is as wide as the mixture (the law of total variance).
+    """
+    return sum(share * rig.level**2 for share, rig in zip(shares, rigs))
+
+
+def mean_rig(found: Sequence[float]) -> Rig:
+    """The rig of several frames, at least one: as wide as their mixtures (see `rig_of`) are on average."""
+    return Rig(float(np.sqrt(np.mean(found))), 1.0)
+
+
 def measurement_of(
     model: ObjectModel,
     solved: JointResult,
     nearest: Array,
+    rows: Evidence,
     blind: bool,
     corrected: bool,
     calibration: CalibrationModel,
     settings: TrackSettings,
 ) -> Measurement:
-    """The frame's own answer, the symmetric twin near `nearest` (4, 4). blind: told by the robot alone, whose error it
-    has; corrected: a camera has once said what that is.
+    """The frame's own answer, the symmetric twin near `nearest` (4, 4), as wide as an estimate's: all of it stays from
+    frame to frame but most of the independent noise. rows: its evidence; where that is no Gaussian about the answer (a
+    handle out of sight may turn as far as it would show), the next frame's is none either. blind: told by the robot
+    alone, whose error it has; corrected: a camera has once said what that is.
     """
-    s, shared = settings, solved.shared
+    s, shared = settings, solved.shared + solved.unsolved
+    whole = solved.independent + shared
+    shared = shared + moments(model, rows, solved.pose, whole, 0, None, s.first.moments).covariance - whole
     pose = model.symmetries.nearest(solved.pose, nearest)
     if blind:
         angle = s.left_angle if corrected else calibration.rotation_sigma
@@ -167,7 +213,7 @@ def measurement_of(
         distance = float(np.hypot(calibration.translation_sigma, calibration.rotation_sigma * lever))
         distance = s.left_distance if corrected else distance
         shared = shared + np.diag(np.repeat([angle, distance], 3) ** 2)
-    return Measurement.of(pose, solved.independent, shared, s.noise, s.lasting)
+    return Measurement.of(pose, solved.independent, shared, solved.biased, s.noise)
 
 
 def shift(correction: Array, point: Array) -> float:

@@ -261,6 +261,12 @@ def test_the_level_of_shared_errors_follows_the_data(drill):
     disagree = solve_modes([apart], [pose])[0]
     assert agree.level < disagree.level
     assert {rig.level for rig in own.rigs} >= {agree.level, disagree.level}
+    for result in (agree, disagree):
+        assert sum(result.shares) == pytest.approx(1.0)
+        assert own.rigs[int(np.argmax(result.shares))].level == result.level
+        # what a track carries on is all of the covariance, and the bias's part is a part
+        assert np.linalg.eigvalsh(result.shared - result.biased).min() > -1e-9 * np.trace(result.shared)
+        assert np.linalg.eigvalsh(result.unsolved).min() > 0.0
 
 
 def test_a_rig_that_is_not_known_widens_the_answer(drill):

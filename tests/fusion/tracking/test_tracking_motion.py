@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fusion.estimation.solve.settings import Rig
 from fusion.tracking.filter import Belief, Measurement, SlipTest, block, positive_part, scales, update
 from fusion.tracking.motion import (
     HandMotion,
@@ -14,6 +15,7 @@ from fusion.tracking.motion import (
     carried_by_contacts,
     grasp_transpose,
 )
+from fusion.tracking.steps.refining import mean_rig, rig_of
 from scenes.geometry import poses
 from scenes.recordings.beliefs import CalibrationModel
 from scenes.recordings.frames import Contacts, Frame
@@ -123,6 +125,39 @@ def test_what_all_frames_share_is_not_averaged_out(mug):
         belief = update(mug, belief, Measurement(np.eye(4), own, shared))
     assert np.trace(belief.own) < 0.01 * np.trace(own)
     np.testing.assert_allclose(belief.shared, shared, rtol=1e-6)
+
+
+def test_a_measurement_loses_nothing_of_its_frame_and_averages_out_what_changes():
+    independent, shared, biased = 4e-6 * np.eye(6), 9e-6 * np.eye(6), 5e-6 * np.eye(6)
+    measured = Measurement.of(np.eye(4), independent, shared, biased, 0.6)
+    np.testing.assert_allclose(measured.own + measured.shared, independent + shared)
+    np.testing.assert_allclose(measured.own, 0.6 * independent)
+    np.testing.assert_allclose(measured.biased, biased)
+
+
+def test_one_rig_is_as_wide_as_the_mixture_that_it_stands_for():
+    """The law of total variance: levels by their squares."""
+    kinds = (Rig(0.25, 0.1), Rig(1.0, 0.7), Rig(2.0, 0.2))
+    frames = [(0.9, 0.1, 0.0), (0.5, 0.25, 0.25)]
+    rig = mean_rig([rig_of(shares, kinds) for shares in frames])
+    levels = np.array([kind.level for kind in kinds])
+    assert rig.level**2 == pytest.approx(np.mean([np.dot(shares, levels**2) for shares in frames]))
+    # a frame that is almost sure of small errors does not make a track sure of them
+    assert mean_rig([rig_of((0.9, 0.1, 0.0), kinds)]).level > 1.5 * kinds[0].level
+
+
+def test_only_the_depth_bias_is_otherwise_elsewhere_in_the_image(mug):
+    """A step of 2 mm while the object crosses the image: a slip, unless the camera's bias may have made it."""
+    own, wide = 1e-8 * np.eye(6), 4e-6 * np.eye(6)
+    for biased, slips in ((0 * wide, True), (wide, False)):
+        test = SlipTest(mug, 40.0)
+        said = []
+        for index in range(8):
+            pose = poses.make_pose(None, [0.0, 0.0, 0.002 * (index >= 5)])
+            measured = Measurement(pose, own, wide, biased)
+            test.predict(np.eye(4), np.zeros(6), 1e-10 * np.eye(6))
+            said.append(test.step(measured, Belief(pose, own, wide), np.array([100.0 + 100.0 * (index >= 5), 50.0])))
+        assert any(said) == slips
 
 
 def test_a_direction_without_information_stays_as_it_was(mug):
