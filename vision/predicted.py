@@ -106,7 +106,7 @@ class Prediction:
     outline in one colour, as far as it does; agree: within the tolerance; past: seen
     through, or under a table; hidden: behind something that is not the robot's hand; behind_hand: the hand explains
     it; outline: of the border, where the seen surface runs on smoothly beyond it. count: rays that met the object
-    inside the image. area: of the outline (px^2), what the image's border cuts off included.
+    inside the image. area: of the outline (px^2) that they tell of, what the image's border cuts off included.
     """
 
     seen: Array
@@ -263,7 +263,7 @@ class Predictor:
             behind_hand=shares[:, kernels.BEHIND_HAND],
             outline=sums[:, kernels.OUTLINE],
             count=sums[:, kernels.HITS].astype(np.int64),
-            area=sums[:, kernels.HITS] * pixel / np.maximum(view.inside, s.least_cells),
+            area=total * pixel,
         )
 
     def _size(self, candidates: Array, picture: Prediction) -> Array:

@@ -115,7 +115,8 @@ def near_rows(lattice, rows, speaking, rotation, middle, reach, active):
         qz = rotation[0, 2] * yx + rotation[1, 2] * yy + rotation[2, 2] * yz + centroid[2]
         far = reach + rows[n, OFFSET]
         # beyond the lattice's box the box itself is nearer than the surface: no look-up tells more
-        if beyond_box(values, origin, spacing, qx, qy, qz) > far or value_at(values, origin, spacing, qx, qy, qz) > far:
+        beyond = beyond_box(values, origin, spacing, qx, qy, qz)
+        if beyond > max(far, 0.0) or value_at(values, origin, spacing, qx, qy, qz) > far:
             lever = max(lever, math.sqrt(yx * yx + yy * yy + yz * yz))
             continue
         for i in range(PREPARED):

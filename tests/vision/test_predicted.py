@@ -108,12 +108,14 @@ def on_a_table(model):
 
 
 def test_an_outline_counts_by_its_size_not_only_by_its_share():
-    """A bottle's end that nothing hides says less than its side; an object of a few pixels says little."""
+    """A bottle's end that nothing hides says less than its side; an object of a few pixels says little, and so does
+    what is predicted where the camera reads nothing.
+    """
     frame, model = plain_view("bottle"), library.make("bottle")
-    truth = frame.camera_from_object_truth
-    looking = predictor(frame, model)
+    wall = replace(frame, depth=np.where(frame.depth > 0, frame.depth, 3.0).astype(np.float32))
+    looking = predictor(wall, model)
     axis = np.argmax(np.ptp(model.vertices, axis=0))
-    middle = poses.apply(truth, model.centroid[None])[0]
+    middle = poses.apply(frame.camera_from_object_truth, model.centroid[None])[0]
     ray = middle / np.linalg.norm(middle)
     side, end = np.eye(4), np.eye(4)
     for pose, toward in ((side, np.cross(ray, [0.0, 1.0, 0.0])), (end, ray)):
@@ -129,6 +131,9 @@ def test_an_outline_counts_by_its_size_not_only_by_its_share():
     drawn = Renderer({"object": (model.vertices, model.faces)})
     for pose, area in zip(where[:2], picture.area):
         assert area == pytest.approx((drawn.render(frame.camera, {"object": pose}).depth > 0).sum(), rel=0.1)
+    away = poses.make_pose(None, [0.03, 0.0, 0.0]) @ side
+    before_nothing = predictor(frame, model).predict(away[None]).area[0]
+    assert before_nothing < 0.8 * looking.predict(away[None]).area[0]
 
 
 def turning(a, b):
