@@ -33,8 +33,8 @@ MANY_VERTICES = 100_000
 KEPT_SAMPLES = 1000
 # Points of the surface that `slippage` is the mean over: its square root is then known to 1 %.
 SLIPPING_POINTS = 4000
-# Sides from which an outline is looked at: their mean is within 1 % of that of all.
-SIDES = 48
+# Sides from which an outline is looked at, and vertices that it is drawn of: their mean is within 2 % of that of all.
+SIDES, DRAWN = 16, 2000
 # Raised whenever reading, repairing or measuring a mesh changes, so that old cache entries are not read.
 MESH_VERSION = 2
 
@@ -189,7 +189,7 @@ class ObjectModel:
         sides = poses.around(SIDES)
         across = np.cross(sides, np.eye(3)[np.argmin(np.abs(sides), axis=1)])
         across /= np.linalg.norm(across, axis=1)[:, None]
-        vertices = self.vertices if len(self.vertices) <= MANY_VERTICES else _outer(self.vertices)
+        vertices = self.vertices[:: max(1, len(self.vertices) // DRAWN)]
         drawn = vertices @ np.stack([across, np.cross(sides, across)]).transpose(1, 2, 0)
         outlines = [cv2.contourArea(cv2.convexHull(points.astype(np.float32))) for points in drawn]
         return float(np.mean(outlines))

@@ -220,4 +220,4 @@ def test_cells_near_a_mesh_are_those_that_its_widened_boxes_reach(rng):
 def test_the_mean_outline_is_a_quarter_of_the_hull(name):
     """Cauchy's formula: the mean projected area of a convex body is a quarter of its surface."""
     model = library.make(name)
-    assert model.mean_outline == pytest.approx(0.25 * ConvexHull(model.vertices).area, rel=0.01)
+    assert model.mean_outline == pytest.approx(0.25 * ConvexHull(model.vertices).area, rel=0.02)
