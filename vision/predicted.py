@@ -103,10 +103,10 @@ class Prediction:
     """Shares (n,) of the predicted pixels, for n poses; those outside the image are hidden.
 
     seen: at the depth predicted, falling off smoothly with the difference; beyond: of these, on what goes on beyond the
-    outline in one colour, as far as it does; agree: within the tolerance; past: seen
-    through, or under a table; hidden: behind something that is not the robot's hand; behind_hand: the hand explains
-    it; outline: of the border, where the seen surface runs on smoothly beyond it. count: rays that met the object
-    inside the image. area: of the outline (px^2) that they tell of, what the image's border cuts off included.
+    outline in one colour, as far as it does; agree: within the tolerance; past: seen through, or under a table; hidden:
+    behind something that is not the robot's hand; behind_hand: the hand explains it; outline: of the border, where the
+    seen surface runs on smoothly beyond it. count: rays that met the object inside the image. area: of the outline
+    (px^2) that they tell of, what the image's border cuts off included.
     """
 
     seen: Array
