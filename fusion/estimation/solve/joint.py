@@ -34,6 +34,9 @@ from scenes.geometry import poses as se3
 
 Array = NDArray[np.float64]
 
+# Turns (rad), and moves as shares of the object's radius, to which a Gauss-Newton matrix holds.
+FARTHEST = 0.1
+
 
 @dataclass(frozen=True)
 class JointResult:
@@ -101,20 +104,37 @@ def solve(problem: JointProblem, pose: Array, level: float) -> JointResult:
     return answered(settle(problem, pose, level))
 
 
-def settle(problem: JointProblem, pose: Array, level: float, after: Settled | None = None) -> Settled:
+def settle(
+    problem: JointProblem, pose: Array, level: float, after: Settled | None = None, facing: System | None = None
+) -> Settled:
     """Gauss-Newton from `pose` (4, 4) for shared errors `level` times as large as believed.
 
     Where nothing of known shape ties depth's scale and bias (problem.ties_depth), they are not solved for, because a
     wrong outline is then explained by a wrong scale: they widen the covariance by what they do to the pose (a consider
-    analysis, Schmidt 1966), and move nothing. after: a solution of another level of the same problem, whose unknowns it
-    begins with.
+    analysis, Schmidt 1966), and move nothing. after: a solution of another level of the same problem; it begins where
+    that one says that this one ends. facing: a system that knows which way the surface faces each pixel.
     """
-    system = System(problem, pose, level)
-    # what is whitened by a level is in units of it
-    here, unknown = pose, system.start() if after is None else after.unknown * (after.level / level)
+    system = System(problem, pose, level, facing)
+    here, unknown = (pose, system.start()) if after is None else _onwards(after, level)
     free = system.size if problem.ties_depth else SCALE
     here, unknown, cost, normal, log_det = system.descend(here, unknown, free)
     return Settled(system, here, unknown, cost, normal, -cost - 0.5 * log_det, level)
+
+
+def _onwards(after: Settled, level: float) -> tuple[Array, Array]:
+    """Pose (4, 4) and unknowns (size,) of another level as a solution's own Gauss-Newton matrix has them: what was
+    sensed is the same, only the shared errors' prior is as wide as the level says.
+    """
+    ratio, system = level / after.level, after.system
+    own = np.zeros(system.size)
+    own[6:] = 1.0
+    # at the minimum what was sensed pulls as the prior does, the other way; whitened by `after`'s level
+    matrix = after.normal + np.diag(system.width + own * (ratio**-2.0 - 1.0))
+    step = np.linalg.solve(matrix, own * after.unknown * (1.0 - ratio**-2.0))
+    unknown = (after.unknown + own * step) / ratio
+    if max(np.abs(step[:3]).max(), np.abs(step[3:6]).max() / system.problem.model.radius) > FARTHEST:
+        return after.pose, after.unknown / ratio
+    return se3.perturb(after.pose, step[POSE], system.problem.model.centroid), unknown
 
 
 def answered(settled: Settled) -> JointResult:

@@ -27,7 +27,9 @@ def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[Joint
         return [solve(one, start, 1.0) for one, start in pairs]
     tried = [settle(problem, starts[0], settings.rigs[0].level)]
     for rig in settings.rigs[1:]:
-        tried.append(settle(problem, tried[-1].pose, rig.level, after=tried[-1]))
+        # from the second on they end so near to each other that pixels face the surface alike
+        facing = tried[1].system if len(tried) > 1 else None
+        tried.append(settle(problem, tried[-1].pose, rig.level, tried[-1], facing))
     score = np.array([t.log_evidence + np.log(rig.share) for t, rig in zip(tried, settings.rigs)])
     weights = np.exp(score - score.max())
     weights = weights / weights.sum()

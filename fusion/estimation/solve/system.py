@@ -25,8 +25,10 @@ FIXED = 13
 class System:
     """Cost, gradient and Gauss-Newton matrix of a JointProblem about (delta, whitened xi, s, b)."""
 
-    def __init__(self, problem: JointProblem, pose: Array, level: float) -> None:
-        """Pose (4, 4): where it is solved from. level: factor on what shared errors are believed to be."""
+    def __init__(self, problem: JointProblem, pose: Array, level: float, facing: System | None = None) -> None:
+        """Pose (4, 4): where it is solved from. level: factor on what shared errors are believed to be. facing: a
+        system of the same problem that knows from near there which way the surface faces each pixel.
+        """
         self.problem = problem
         self.size = FIXED + len(problem.bias)
         # a cloud keeps the weights of its rows
@@ -48,7 +50,9 @@ class System:
         self.width = np.zeros(self.size)
         self.width[POSE] = np.array([1.0] * 3 + [problem.model.radius] * 3) ** -2.0
         self._hand_white = self._whitened_hand() if problem.hand is not None else None
-        self.normals, self.slope = self._facing(pose)
+        self.normals: Array
+        self.slope: Array
+        self.normals, self.slope = self._facing(pose) if facing is None else (facing.normals, facing.slope)
         # where `terms` last was: what the vision rows cost, and how many count
         self.seen_cost, self._used = 0.0, 0
 
