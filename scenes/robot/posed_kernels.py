@@ -223,7 +223,7 @@ def inside(points, rays, tree, corners, boxes, out):  # type: ignore[no-untyped-
     of a ray is 0.
     """
     right, start, count = tree
-    waiting = np.zeros(DEEPEST, dtype=np.int64)
+    waiting, inverse = np.zeros(DEEPEST, dtype=np.int64), 1.0 / rays
     for n in range(len(points)):
         votes = 0
         for r in range(len(rays)):
@@ -234,8 +234,8 @@ def inside(points, rays, tree, corners, boxes, out):  # type: ignore[no-untyped-
                 node = waiting[depth]
                 first, last = 0.0, np.inf
                 for d in range(3):
-                    one = (boxes[node, d] - points[n, d]) / rays[r, d]
-                    other = (boxes[node, 3 + d] - points[n, d]) / rays[r, d]
+                    one = (boxes[node, d] - points[n, d]) * inverse[r, d]
+                    other = (boxes[node, 3 + d] - points[n, d]) * inverse[r, d]
                     first, last = max(first, min(one, other)), min(last, max(one, other))
                 if first > last:
                     continue
@@ -272,11 +272,16 @@ def mark_near(corners, distance, origin, cell, covered):  # type: ignore[no-unty
     """
     first, last = np.zeros(3, dtype=np.int64), np.zeros(3, dtype=np.int64)
     for n in range(len(corners)):
+        another = False
         for d in range(3):
             low = min(corners[n, 0, d], corners[n, 1, d], corners[n, 2, d]) - distance
             high = max(corners[n, 0, d], corners[n, 1, d], corners[n, 2, d]) + distance
-            first[d] = max(math.floor((low - origin[d]) / cell), 0)
-            last[d] = min(math.floor((high - origin[d]) / cell) + 1, covered.shape[d])
+            begin = max(math.floor((low - origin[d]) / cell), 0)
+            end = min(math.floor((high - origin[d]) / cell) + 1, covered.shape[d])
+            another = another or begin != first[d] or end != last[d]
+            first[d], last[d] = begin, end
+        if not another:  # the same cells as those of the triangle before
+            continue
         for i in range(first[0], last[0]):
             for j in range(first[1], last[1]):
                 for k in range(first[2], last[2]):

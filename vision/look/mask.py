@@ -165,11 +165,17 @@ def on_planes(points: Array, planes: Array, depth_model: DepthModel, settings: M
     """
     on = np.zeros(points.shape[:-1], dtype=bool)
     if len(planes):
-        own = depth_model.axial_floor, depth_model.axial_growth, depth_model.axial_from
         flat = np.ascontiguousarray(points, np.float64).reshape(-1, 3)
-        margins = settings.plane_margin, settings.plane_sigmas
-        mark_planes(flat, np.ascontiguousarray(planes, np.float64), own, margins, on.reshape(-1))
+        mark_planes(flat, *for_kernels(planes, depth_model, settings), on.reshape(-1))
     return on
+
+
+def for_kernels(
+    planes: Array, depth_model: DepthModel, settings: MaskSettings
+) -> tuple[Array, tuple[float, float, float], tuple[float, float]]:
+    """Planes (k, 6), a depth camera's noise and the margins of a plane, as compiled loops take them."""
+    own = depth_model.axial_floor, depth_model.axial_growth, depth_model.axial_from
+    return np.ascontiguousarray(planes, np.float64), own, (settings.plane_margin, settings.plane_sigmas)
 
 
 def find_planes(frame: Frame, settings: MaskSettings, depth_model: DepthModel, extent: float) -> Array:
