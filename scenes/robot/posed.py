@@ -90,6 +90,10 @@ class PosedHand:
             gradient[wrong] *= -1.0
         return distance, gradient
 
+    def gap(self, points: Array) -> float:
+        """Least distance (m) of points (n, 3) from the surface, on either side; inf for none."""
+        return float(kernels.least(np.ascontiguousarray(points, np.float64), self._tree, self._corners, self._boxes))
+
     def depth(self, camera: Camera, pose: Array, box: tuple[int, int, int, int], step: int = 1) -> Array:
         """(h, w) depth (m) at pose (4, 4) camera_from_hand through every `step` pixels of a box (u0, v0, u1, v1), half
         open; inf where the hand is not.
@@ -97,7 +101,7 @@ class PosedHand:
         u0, v0, u1, v1 = box
         out = np.full((-(-(v1 - v0) // step), -(-(u1 - u0) // step)), np.inf)
         lens = camera.fx, camera.fy, camera.cx, camera.cy
-        kernels.draw(self._corners, np.ascontiguousarray(pose), lens, u0, v0, step, NEAREST_DRAWN, out)
+        kernels.draw(self.vertices, self.faces, np.ascontiguousarray(pose), lens, u0, v0, step, NEAREST_DRAWN, out)
         return out
 
 

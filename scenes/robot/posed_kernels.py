@@ -14,6 +14,8 @@ import numpy as np
 
 # Nodes that wait at most: halves of halves of 2^60 triangles.
 DEEPEST = 64
+# What is beside a triangle by less than this (pixels) may be so by rounding, and is taken to be on its edge.
+SLACK = 1e-7
 # A length squared below this has no direction (m^2).
 _TINY = 1e-300
 
@@ -218,6 +220,34 @@ def any_within(points, within, tree, corners, boxes, out):  # type: ignore[no-un
 
 
 @numba.njit(cache=True, nogil=True)
+def least(points, tree, corners, boxes):  # type: ignore[no-untyped-def]
+    """Least distance (m) of any of points (n, 3) from any triangle, inf of none; see `nearest`."""
+    right, start, count = tree
+    waiting, away = np.zeros(DEEPEST, dtype=np.int64), np.zeros(DEEPEST)
+    best = np.inf
+    for n in range(len(points)):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        waiting[0], away[0], depth = 0, _beside(boxes[0], x, y, z), 1
+        while depth:
+            depth -= 1
+            if away[depth] >= best:
+                continue
+            node = waiting[depth]
+            for k in range(start[node], start[node] + count[node]):
+                a, b, c = _foot(corners[k], x, y, z)
+                best = min(best, (a - x) ** 2 + (b - y) ** 2 + (c - z) ** 2)
+            if count[node]:
+                continue
+            first, second = node + 1, right[node]
+            one, other = _beside(boxes[first], x, y, z), _beside(boxes[second], x, y, z)
+            if one < other:
+                first, second, one, other = second, first, other, one
+            waiting[depth], away[depth], waiting[depth + 1], away[depth + 1] = first, one, second, other
+            depth += 2
+    return math.sqrt(best)
+
+
+@numba.njit(cache=True, nogil=True)
 def inside(points, rays, tree, corners, boxes, out):  # type: ignore[no-untyped-def]
     """Fill out (n,) with whether most of rays (r, 3) from points (n, 3) cross an odd number of triangles; no component
     of a ray is 0.
@@ -289,62 +319,75 @@ def mark_near(corners, distance, origin, cell, covered):  # type: ignore[no-unty
 
 
 @numba.njit(cache=True, nogil=True)
-def draw(corners, pose, lens, u0, v0, step, nearest_drawn, out):  # type: ignore[no-untyped-def]
-    """Put the least depths (m) of triangles with corners (m, 3, 3) at pose (4, 4) camera_from_mesh into out (h, w),
-    where they are less: through pixels u0 + column * step, v0 + row * step; lens (fx, fy, cx, cy).
+def draw(vertices, faces, pose, lens, u0, v0, step, nearest_drawn, out):  # type: ignore[no-untyped-def]
+    """Put the least depths (m) of triangles faces (m, 3) of vertices (n, 3) at pose (4, 4) camera_from_mesh into out
+    (h, w), where they are less: through pixels u0 + column * step, v0 + row * step; lens (fx, fy, cx, cy).
 
     A triangle with a corner nearer than `nearest_drawn` (m) to the camera's plane is looked for in the whole image. A
     ray meets a triangle when it passes its three edges on the same side; that and the inverse depth are linear in the
-    pixel.
+    pixel, so that of each row one run of pixels does.
     """
     fx, fy, cx, cy = lens
     height, width = out.shape
-    at, u, v = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
-    for n in range(len(corners)):
-        least, most = np.inf, -np.inf
-        for i in range(3):
-            for d in range(3):
-                at[i, d] = (
-                    pose[d, 0] * corners[n, i, 0]
-                    + pose[d, 1] * corners[n, i, 1]
-                    + pose[d, 2] * corners[n, i, 2]
-                    + pose[d, 3]
-                )
-            least, most = min(least, at[i, 2]), max(most, at[i, 2])
+    at, place = np.zeros((len(vertices), 3)), np.zeros((len(vertices), 2))
+    for n in range(len(vertices)):
+        for d in range(3):
+            turned = pose[d, 0] * vertices[n, 0] + pose[d, 1] * vertices[n, 1] + pose[d, 2] * vertices[n, 2]
+            at[n, d] = turned + pose[d, 3]
+        if at[n, 2] >= nearest_drawn:
+            place[n, 0] = (fx * at[n, 0] / at[n, 2] + cx - u0) / step
+            place[n, 1] = (fy * at[n, 1] / at[n, 2] + cy - v0) / step
+    across, first = step / fx, (u0 - cx) / fx
+    edges, turn = np.zeros((3, 3)), np.zeros(3)
+    for n in range(len(faces)):
+        i, j, k = faces[n]
+        nearest_z, farthest_z = min(at[i, 2], at[j, 2], at[k, 2]), max(at[i, 2], at[j, 2], at[k, 2])
         top, bottom, left, far = 0, height, 0, width
-        if least >= nearest_drawn:
-            for i in range(3):
-                u[i] = (fx * at[i, 0] / at[i, 2] + cx - u0) / step
-                v[i] = (fy * at[i, 1] / at[i, 2] + cy - v0) / step
+        if nearest_z >= nearest_drawn:
+            low, high = min(place[i, 0], place[j, 0], place[k, 0]), max(place[i, 0], place[j, 0], place[k, 0])
+            above, below = min(place[i, 1], place[j, 1], place[k, 1]), max(place[i, 1], place[j, 1], place[k, 1])
             # compared before they are made whole: what is far beside the image is no whole number
-            if not (max(u[0], u[1], u[2]) > -1.0 and min(u[0], u[1], u[2]) < width):
+            if not (high > -1.0 and low < width and below > -1.0 and above < height):
                 continue
-            if not (max(v[0], v[1], v[2]) > -1.0 and min(v[0], v[1], v[2]) < height):
-                continue
-            left = int(max(math.ceil(min(u[0], u[1], u[2]) - 1e-6), 0.0))
-            far = int(min(math.floor(max(u[0], u[1], u[2]) + 1e-6) + 1.0, width))
-            top = int(max(math.ceil(min(v[0], v[1], v[2]) - 1e-6), 0.0))
-            bottom = int(min(math.floor(max(v[0], v[1], v[2]) + 1e-6) + 1.0, height))
-        if far <= left or bottom <= top:
+            left, far = int(max(math.ceil(low - SLACK), 0.0)), int(min(math.floor(high + SLACK) + 1.0, width))
+            top, bottom = int(max(math.ceil(above - SLACK), 0.0)), int(min(math.floor(below + SLACK) + 1.0, height))
+        if farthest_z <= 0.0 or far <= left or bottom <= top:
             continue
-        x0, y0, z0 = _across(at[0], at[1])
-        x1, y1, z1 = _across(at[1], at[2])
-        x2, y2, z2 = _across(at[2], at[0])
+        edges[0, 0], edges[0, 1], edges[0, 2] = _across(at[i], at[j])
+        edges[1, 0], edges[1, 1], edges[1, 2] = _across(at[j], at[k])
+        edges[2, 0], edges[2, 1], edges[2, 2] = _across(at[k], at[i])
         # the plane's normal is the sum of the three, and its height any corner's
-        a, b, c = x0 + x1 + x2, y0 + y1 + y2, z0 + z1 + z2
-        plane = a * at[0, 0] + b * at[0, 1] + c * at[0, 2]
+        a = edges[0, 0] + edges[1, 0] + edges[2, 0]
+        b = edges[0, 1] + edges[1, 1] + edges[2, 1]
+        c = edges[0, 2] + edges[1, 2] + edges[2, 2]
+        plane = a * at[i, 0] + b * at[i, 1] + c * at[i, 2]
         if plane == 0.0:
             continue
+        # where the triangle is ahead, all three have the plane's sign inside
+        sign = 1.0 if plane > 0.0 else -1.0
+        for e in range(3):
+            slope = sign * edges[e, 0] * across
+            turn[e] = 1.0 / slope if slope != 0.0 else 0.0
         for row in range(top, bottom):
             y = (v0 + row * step - cy) / fy
-            for column in range(left, far):
-                x = (u0 + column * step - cx) / fx
-                one, two, three = x0 * x + y0 * y + z0, x1 * x + y1 * y + z1, x2 * x + y2 * y + z2
-                if (one >= 0.0 and two >= 0.0 and three >= 0.0) or (one <= 0.0 and two <= 0.0 and three <= 0.0):
-                    inverse = (a * x + b * y + c) / plane
-                    if inverse > 0.0:
-                        # of a triangle seen from its edge rounding knows no depth, its corners do
-                        out[row, column] = min(out[row, column], min(max(1.0 / inverse, least), most))
+            begin, end = float(left), far - 1.0
+            for e in range(3):
+                beside = sign * (edges[e, 0] * first + edges[e, 1] * y + edges[e, 2])
+                if turn[e] > 0.0:
+                    begin = max(begin, math.ceil(-beside * turn[e] - SLACK))
+                elif turn[e] < 0.0:
+                    end = min(end, math.floor(-beside * turn[e] + SLACK))
+                elif beside < 0.0:
+                    end = -1.0
+            # not true of NaN either
+            if not begin <= end:
+                continue
+            for column in range(int(begin), int(end) + 1):
+                inverse = (a * (first + column * across) + b * y + c) / plane
+                if inverse > 0.0:
+                    # of a triangle seen from its edge rounding knows no depth, its corners do
+                    depth = min(max(1.0 / inverse, nearest_z), farthest_z)
+                    out[row, column] = min(out[row, column], depth)
 
 
 @numba.njit(cache=True, nogil=True, inline="always")

@@ -66,7 +66,7 @@ class HandView:
 
     def gap(self, points: Array) -> float:
         """Least distance (m) between camera-frame points (n, 3), n at least 1, and the aligned hand."""
-        return float(np.abs(self.surface.closest(se3.apply(se3.inverse(self.aligned), points))[0]).min())
+        return self.surface.gap(se3.apply(se3.inverse(self.aligned), points))
 
     def depth(self, camera: Camera, box: tuple[int, int, int, int]) -> Array:
         """(h, w) depth (m) of the aligned hand through the pixels of a box (u0, v0, u1, v1); inf where it is not."""

@@ -40,12 +40,11 @@ def sort(depth, lens, box, stride, mask, ball, planes, noise, margins, which):  
     planes (k, 6) and in the mask, else OTHER; returns how many of each. noise, margins: see mark_planes.
     """
     fx, fy, cx, cy = lens
-    u0, v0, u1, v1 = box
     chosen, others = 0, 0
     for row in range(which.shape[0]):
-        v = v0 + row * stride
+        v = box[1] + row * stride
         for column in range(which.shape[1]):
-            u = u0 + column * stride
+            u = box[0] + column * stride
             z = float(depth[v, u])
             if not 0.0 < z < FARTHEST_READING:
                 continue

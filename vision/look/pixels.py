@@ -80,7 +80,7 @@ def read_pixels(
     if mask is not None:
         area = int(mask[v0:v1, u0:u1].sum())
     stride = max(1, int(np.ceil(np.sqrt(area / most))))
-    room = max(0, -(-(u1 - u0) // stride)) * max(0, -(-(v1 - v0) // stride))
+    room = min(area, max(0, -(-(u1 - u0) // stride)) * max(0, -(-(v1 - v0) // stride)))
     uv, points = np.zeros((room, 2), dtype=np.int64), np.zeros((room, 3))
     lens = camera.fx, camera.fy, camera.cx, camera.cy
     within = NO_MASK if mask is None else np.ascontiguousarray(mask, dtype=bool)

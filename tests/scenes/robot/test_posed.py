@@ -91,3 +91,11 @@ def test_it_is_drawn_as_rays_meet_it(both, rng, box, step):
         there = np.isfinite(depth) & np.isfinite(met)
         assert (np.isfinite(depth) != np.isfinite(met)).mean() < 1e-3
         assert (np.abs(depth[there] - met[there]) > 1e-5).mean() < 1e-3 if there.any() else True
+
+
+def test_the_gap_is_that_of_the_nearest_point(both, rng):
+    hand, surface = both
+    points = around(surface, rng, 200)
+    for some in (points, points[:1], points[7:9]):
+        np.testing.assert_allclose(hand.gap(some), np.abs(surface.closest(some)[0]).min(), atol=2e-7)
+    assert hand.gap(points[:0]) == np.inf
