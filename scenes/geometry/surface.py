@@ -13,11 +13,11 @@ from scenes.geometry.surface_kernels import feet, in_cells, mark_cells
 Array = NDArray[np.float64]
 
 # Above this cosine between its offset and the triangle's normal, a foot lies within the triangle.
-_UPRIGHT = 0.999
+UPRIGHT = 0.999
 # Most cells along the longest side of the grid that sorts out what is far away.
 _CELLS = 64
 # Rays that vote on inside and outside: one may run through an edge.
-_RAYS = np.array([[0.5377, 0.7213, 0.4366], [-0.6124, 0.3391, 0.7141], [0.2267, -0.8315, 0.5072]])
+OUTWARD_RAYS = np.array([[0.5377, 0.7213, 0.4366], [-0.6124, 0.3391, 0.7141], [0.2267, -0.8315, 0.5072]])
 
 
 class Surface:
@@ -86,7 +86,7 @@ class Surface:
         foot = found["points"].numpy().astype(np.float64)
         distance, slanted = np.zeros(len(local)), np.zeros(len(local), dtype=bool)
         gradient = np.zeros((len(local), 3))
-        feet(local, face, self._corners, self._normals, _UPRIGHT, foot, distance, gradient, slanted)
+        feet(local, face, self._corners, self._normals, UPRIGHT, foot, distance, gradient, slanted)
         if slanted.any():
             # their sign is that of the side that rays tell
             wrong = np.flatnonzero(slanted)[self._is_inside(local[slanted]) != (distance[slanted] < 0)]
@@ -99,10 +99,10 @@ class Surface:
         times. The rays are always the same; Open3D's own vote draws them anew at every call.
         """
         o3d = open3d()
-        points = np.repeat(local, len(_RAYS), axis=0)
-        rays = np.concatenate([points, np.tile(_RAYS, (len(local), 1))], axis=1).astype(np.float32)
+        points = np.repeat(local, len(OUTWARD_RAYS), axis=0)
+        rays = np.concatenate([points, np.tile(OUTWARD_RAYS, (len(local), 1))], axis=1).astype(np.float32)
         crossings = self._scene.count_intersections(o3d.core.Tensor(rays)).numpy()
-        return np.asarray((crossings % 2).reshape(len(local), len(_RAYS)).sum(axis=1) * 2 > len(_RAYS))
+        return np.asarray((crossings % 2).reshape(len(local), len(OUTWARD_RAYS)).sum(axis=1) * 2 > len(OUTWARD_RAYS))
 
     def cast(self, origins: Array, directions: Array) -> Array:
         """Ray parameter t (n,) of the first hit, inf for none: origins (n, 3) + t directions (n, 3)."""

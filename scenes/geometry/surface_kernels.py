@@ -77,11 +77,14 @@ def feet(points, face, corners, normals, upright, foot, distance, gradient, slan
     """Signed distance (n,) and its unit gradient (n, 3) of points (n, 3) whose closest points are foot (n, 3), put back
     in place onto the planes of their triangles, face (n,).
 
-    corners (m, 3, 3), normals (m, 3): of the triangles. slanted (n,): whether the foot is on an edge or a corner, so
-    that the side of one triangle does not tell the sign: its cosine with the normal is below `upright`.
+    corners (m, 3, 3), normals (m, 3): of the triangles. A point without one, -1, is left as it is. slanted (n,):
+    whether the foot is on an edge or a corner, so that the side of one triangle does not tell the sign: its cosine with
+    the normal is below `upright`.
     """
     for n in range(points.shape[0]):
         f = face[n]
+        if f < 0:
+            continue
         a, b, c = normals[f, 0], normals[f, 1], normals[f, 2]
         off = 0.0
         for i in range(3):

@@ -214,11 +214,13 @@ class Hand:
         """
         return dict(zip(self.link_names, self._poses_of_values(self.joint_values(joints))))
 
+    def vertices(self, joints: dict[str, float]) -> Array:
+        """(n, 3) corners of the hand's mesh in the hand frame."""
+        return _by_link(self._poses_of_values(self.joint_values(joints)), self._vertex_link, self._vertices)
+
     def mesh(self, joints: dict[str, float]) -> tuple[Array, Indices, Indices]:
         """Vertices (n, 3) in the hand frame, faces (m, 3) wound outwards, and each face's link (m,)."""
-        hand_from_link = self._poses_of_values(self.joint_values(joints))
-        vertices = _by_link(hand_from_link, self._vertex_link, self._vertices)
-        return vertices, self._faces.copy(), self._face_link.copy()
+        return self.vertices(joints), self._faces.copy(), self._face_link.copy()
 
     def surface_samples(self, spacing: float = SAMPLE_SPACING, corners: bool = True) -> tuple[Array, Array, Indices]:
         """Points (n, 3) on the links, normals (n, 3), link (n,): every spot of a surface is within `spacing` of one.

@@ -8,7 +8,7 @@ import pytest
 from scenes.geometry import poses
 from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import Beliefs, CalibrationModel
-from vision.look.hand import camera_from_hand, is_near, prior_information, view_hand
+from vision.look.hand import camera_from_hand, prior_information, view_hand
 from vision.look.pixels import read_pixels
 
 FULL = (0, 0, 640, 480)
@@ -86,12 +86,3 @@ def test_the_hands_depth_is_that_of_a_renderer(exact_frame, box):
     assert (np.isfinite(depth) != there).mean() < 1e-3  # single precision, at the outline
     both = np.isfinite(depth) & there
     assert np.allclose(depth[both], drawn.depth[both], atol=1e-4)
-
-
-def test_what_is_near_the_hand_is_what_closest_points_tell(exact_frame, rng):
-    surface = look(exact_frame).surface
-    low, high = surface.bounds
-    points = rng.uniform(low - 0.02, high + 0.02, size=(500, 3))
-    near = is_near(surface, points, np.array([0.0, 0.0, -0.5]), 0.01)
-    assert 0 < near.sum() < len(near)
-    assert (near == (np.abs(surface.closest(points)[0]) < 0.01)).all()

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from scenes.geometry import poses as se3
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering_kernels import mesh_rays
-from scenes.geometry.surface import Surface
 from scenes.recordings.beliefs import Beliefs, CalibrationModel
 from scenes.recordings.frames import Frame
+from scenes.robot.posed import PosedHand
 from vision.look.pixels import Pixels
 
 Array = NDArray[np.float64]
@@ -47,7 +46,7 @@ class HandView:
 
     xi (6,): the correction found, poses.perturb of the identity about centre (3,) camera frame. points (n, 3): pixels
     that agree, camera frame; residual (n,) m: their distances to the aligned hand; directions (n, 3): the gradients of
-    those. surface: the hand's mesh in the hand frame.
+    those. surface: the hand's at its joints, hand frame.
     """
 
     measured: Array
@@ -57,41 +56,21 @@ class HandView:
     points: Array
     residual: Array
     directions: Array
-    surface: Surface
+    surface: PosedHand
 
     def nearer(self, points: Array, distance: float) -> NDArray[np.bool_]:
         """(n,) whether camera-frame points (n, 3) are nearer than `distance` (m) to the aligned hand, or inside it
         that deep.
         """
-        hand_from_camera = se3.inverse(self.aligned)
-        local = se3.apply(hand_from_camera, points)
-        out = self.surface.may_be_within(local, distance)
-        asked = np.flatnonzero(out)
-        out[asked] = is_near(self.surface, local[asked], hand_from_camera[:3, 3], distance)
-        return out
+        return self.surface.is_within(se3.apply(se3.inverse(self.aligned), points), distance)
 
     def gap(self, points: Array) -> float:
         """Least distance (m) between camera-frame points (n, 3), n at least 1, and the aligned hand."""
-        return float(np.abs(self.surface.closest(se3.apply(se3.inverse(self.aligned), points))[0]).min())
+        return self.surface.gap(se3.apply(se3.inverse(self.aligned), points))
 
     def depth(self, camera: Camera, box: tuple[int, int, int, int]) -> Array:
         """(h, w) depth (m) of the aligned hand through the pixels of a box (u0, v0, u1, v1); inf where it is not."""
-        out = np.full((box[3] - box[1], box[2] - box[0]), np.inf)
-        low, high = self.surface.bounds
-        corners = se3.apply(self.aligned, np.where(np.indices((2, 2, 2)).reshape(3, 8).T > 0, high, low))
-        u0, v0, u1, v1 = box
-        if (corners[:, 2] > 1e-3).all():
-            uv, _ = camera.project(corners)
-            first, last = np.floor(uv.min(axis=0)) - 1.0, np.ceil(uv.max(axis=0)) + 2.0
-            u0, v0 = (int(np.clip(a, b, c)) for a, b, c in zip(first, box[:2], box[2:]))
-            u1, v1 = (int(np.clip(a, b, c)) for a, b, c in zip(last, (u0, v0), box[2:]))
-        inverse = se3.inverse(self.aligned)
-        rays = np.zeros((v1 - v0, u1 - u0, 6), dtype=np.float32)
-        lens = camera.fx, camera.fy, camera.cx, camera.cy, u0, v0
-        mesh_rays(*lens, inverse[:3, 3] - self.surface.middle, np.ascontiguousarray(inverse[:3, :3]), rays)
-        met = self.surface.cast_local(rays.reshape(-1, 6)).reshape(rays.shape[:2])
-        out[v0 - box[1] : v1 - box[1], u0 - box[0] : u1 - box[0]] = met
-        return out
+        return self.surface.depth(camera, self.aligned, box)
 
     def correct(self) -> Array:
         """camera_from_camera transform that moves what the robot reports to where the camera sees it."""
@@ -125,13 +104,12 @@ def view_hand(
     measured = camera_from_hand(frame)
     if frame.hand is None or frame.joints is None or measured is None:
         return None
-    vertices, faces, _ = frame.hand.mesh(frame.joints)
-    surface = Surface(vertices, faces)
+    surface = PosedHand(frame.hand, frame.joints)
     local, gate = se3.apply(se3.inverse(measured), pixels.points), 2 * settings.gates[0]
     may_be = np.flatnonzero(surface.may_be_within(local, gate))
     step = max(1, len(may_be) // settings.most)
     few = may_be[::step]
-    points = pixels.points[few[is_near(surface, local[few], se3.inverse(measured)[:3, 3], gate)]]
+    points = pixels.points[few[surface.is_within(local[few], gate)]]
     if len(points) < settings.fewest:
         return HandView(measured, measured, measured[:3, 3], np.zeros(6), points[:0], np.zeros(0), points[:0], surface)
     centre = points.mean(axis=0)
@@ -139,7 +117,7 @@ def view_hand(
 
 
 def fit_hand(
-    surface: Surface,
+    surface: PosedHand,
     measured: Array,
     xi: Array,
     centre: Array,
@@ -174,21 +152,10 @@ def fit_hand(
     return HandView(measured, aligned, centre, xi, points[agree], distance[agree], direction[agree], surface)
 
 
-def is_near(surface: Surface, points: Array, eye: Array, distance: float) -> NDArray[np.bool_]:
-    """(n,) whether points (n, 3) are nearer than `distance` (m) to a surface, or inside it that deep. eye (3,): from
-    where they are seen; a ray that meets the surface near its point proves it, in a quarter of the time that the
-    closest point takes.
+def hand_terms(surface: PosedHand, camera_from_hand: Array, points: Array, gate: float) -> tuple[Array, Array, Array]:
+    """Distances (n,) of points to the hand, their gradients (n, 3) camera frame, and robust weights (n,) (Tukey): 0
+    beyond the gate, where no more is told than that.
     """
-    along = points - eye
-    met = surface.cast(np.broadcast_to(eye, along.shape), along)
-    near = np.abs(met - 1.0) * np.linalg.norm(along, axis=1) < distance
-    left = np.flatnonzero(~near)
-    near[left] = np.abs(surface.closest(points[left])[0]) < distance
-    return near
-
-
-def hand_terms(surface: Surface, camera_from_hand: Array, points: Array, gate: float) -> tuple[Array, Array, Array]:
-    """Distances (n,) of points to the hand, their gradients (n, 3) camera frame, and robust weights (n,) (Tukey)."""
-    distance, direction, _ = surface.closest(se3.apply(se3.inverse(camera_from_hand), points))
+    distance, direction = surface.closest(se3.apply(se3.inverse(camera_from_hand), points), gate)
     robust = np.square(np.maximum(0.0, 1.0 - (distance / gate) ** 2))
     return distance, direction @ camera_from_hand[:3, :3].T, robust

@@ -18,8 +18,9 @@ from scenes.recordings.frames import Frame
 from vision.look.colours import Coloured, PartingSettings
 from vision.look.hand import HandView, HandViewSettings, view_hand
 from vision.look.looked import Looked, RowSettings, no_pixels, no_planes, nothing_seen
-from vision.look.mask import MaskSettings, connected_pieces, find_planes, object_mask, on_planes
-from vision.look.pixels import Pixels, Region, read_pixels
+from vision.look.mask import MaskSettings, connected_pieces, find_planes, for_kernels, object_mask, on_planes
+from vision.look.pixel_kernels import CHOSEN, OTHER
+from vision.look.pixels import Pixels, Region, read_pixels, sort_pixels
 from vision.look.points import all_points
 from vision.look.regions import find_region, region_around
 
@@ -232,17 +233,10 @@ def _sorted(
     box = _box(frame, region)
     if box is None:
         return nothing_seen(region, "region outside the image")
-    pixels = read_pixels(frame.depth, frame.camera, box, settings.most)
-    inside = np.ones(len(pixels), dtype=bool)
-    if region is not None:
-        inside = np.linalg.norm(pixels.points - region.centre, axis=1) < region.radius
-    if mask is not None:
-        inside &= mask[pixels.uv[:, 1], pixels.uv[:, 0]]
     planes = no_planes() if planes is None else planes
-    if len(planes):
-        inside &= ~on_planes(pixels.points, planes, (beliefs or Beliefs()).depth, settings.mask)
-    others = pixels.some(~inside, settings.most_others)
-    mine = pixels.some(inside, settings.most_inside)
+    off = for_kernels(planes, (beliefs or Beliefs()).depth, settings.mask)
+    pixels = sort_pixels(frame.depth, frame.camera, box, settings.most, region, mask, off)
+    others, mine = pixels.some(OTHER, settings.most_others), pixels.some(CHOSEN, settings.most_inside)
     dropped: dict[str, int] = {}
     near_hand = np.zeros(len(mine), dtype=bool)
     if hand is not None and len(mine):

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.geometry import poses
-from scenes.geometry.cameras import is_reading
+from scenes.geometry.cameras import Camera
 from scenes.geometry.nearest import Nearest
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs, DepthModel
 from scenes.recordings.frames import Frame
+from vision.look import mask_kernels as kernels
 from vision.look.hand import HandView, HandViewSettings, view_hand
 from vision.look.piece_kernels import mark_planes, number_pieces
 from vision.look.pixels import Region, read_pixels
@@ -24,6 +25,9 @@ from vision.look.regions import find_region
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+# Points of a piece, about, from which its distances are told.
+SAMPLES = 300
 
 
 @dataclass(frozen=True)
@@ -113,15 +117,15 @@ def object_mask(
     if box is None:
         return mask
     part = (slice(box[1], box[3]), slice(box[0], box[2]))
-    points, candidates = _candidates(frame, model, start, region, box, settings, beliefs.depth)
+    z, candidates = _candidates(frame, model, start, region, box, settings, beliefs.depth)
     if view is None and frame.hand is not None and frame.joints is not None and frame.world_from_hand is not None:
         wide = read_pixels(frame.depth, frame.camera, full, settings.most_hand)
         view = view_hand(frame, wide, beliefs, HandViewSettings())
     if view is not None:
         rgb = frame.rgb[part] if colour and frame.rgb is not None else None
-        candidates &= ~_hand_pixels(frame, view, box, points[..., 2], candidates, rgb, settings)
-    pieces = connected_pieces(points[..., 2], candidates, settings)
-    mask[part] = _chosen(pieces, points, frame, model, start, view, settings)
+        candidates &= ~_hand_pixels(frame, view, box, z, candidates, rgb, settings)
+    pieces = connected_pieces(z, candidates, settings)
+    mask[part] = _chosen(pieces, z, (box[0], box[1]), frame, model, start, view, settings)
     return mask
 
 
@@ -134,28 +138,23 @@ def _candidates(
     settings: MaskSettings,
     depth_model: DepthModel,
 ) -> tuple[Array, Mask]:
-    """Points (h, w, 3) of a box of pixels, and which may be the object's by where they are."""
+    """Depths (h, w) of a box of pixels, 0 for no reading, and which may be the object's by where they are."""
     assert frame.depth is not None
     assert frame.camera is not None
-    u0, v0, u1, v1 = box
-    z = frame.depth[v0:v1, u0:u1].astype(np.float64)
-    good = is_reading(z)
-    z = np.where(good, z, 0.0)
-    x = (np.arange(u0, u1) - frame.camera.cx) / frame.camera.fx * z
-    y = ((np.arange(v0, v1) - frame.camera.cy) / frame.camera.fy)[:, None] * z
-    points = np.stack([x, y, z], axis=2)
-    if region is not None:
-        away = np.square(x - region.centre[0])
-        away += np.square(y - region.centre[1])
-        away += np.square(z - region.centre[2])
-        good &= away < region.radius**2
+    camera = frame.camera
+    z, good = np.zeros((box[3] - box[1], box[2] - box[0])), np.zeros((box[3] - box[1], box[2] - box[0]), dtype=bool)
     plane = find_plane(_some_points(frame, settings), settings, depth_model)
-    if plane is not None:
-        good &= ~on_planes(points, plane[None], depth_model, settings)
+    off = for_kernels(np.zeros((0, 6)) if plane is None else plane[None], depth_model, settings)
+    ball = (0.0, 0.0, 0.0, np.inf) if region is None else (*(float(x) for x in region.centre), float(region.radius))
+    lens = camera.fx, camera.fy, camera.cx, camera.cy
+    kernels.candidates(np.ascontiguousarray(frame.depth), lens, box, ball, *off, z, good)
     if start is not None and good.any():
-        distance = model.field.distance(poses.apply(poses.inverse(start), points[good]))
+        row, column = np.nonzero(good)
+        x, y = (column + box[0] - camera.cx) / camera.fx, (row + box[1] - camera.cy) / camera.fy
+        points = np.stack([x, y, np.ones(len(row))], axis=1) * z[good][:, None]
+        distance = model.field.distance(poses.apply(poses.inverse(start), points))
         good[good] = np.abs(distance) < settings.reach
-    return points, good
+    return z, good
 
 
 def on_planes(points: Array, planes: Array, depth_model: DepthModel, settings: MaskSettings) -> Mask:
@@ -165,11 +164,17 @@ def on_planes(points: Array, planes: Array, depth_model: DepthModel, settings: M
     """
     on = np.zeros(points.shape[:-1], dtype=bool)
     if len(planes):
-        own = depth_model.axial_floor, depth_model.axial_growth, depth_model.axial_from
         flat = np.ascontiguousarray(points, np.float64).reshape(-1, 3)
-        margins = settings.plane_margin, settings.plane_sigmas
-        mark_planes(flat, np.ascontiguousarray(planes, np.float64), own, margins, on.reshape(-1))
+        mark_planes(flat, *for_kernels(planes, depth_model, settings), on.reshape(-1))
     return on
+
+
+def for_kernels(
+    planes: Array, depth_model: DepthModel, settings: MaskSettings
+) -> tuple[Array, tuple[float, float, float], tuple[float, float]]:
+    """Planes (k, 6), a depth camera's noise and the margins of a plane, as compiled loops take them."""
+    own = depth_model.axial_floor, depth_model.axial_growth, depth_model.axial_from
+    return np.ascontiguousarray(planes, np.float64), own, (settings.plane_margin, settings.plane_sigmas)
 
 
 def find_planes(frame: Frame, settings: MaskSettings, depth_model: DepthModel, extent: float) -> Array:
@@ -269,23 +274,28 @@ def _hand_pixels(
     candidates: Mask,
     rgb: NDArray[np.uint8] | None,
     settings: MaskSettings,
+    drawn: Array | None = None,
 ) -> Mask:
-    """(h, w) pixels of the box that show the hand: where it is rendered at that depth, or uncertainly beside it."""
+    """(h, w) pixels of the box that show the hand: where it is rendered at that depth, or uncertainly beside it.
+
+    drawn (h, w): the hand's depth, when it is known.
+    """
     import cv2
 
     assert frame.camera is not None
-    depth = view.depth(frame.camera, box)
-    there = np.isfinite(depth).astype(np.uint8)
+    drawn = view.depth(frame.camera, box) if drawn is None else drawn
+    there = np.isfinite(drawn).astype(np.uint8)
     if not there.any():
         return np.zeros(z.shape, dtype=bool)
-    depth = np.where(there > 0, depth, 0.0).astype(np.float32)
+    depth = np.where(there > 0, drawn, 0.0).astype(np.float32)
     middle = float(np.median(depth[there > 0]))
     outline = int(np.ceil(settings.hand_outline * frame.camera.fx / middle))
     strip = outline + (settings.colour_strip if rgb is not None else 0)
     kernel = np.ones((2 * strip + 1, 2 * strip + 1), np.uint8)
     far = cv2.dilate(depth, kernel)
     near = cv2.erode(np.where(there > 0, depth, np.float32(1e3)), kernel)
-    close = candidates & (z > near - settings.hand_margin) & (z < far + settings.hand_margin)
+    close = np.zeros(z.shape, dtype=bool)
+    kernels.close_to(z, candidates, near, far, np.float32(settings.hand_margin), close)
     if rgb is None:
         return np.asarray(close)
     inner = close & (cv2.erode(there, kernel) > 0)
@@ -294,7 +304,7 @@ def _hand_pixels(
     uncertain = close & ~inner
     scores = _colour_scores(rgb, inner, outer, uncertain, settings)
     if scores is None:
-        return _hand_pixels(frame, view, box, z, candidates, None, settings)
+        return _hand_pixels(frame, view, box, z, candidates, None, settings, drawn)
     inner[uncertain] = scores > 0
     return np.asarray(inner)
 
@@ -309,21 +319,23 @@ def _colour_scores(
     if min(hand.sum(), other.sum()) < settings.colour_pixels:
         return None
 
-    def shares(chosen: Mask) -> Array:
-        colours = rgb[chosen].astype(np.float64)
-        return np.asarray(colours[:, :2] / np.maximum(colours.sum(axis=1, keepdims=True), 1.0))
+    def shares(chosen: Mask, most: float) -> Array:
+        count = int(chosen.sum())
+        step = int(max(1, count // most))
+        out = np.zeros((-(-count // step), 2))
+        kernels.shares(rgb, chosen, step, out)
+        return out
 
     centres, spreads = [], []
     for part in (hand, other):
-        share = shares(part)
-        share = share[:: max(1, len(share) // settings.colour_most)]
+        share = shares(part, settings.colour_most)
         centre = np.median(share, axis=0)
         centres.append(centre)
         spreads.append(np.maximum(1.4826 * np.median(np.abs(share - centre), axis=0), settings.colour_floor))
     apart = np.abs(centres[0] - centres[1]) / np.sqrt((spreads[0] ** 2 + spreads[1] ** 2) / 2)
     if apart.max() < settings.colour_apart:
         return None
-    share = shares(asked)
+    share = shares(asked, np.inf)
     off = [np.square((share - c) / s).sum(axis=1) + 2 * np.log(s).sum() for c, s in zip(centres, spreads)]
     return np.asarray(off[1] - off[0])
 
@@ -340,14 +352,19 @@ def connected_pieces(z: Array, candidates: Mask, settings: MaskSettings) -> NDAr
 
 def _chosen(
     pieces: NDArray[np.int64],
-    points: Array,
+    z: Array,
+    corner: tuple[int, int],
     frame: Frame,
     model: ObjectModel,
     start: Array | None,
     view: HandView | None,
     settings: MaskSettings,
 ) -> Mask:
-    """(h, w) pixels of the pieces that are held, felt, or where the start expects the object; else the largest."""
+    """(h, w) pixels of the pieces that are held, felt, or where the start expects the object; else the largest.
+
+    z (h, w): depths (m) of the pixels from corner (u, v) on.
+    """
+    assert frame.camera is not None
     size = np.bincount(pieces[pieces >= 0])
     kept = np.zeros(len(size) + 1, dtype=bool)  # the last one stands for no piece
     felt = frame.contacts.moved(frame.camera_from_world).points
@@ -355,10 +372,8 @@ def _chosen(
     thickness = settings.held + 2.0 * max(0.0, -float(model.field.values.min()))
     gaps = np.full(len(size), np.inf)
     off = np.zeros(len(size))
-    samples: dict[int, Array] = {}
-    for piece in np.nonzero(size >= settings.smallest)[0]:
-        own = points[pieces == piece]
-        few = samples[int(piece)] = own[:: max(1, len(own) // 300)]
+    samples = _samples(pieces, np.where(size >= settings.smallest, size, 0), z, corner, frame.camera)
+    for piece, few in samples.items():
         if view is not None:
             gaps[piece] = view.gap(few)
         if len(felt):
@@ -372,8 +387,8 @@ def _chosen(
     behind = np.where(near, size, 0)
     if behind.max(initial=0) > settings.larger * size[kept[:-1]].sum():
         kept[int(behind.argmax())] = True
-    if start is None and view is not None and frame.camera is not None and kept.any():
-        middle = float(np.median(points[..., 2][pieces >= 0]))
+    if start is None and view is not None and kept.any():
+        middle = float(np.median(z[pieces >= 0]))
         # the mean shadow of a convex body is a quarter of its surface (Cauchy); that of another is less
         shown = settings.fair_share * model.area / 4.0 * frame.camera.fx * frame.camera.fy / middle**2
         far = np.where((gaps < model.diameter) & ~kept[:-1], size, 0)
@@ -382,6 +397,19 @@ def _chosen(
     if not kept.any() and size.max(initial=0) >= settings.smallest:
         kept[int(size.argmax())] = True
     return np.asarray(kept[pieces])
+
+
+def _samples(
+    pieces: NDArray[np.int64], size: NDArray[np.int64], z: Array, corner: tuple[int, int], camera: Camera
+) -> dict[int, Array]:
+    """About SAMPLES points (n, 3) of each of pieces (h, w) whose size (k,) is not 0, by its number."""
+    step = np.where(size > 0, np.maximum(size // SAMPLES, 1), 0)
+    counts = np.where(step > 0, -(-size // np.maximum(step, 1)), 0)
+    ends = np.cumsum(counts)
+    points = np.zeros((int(ends[-1]) if len(ends) else 0, 3))
+    lens = camera.fx, camera.fy, camera.cx, camera.cy
+    kernels.every(pieces, step, ends - counts, lens, corner, z, points)
+    return {int(piece): points[ends[piece] - counts[piece] : ends[piece]] for piece in np.flatnonzero(size)}
 
 
 def _join(kept: Mask, samples: dict[int, Array], gap: float) -> None:

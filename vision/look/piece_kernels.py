@@ -56,21 +56,26 @@ def number_pieces(z, candidates, step, step_share, parent, out):  # type: ignore
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def is_on_plane(x, y, z, planes, noise, margins):  # type: ignore[no-untyped-def]
+    """Whether a point is on one of planes (k, 6); see mark_planes."""
+    floor, growth, least_from = noise
+    margin, sigmas = margins
+    smooth = margin / sigmas
+    own = floor + growth * (z - least_from) * (z - least_from)
+    for k in range(planes.shape[0]):
+        height = x * planes[k, 0] + y * planes[k, 1] + z * planes[k, 2] + planes[k, 3]
+        room = max(margin + sigmas * own, sigmas * planes[k, 4] * math.sqrt(own * own + smooth * smooth))
+        if -max(room, planes[k, 5]) <= height <= room:
+            return True
+    return False
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def mark_planes(points, planes, noise, margins, out):  # type: ignore[no-untyped-def]
     """Mark in out (n,) the points (n, 3) that are on one of planes (k, 6); see vision.look.mask.on_planes.
 
     noise: floor, growth and depth it grows from of a DepthModel's independent sigma. margins: of a plane (m), and
     sigmas.
     """
-    floor, growth, least_from = noise
-    margin, sigmas = margins
-    smooth = margin / sigmas
     for n in range(points.shape[0]):
-        x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        own = floor + growth * (z - least_from) * (z - least_from)
-        for k in range(planes.shape[0]):
-            height = x * planes[k, 0] + y * planes[k, 1] + z * planes[k, 2] + planes[k, 3]
-            room = max(margin + sigmas * own, sigmas * planes[k, 4] * math.sqrt(own * own + smooth * smooth))
-            if -max(room, planes[k, 5]) <= height <= room:
-                out[n] = True
-                break
+        out[n] = out[n] or is_on_plane(points[n, 0], points[n, 1], points[n, 2], planes, noise, margins)

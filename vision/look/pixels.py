@@ -7,9 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.geometry.cameras import Camera, is_reading
+from scenes.geometry.cameras import Camera
+from vision.look import pixel_kernels as kernels
 
 Array = NDArray[np.float64]
+
+# Any pixel.
+NO_MASK = np.zeros((0, 0), dtype=bool)
 
 
 @dataclass(frozen=True)
@@ -55,14 +59,6 @@ class Pixels:
         """The chosen pixels."""
         return Pixels(self.uv[index], self.points[index], self.area)
 
-    def some(self, which: NDArray[np.bool_], most: int) -> Pixels:
-        """Of the chosen (n,) at most `most`, as `thinned`: only these are copied."""
-        chosen = np.flatnonzero(which)
-        if len(chosen) <= most:
-            return self.take(chosen)
-        index = chosen[(np.arange(most) * len(chosen)) // most]
-        return Pixels(self.uv[index], self.points[index], self.area * len(chosen) / most)
-
     def thinned(self, most: int) -> Pixels:
         """At most `most` of them, evenly over their order; each stands for more of the image."""
         if len(self) <= most:
@@ -84,12 +80,52 @@ def read_pixels(
     if mask is not None:
         area = int(mask[v0:v1, u0:u1].sum())
     stride = max(1, int(np.ceil(np.sqrt(area / most))))
-    grid_u, grid_v = np.meshgrid(np.arange(u0, u1, stride), np.arange(v0, v1, stride))
-    u, v = grid_u.ravel(), grid_v.ravel()
-    z = depth[v, u]
-    valid = is_reading(z)
-    if mask is not None:
-        valid &= mask[v, u]
-    u, v, z = u[valid], v[valid], z[valid].astype(np.float64)
-    points = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=1)
-    return Pixels(np.stack([u, v], axis=1), points, float(stride * stride))
+    room = min(area, max(0, -(-(u1 - u0) // stride)) * max(0, -(-(v1 - v0) // stride)))
+    uv, points = np.zeros((room, 2), dtype=np.int64), np.zeros((room, 3))
+    lens = camera.fx, camera.fy, camera.cx, camera.cy
+    within = NO_MASK if mask is None else np.ascontiguousarray(mask, dtype=bool)
+    count = kernels.read(np.ascontiguousarray(depth), lens, box, stride, within, uv, points)
+    return Pixels(uv[:count], points[:count], float(stride * stride))
+
+
+@dataclass(frozen=True)
+class Sorted:
+    """Pixels with a reading on an even grid of a box, by whether they are chosen: which (rows, columns), and counts."""
+
+    depth: NDArray[np.float32]
+    lens: tuple[float, float, float, float]
+    box: tuple[int, int, int, int]
+    stride: int
+    which: NDArray[np.int8]
+    counts: dict[int, int]
+
+    def some(self, kind: int, most: int) -> Pixels:
+        """At most `most` pixels of a kind, evenly over their order; each stands for more of the image."""
+        count, area = self.counts[kind], float(self.stride**2)
+        kept = min(count, most)
+        uv, points = np.zeros((kept, 2), dtype=np.int64), np.zeros((kept, 3))
+        if kept:
+            kernels.take(self.depth, self.lens, self.box, self.stride, self.which, kind, count, uv, points)
+        return Pixels(uv, points, area * count / most if count > most else area)
+
+
+def sort_pixels(
+    depth: NDArray[np.float32],
+    camera: Camera,
+    box: tuple[int, int, int, int],
+    most: int,
+    region: Region | None,
+    mask: NDArray[np.bool_] | None,
+    planes: tuple[Array, tuple[float, float, float], tuple[float, float]],
+) -> Sorted:
+    """Of about `most` pixels of a box, as of `read_pixels`, those in the region and the mask (h, w), off the planes (as
+    mask.for_kernels has them), are chosen.
+    """
+    u0, v0, u1, v1 = box
+    stride = max(1, int(np.ceil(np.sqrt((u1 - u0) * (v1 - v0) / most))))
+    which = np.zeros((-(-(v1 - v0) // stride), -(-(u1 - u0) // stride)), dtype=np.int8)
+    lens, depth = (camera.fx, camera.fy, camera.cx, camera.cy), np.ascontiguousarray(depth)
+    ball = (0.0, 0.0, 0.0, np.inf) if region is None else (*(float(x) for x in region.centre), float(region.radius))
+    within = NO_MASK if mask is None else np.ascontiguousarray(mask, dtype=bool)
+    counts = kernels.sort(depth, lens, box, stride, within, ball, *planes, which)
+    return Sorted(depth, lens, box, stride, which, dict(zip((kernels.CHOSEN, kernels.OTHER), counts)))

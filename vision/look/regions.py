@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
-from vision.look.pixels import Region
+from vision.look.pixels import Region, read_pixels
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -22,7 +22,11 @@ def find_region(
     if start is not None:
         return Region(start[:3, :3] @ model.centroid + start[:3, 3], model.radius + slack)
     if mask is not None and frame.depth is not None and frame.camera is not None and mask.any():
-        points = frame.camera.back_project(frame.depth, mask)
+        camera = frame.camera
+        every = read_pixels(
+            frame.depth, camera, (0, 0, camera.width, camera.height), camera.width * camera.height, mask
+        )
+        points = every.points
         if len(points):
             return Region(np.median(points, axis=0), model.diameter + slack)
     if len(frame.contacts):

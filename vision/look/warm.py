@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.surface import Surface
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
+from scenes.robot.posed import PosedHand
 from vision.look.hand import HandView, camera_from_hand, fit_hand, view_hand
 from vision.look.look import LookSettings, large_planes, look
 from vision.look.looked import Looked, no_pixels, no_planes, nothing_seen
@@ -69,8 +69,7 @@ class Looker:
         self.beliefs = beliefs or Beliefs()
         self.correction: Array | None = None
         self.planes = no_planes()
-        self._surface: Surface | None = None
-        self._vertices = np.zeros((0, 3))
+        self._surface: PosedHand | None = None
         self._joints: tuple[tuple[str, float], ...] = ()
 
     def look(self, frame: Frame, predicted: Array, share: float | None = None) -> Looked:
@@ -138,19 +137,18 @@ class Looker:
         surface = self._hand_surface(frame)
         return HandView(measured, aligned, measured[:3, 3], np.zeros(6), none, np.zeros(0), none, surface)
 
-    def _hand_surface(self, frame: Frame) -> Surface:
+    def _hand_surface(self, frame: Frame) -> PosedHand:
         assert frame.hand is not None
         assert frame.joints is not None
         joints = tuple(sorted(frame.joints.items()))
         if self._surface is None or joints != self._joints:
-            self._vertices, faces, _ = frame.hand.mesh(frame.joints)
-            self._surface, self._joints = Surface(self._vertices, faces), joints
+            self._surface, self._joints = PosedHand(frame.hand, frame.joints), joints
         return self._surface
 
-    def _view_again(self, frame: Frame, measured: Array, surface: Surface, correction: Array) -> HandView:
+    def _view_again(self, frame: Frame, measured: Array, surface: PosedHand, correction: Array) -> HandView:
         """Gauss-Newton on the hand's pixels as in `view_hand`, from the last correction (4, 4) camera_from_camera."""
         aligned = correction @ measured
-        pixels = self._hand_pixels(frame, aligned)
+        pixels = self._hand_pixels(frame, surface, aligned)
         keep = surface.is_within(se3.apply(se3.inverse(aligned), pixels.points), self.settings.gates[0])
         step = max(1, int(keep.sum()) // self.settings.most_aligned)
         points = pixels.points[keep][::step]
@@ -161,11 +159,11 @@ class Looker:
         pixel, gates = pixels.area * step, self.settings.gates
         return fit_hand(surface, measured, xi, centre, points, pixel, self.beliefs, gates)
 
-    def _hand_pixels(self, frame: Frame, aligned: Array) -> Pixels:
+    def _hand_pixels(self, frame: Frame, surface: PosedHand, aligned: Array) -> Pixels:
         """Pixels of the box around the hand's mesh at `aligned` (4, 4) camera_from_hand."""
         assert frame.camera is not None
         assert frame.depth is not None
-        corners = se3.apply(aligned, self._vertices)
+        corners = se3.apply(aligned, surface.vertices)
         corners = corners[corners[:, 2] > 1e-3]
         if not len(corners):
             return no_pixels()

@@ -1,0 +1,78 @@
+"""The compiled loops of an object's mask, against NumPy."""
+
+import numpy as np
+import pytest
+
+from scenes.geometry.cameras import is_reading
+from scenes.recordings.beliefs import DepthModel
+from vision.look import mask_kernels as kernels
+from vision.look.mask import MaskSettings, for_kernels, on_planes
+
+LENS = 110.0, 120.0, 41.2, 28.9
+BOX = 7, 3, 64, 51
+
+
+@pytest.fixture
+def depth(rng):
+    z = rng.uniform(0.3, 0.9, size=(60, 80)).astype(np.float32)
+    for bad in (0.0, -1.0, np.nan, np.inf, 2e3):
+        z[rng.integers(60, size=40), rng.integers(80, size=40)] = bad
+    return z
+
+
+def points_of(z, corner):
+    fx, fy, cx, cy = LENS
+    u, v = np.arange(z.shape[1]) + corner[0], np.arange(z.shape[0]) + corner[1]
+    return np.stack([(u - cx) / fx * z, ((v - cy) / fy)[:, None] * z, z], axis=2)
+
+
+def test_candidates_are_in_the_ball_and_off_the_planes(depth):
+    settings, camera = MaskSettings(), DepthModel()
+    seen = depth[BOX[1] : BOX[3], BOX[0] : BOX[2]].astype(np.float64)
+    read = is_reading(seen)
+    points = points_of(np.where(read, seen, 0.0), BOX)
+    for planes in (np.zeros((0, 6)), np.array([[0.0, 0.6, -0.8, 0.55, 1.3, np.inf]])):
+        for ball in ((0.0, 0.0, 0.0, np.inf), (0.01, 0.02, 0.6, 0.15)):
+            z, good = np.zeros(seen.shape), np.zeros(seen.shape, dtype=bool)
+            kernels.candidates(depth, LENS, BOX, ball, *for_kernels(planes, camera, settings), z, good)
+            near = np.square(points - ball[:3]).sum(axis=2) < ball[3] ** 2
+            assert np.array_equal(z, points[..., 2])
+            assert np.array_equal(good, read & near & ~on_planes(points, planes, camera, settings))
+
+
+def test_what_is_close_to_the_hand_is_told_in_single_precision(rng):
+    z = rng.uniform(0.3, 0.9, size=(40, 50))
+    near, far = (
+        rng.uniform(0.3, 0.6, size=(40, 50)).astype(np.float32),
+        rng.uniform(0.5, 0.9, (40, 50)).astype(np.float32),
+    )
+    good, out, margin = rng.random(z.shape) < 0.8, np.zeros(z.shape, dtype=bool), 0.006
+    z[0] = near[0] - margin
+    kernels.close_to(z, good, near, far, np.float32(margin), out)
+    assert np.array_equal(out, good & (z > near - margin) & (z < far + margin))
+
+
+def test_pieces_are_thinned_in_the_images_order(rng):
+    z = rng.uniform(0.3, 0.9, size=(40, 50))
+    pieces = rng.integers(-1, 4, size=z.shape)
+    step = np.array([3, 0, 1, 7])
+    size = np.bincount(pieces[pieces >= 0], minlength=4)
+    counts = np.where(step > 0, -(-size // np.maximum(step, 1)), 0)
+    first = np.cumsum(counts) - counts
+    points = np.zeros((counts.sum(), 3))
+    kernels.every(pieces, step, first, LENS, (5, 9), z, points)
+    for piece in (0, 2, 3):
+        own = points_of(z, (5, 9))[pieces == piece][:: step[piece]]
+        assert np.array_equal(points[first[piece] : first[piece] + counts[piece]], own)
+
+
+@pytest.mark.parametrize("step", [1, 4])
+def test_shares_of_colours(rng, step):
+    rgb = rng.integers(0, 256, size=(40, 50, 3)).astype(np.uint8)
+    rgb[3] = 0
+    chosen = rng.random((40, 50)) < 0.4
+    chosen[3] = True
+    out = np.zeros((-(-int(chosen.sum()) // step), 2))
+    kernels.shares(rgb, chosen, step, out)
+    colours = rgb[chosen].astype(np.float64)
+    assert np.array_equal(out, (colours[:, :2] / np.maximum(colours.sum(axis=1, keepdims=True), 1.0))[::step])

@@ -1,0 +1,75 @@
+"""Compiled: which pixels may be the object's by where they are, and samples of their pieces. Camera frame, metres."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from scenes.geometry.cameras import FARTHEST_READING
+from vision.look.piece_kernels import is_on_plane
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def candidates(depth, lens, box, ball, planes, noise, margins, z, good):  # type: ignore[no-untyped-def]
+    """Fill z (h, w) with the depths of a box (u0, v0, u1, v1), 0 for no reading, and good (h, w) with whether a pixel
+    has one, in a ball (x, y, z, radius) and off planes (k, 6). lens (fx, fy, cx, cy); noise, margins: see mark_planes.
+    """
+    fx, fy, cx, cy = lens
+    for row in range(z.shape[0]):
+        across = (box[1] + row - cy) / fy
+        for column in range(z.shape[1]):
+            there = float(depth[box[1] + row, box[0] + column])
+            # not true of NaN either
+            if not 0.0 < there < FARTHEST_READING:
+                continue
+            z[row, column] = there
+            x, y = (box[0] + column - cx) / fx * there, across * there
+            a, b, c = x - ball[0], y - ball[1], there - ball[2]
+            if a * a + b * b + c * c < ball[3] * ball[3]:
+                good[row, column] = not is_on_plane(x, y, there, planes, noise, margins)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def close_to(z, good, near, far, margin, out):  # type: ignore[no-untyped-def]
+    """Fill out (h, w) with whether good pixels at depths z (h, w) are between near and far (h, w), in single precision,
+    or beside them by less than `margin` (m).
+    """
+    for row in range(z.shape[0]):
+        for column in range(z.shape[1]):
+            low, high = np.float32(near[row, column] - margin), np.float32(far[row, column] + margin)
+            out[row, column] = good[row, column] and z[row, column] > low and z[row, column] < high
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def every(pieces, step, first, lens, corner, z, points):  # type: ignore[no-untyped-def]
+    """Fill points (n, 3) with every step[p]-th pixel of piece p of pieces (h, w), in row-major order from first[p] on;
+    of those with a step of 0 none. z (h, w): depths; corner (u, v): the first pixel's.
+    """
+    fx, fy, cx, cy = lens
+    seen = np.zeros(len(step), dtype=np.int64)
+    for row in range(z.shape[0]):
+        across = (corner[1] + row - cy) / fy
+        for column in range(z.shape[1]):
+            piece = pieces[row, column]
+            if piece < 0 or step[piece] == 0:
+                continue
+            if seen[piece] % step[piece] == 0:
+                to, there = first[piece] + seen[piece] // step[piece], z[row, column]
+                points[to, 0], points[to, 1] = (corner[0] + column - cx) / fx * there, across * there
+                points[to, 2] = there
+            seen[piece] += 1
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def shares(rgb, chosen, step, out):  # type: ignore[no-untyped-def]
+    """Fill out (n, 2) with the shares of red and green of every `step`-th chosen pixel (h, w) of rgb (h, w, 3)."""
+    seen = 0
+    for row in range(chosen.shape[0]):
+        for column in range(chosen.shape[1]):
+            if not chosen[row, column]:
+                continue
+            if seen % step == 0:
+                red, green, blue = rgb[row, column, 0], rgb[row, column, 1], rgb[row, column, 2]
+                whole = max(float(red) + float(green) + float(blue), 1.0)
+                out[seen // step, 0], out[seen // step, 1] = red / whole, green / whole
+            seen += 1
