@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fusion.estimation.answer import ContactResidual, Mode
 from scenes.evidence.align import Prior
-from scenes.evidence.alike import alike
+from scenes.evidence.alike import Alike, alike
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from vision.predicted import Prediction
@@ -168,13 +168,15 @@ def observations(
     contact_nats: float,
     settings: ConfidenceSettings,
     anywhere: bool = False,
+    same: Alike | None = None,
 ) -> dict[str, float]:
     """What the regression reads of an answer, by the names of its factors; see `Regression` and `chances`.
 
     There is "agree" when there is a picture that shows anything.
     """
     s = settings
-    weight = float(np.clip(alike(model, modes, s.tolerance).weight, 0.0, 1.0))
+    same = same or alike(model, modes, s.tolerance)
+    weight = float(np.clip(same.weight, 0.0, 1.0))
     odds = np.log(max(weight, 1e-12)) - np.log(max(1.0 - weight, 1e-12))
     ratio = spread_of(model, modes[0].pose, modes[0].covariance) / max(model.radius, 1e-9)
     found = {
@@ -214,31 +216,30 @@ def chances(
     picture: Prediction | None,
     contacts: tuple[ContactResidual, ...],
     contact_nats: float,
-    tolerance: float | None = None,
     settings: ConfidenceSettings | None = None,
     anywhere: bool = False,
+    same: Alike | None = None,
 ) -> tuple[float, float]:
-    """Probability that the first mode is the right one, whatever its spread, and that its ADD-S is below tolerance (m)
-    if it is.
+    """Probability that the first mode is the right one, whatever its spread, and that its ADD-S is below the settings'
+    tolerance if it is.
 
     picture: the predicted one at the answer, None without a depth image. contact_nats: what the contacts cost there, in
-    all. tolerance: None for the settings'. anywhere: there was no start.
+    all. anywhere: there was no start. same: the modes that are one answer within that tolerance, None to find them.
     """
     s = settings or ConfidenceSettings()
-    read = observations(model, modes, picture, contacts, contact_nats, s, anywhere)
+    same = same or alike(model, modes, s.tolerance)
+    read = observations(model, modes, picture, contacts, contact_nats, s, anywhere, same)
     factors = s.seen if "agree" in read else s.felt
     score = sum(getattr(factors, name) * value for name, value in read.items())
     right = min(float(1.0 / (1.0 + np.exp(-np.clip(score, -40.0, 40.0)))), s.surest)
-    limit = s.tolerance if tolerance is None else tolerance
-    return right, within_of(model, modes, limit, factors.nearest)
+    return right, within_of(model, same, s.tolerance, factors.nearest)
 
 
-def within_of(model: ObjectModel, modes: tuple[Mode, ...], tolerance: float, nearest: float) -> float:
-    """Probability that ADD-S is below tolerance (m) if the first mode is the right one, or one of those like it.
+def within_of(model: ObjectModel, same: Alike, tolerance: float, nearest: float) -> float:
+    """Probability that ADD-S is below tolerance (m) if the first mode is the right one, or one of the same as it.
 
     nearest: see `Regression`.
     """
-    same = alike(model, modes, tolerance)
     near = [
         mode.weight * within(model, mode.pose, mode.covariance, tolerance - mean, nearest)
         for mode, mean in zip(same.modes, same.means.tolist())
@@ -365,16 +366,17 @@ def told_covariance(
     prior: Prior | None,
     settings: ConfidenceSettings | None = None,
     room: float = 0.0,
+    same: Alike | None = None,
 ) -> Array:
     """(6, 6) covariance of an answer with that verdict: of an `ok` one that of its first mode, or of all that look like
     it where the first does not hold what a region of 95 % must; else of all that may be the case.
 
-    See `whole_covariance`.
+    same: the modes that are one answer within the settings' tolerance, None to find them. See `whole_covariance`.
     """
     s = settings or ConfidenceSettings()
     if word != "ok":
         return whole_covariance(model, modes, right, prior, s, room)
-    same = alike(model, modes, s.tolerance)
+    same = same or alike(model, modes, s.tolerance)
     if modes[0].weight >= (1.0 - s.left_out) * same.weight:
         return modes[0].covariance
     return whole_covariance(model, same.modes, 1.0, prior, s)

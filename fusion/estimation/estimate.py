@@ -39,6 +39,7 @@ from fusion.estimation.tolerance import good_enough, is_within, with_shared_erro
 from fusion.estimation.trace import Trace
 from scenes.evidence import table as tables
 from scenes.evidence.align import Prior
+from scenes.evidence.alike import alike
 from scenes.evidence.near_symmetries import near_symmetries
 from scenes.evidence.point_pairs import pair_table
 from scenes.geometry import poses as se3
@@ -196,13 +197,14 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         seeing = visibility(viewed, model, pose, beliefs.depth)
         picture = predictor.predict(pose[None]) if predictor.sees else None
         modes = (as_shown(modes[0], picture, believed, settings.confidence), *modes[1:])
+        same = alike(model, modes, settings.confidence.tolerance)
         nats = posterior.nats_of_contacts(model, felt.rows, contacts, pose)
         agreed = residuals, nats, share, seeing, picture
         rules = settings.verdict, settings.confidence
-        right, sure, word, why = posterior.judged(model, modes, *agreed, *rules, believed is None)
-        observed = observations(model, modes, picture, residuals, nats, settings.confidence, believed is None)
+        right, sure, word, why = posterior.judged(model, modes, *agreed, *rules, believed is None, same)
+        observed = observations(model, modes, picture, residuals, nats, settings.confidence, believed is None, same)
         room = room_about(se3.apply(pose, model.centroid[None])[0], might_be)
-        covariance = told_covariance(model, modes, word, right, believed, settings.confidence, room)
+        covariance = told_covariance(model, modes, word, right, believed, settings.confidence, room, same)
         word, why = by_facing(model, facing, word, why, settings.texture)
         stage.note(len(rows), why)
 
@@ -222,7 +224,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         pixel_rms_mm=1e3 * rms,
         notes=(
             why,
-            *posterior.way_round(model, modes, word, settings.confidence.tolerance, settings.verdict),
+            *posterior.way_round(same, word, settings.confidence.tolerance, settings.verdict),
             *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility),
             *useless,
             *felt.untold,
