@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[JointResult]:
     """Solve each problem from its start, at least one; how large shared errors are is averaged over at the first.
 
-    A rig weighs exp(log evidence / temperature) times how usual it is. The first answer is the rigs' weighted mean and mixture
-    covariance, so that not knowing the rig is part of its uncertainty; other modes use the best.
+    A rig weighs exp(log evidence / temperature) times how usual it is. The first answer is the rigs' weighted mean and
+    mixture covariance, so that not knowing the rig is part of its uncertainty; other modes use the best.
     """
     problem, settings = problems[0], problems[0].settings
     pairs = list(zip(problems, starts))[: settings.modes]
