@@ -177,7 +177,7 @@ class System:
         if not mine.any():
             return nothing
         group = self._blocks(index[mine])
-        weight = np.bincount(group, information[mine])
+        weight = np.asarray(np.bincount(group, information[mine]), dtype=np.float64)
         return np.bincount(group, (information * residual)[mine]) / weight, weight
 
     def _blocks(self, index: NDArray[np.int64]) -> NDArray[np.int64]:
