@@ -161,10 +161,9 @@ class ConfidenceSettings:
     # things that the frame shows. The share of the predicted picture that agrees, `least_agreeing` at least: what hides
     # the rest smears the pixels beside it, and a few patches leave more than one basin. And how far parts of the image
     # are off together, in millimetres and a tenth: what a mesh, a camera or something beside the object is off by moves
-    # the pose, too. The likeliest for the true errors of 530 answers with a start of the tuning families within 8 mm,
-    # as a Student distribution of three degrees of freedom (the factor 1.7; of 2 they are 0.01 nats each less likely and
-    # regions of 95 % hold more nearly that); each family left out, powers are 0.33 to 0.41 and 0.61 to
-    # 0.83.
+    # the pose, too. The powers make the true errors of 530 answers with a start of the tuning families, within 8 mm,
+    # likeliest as a Student distribution of three degrees of freedom; each family left out, they are 0.33 to 0.41 and
+    # 0.61 to 0.83. The likeliest factor is 1.7; of 2 an answer is 0.01 nats less likely and regions of 95 % hold more.
     widening: float = 2.0
     by_share: float = -0.36
     by_beside: float = 0.79
