@@ -29,8 +29,10 @@ from numpy.typing import NDArray
 
 from fusion.estimation.solve.newton_kernels import JITTER
 from fusion.estimation.solve.problem import JointProblem
+from fusion.estimation.solve.settings import JointSettings
 from fusion.estimation.solve.system import FIXED, POSE, SCALE, XI, System
 from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
 
 Array = NDArray[np.float64]
 
@@ -49,7 +51,8 @@ class JointResult:
     follows (6, 6): by how much xi is expected to be otherwise where the pose turns out to be otherwise.
     unsolved (6, 6): what else of the covariance pixels share, solved for by nothing: the mesh's own error, and by how
     much parts of the image disagree. biased (6, 6): what of `shared` comes of the depth bias. shares: of the mixture,
-    of each rig that was tried; empty where none were.
+    of each rig that was tried; empty where none were. beside (m): by how much blocks of the image are off together, as
+    a root mean square; NaN where no pixel tells.
     """
 
     pose: Array
@@ -68,6 +71,7 @@ class JointResult:
     unsolved: Array = field(default_factory=lambda: np.zeros((6, 6)))
     biased: Array = field(default_factory=lambda: np.zeros((6, 6)))
     shares: tuple[float, ...] = ()
+    beside: float = float("nan")
 
     @property
     def millimetres(self) -> float:
@@ -140,15 +144,16 @@ def _onwards(after: Settled, level: float) -> tuple[Array, Array]:
 def answered(settled: Settled) -> JointResult:
     """A solution with its covariances."""
     one, system = marginalised(settled), settled.system
-    misfit = system.misfit()
+    misfit, beside = system.misfit(), system.beside()
     independent, shared, biased, follows = _split(system, settled.pose, settled.normal)
     parts = misfit * independent, misfit * shared, misfit * biased
-    return replace(one, independent=parts[0], shared=parts[1], biased=parts[2], follows=follows)
+    return replace(one, independent=parts[0], shared=parts[1], biased=parts[2], follows=follows, beside=beside)
 
 
 def marginalised(settled: Settled) -> JointResult:
     """A solution with its covariance, all else marginalised; what of it noise and shared errors make is left out."""
     system, here, unknown, free = settled.system, settled.pose, settled.unknown, settled.free
+    problem = system.problem
     whole = settled.normal + np.diag(system.width)
     gain = _marginal(whole[:free, :free])
     covariance = gain
@@ -157,7 +162,9 @@ def marginalised(settled: Settled) -> JointResult:
         covariance = gain + inverse @ inverse.T
     system.terms(here, unknown)
     misfit = system.misfit()
-    unsolved = system.excess_spread(whole[:free, :free], misfit) + _mesh_spread(system)
+    unsolved = system.excess_spread(whole[:free, :free], misfit) + mesh_spread(
+        problem.model, system.mesh_variance(), problem.settings
+    )
     return JointResult(
         here,
         misfit * covariance + unsolved,
@@ -173,12 +180,12 @@ def marginalised(settled: Settled) -> JointResult:
     )
 
 
-def _mesh_spread(system: System) -> Array:
-    """(6, 6) what the mesh's own error makes of a pose: a scan is off smoothly, over whole faces, so that pixels do not
-    average it out.
+def mesh_spread(model: ObjectModel, variance: float, settings: JointSettings) -> Array:
+    """(6, 6) what a mesh's own error of that variance (m^2) makes of a pose: a scan is off smoothly, over whole faces,
+    so that pixels do not average it out, and no more than a few parts of the surface do.
     """
-    variance = system.mesh_variance()
-    return np.diag(np.repeat([variance / system.problem.model.radius**2, variance], 3))
+    each = variance / settings.mesh_parts
+    return np.diag(np.repeat([each / model.radius**2, each], 3))
 
 
 def _as_seen(system: System, pose: Array, unknown: Array) -> Array:
