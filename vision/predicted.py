@@ -16,8 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.evidence import table as tables
-from scenes.evidence.table import VISION, Evidence
 from scenes.geometry.cameras import Camera, is_reading
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import DepthModel
@@ -26,6 +24,7 @@ from vision import predicted_kernels as kernels
 from vision.look.hand import HandView
 from vision.look.pixels import Pixels
 from vision.predicted_hand import hand_depth, widened
+from vision.shown_kernels import shown_rays
 
 Array = NDArray[np.float64]
 
@@ -121,7 +120,7 @@ class Prediction:
 
 
 @dataclass(frozen=True)
-class _View:
+class View:
     """The rays of n poses, side^2 each: pixels u, v (n, side) along each side; expected, seen (n, side^2): depth (m) at
     which a ray meets the object, and what is read, 0 for none; state: bits of predicted_kernels; past: how much of a
     ray is seen past; fade: how well one at the predicted depth agrees; inside (n,): share of the object in the image.
@@ -144,10 +143,6 @@ class _View:
     def has(self, bit: int) -> NDArray[np.bool_]:
         """(n, side^2) whether rays are as a bit says."""
         return np.asarray((self.state & bit) > 0)
-
-    def pixels(self, which: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """(k, 2) pixels (u, v) of the first pose's rays (side^2,) that are chosen."""
-        return self.at(np.flatnonzero(which))
 
     def at(self, place: NDArray[np.intp]) -> NDArray[np.int64]:
         """(k, 2) pixels (u, v) of rays (k,) of the first pose."""
@@ -191,10 +186,10 @@ class Predictor:
         self.camera: Camera | None = frame.camera
         seeing = frame.depth is not None and frame.camera is not None
         self._depth = np.ascontiguousarray(frame.depth, np.float32) if seeing else None
-        self._belief = depth
+        self.belief = depth
         self._points = model.sample_surface(self.settings.bounding)[0]
         # of one pose at a time: what was asked of it is asked again
-        self._views: dict[tuple[bytes, int], _View] = {}
+        self._views: dict[tuple[bytes, int], View] = {}
         self._predicted: dict[tuple[bytes, int], Prediction] = {}
         self._hand = _NO_IMAGE, _NO_IMAGE
         if frame.camera is not None and self._depth is not None and hand is not None:
@@ -213,7 +208,7 @@ class Predictor:
     @property
     def reach(self) -> int:
         """Pixels beyond an outline that a smeared edge, or what a mask has too much, may still reach."""
-        return max(self._belief.edge_pixels, 0 if self._mask is None else self.settings.mask_margin + 1)
+        return max(self.belief.edge_pixels, 0 if self._mask is None else self.settings.mask_margin + 1)
 
     def costs(self, candidates: Array, side: int | None = None) -> Array:
         """(n,) nats for poses (n, 4, 4) camera_from_object, up to a constant: lower is likelier. side: rays along the
@@ -240,11 +235,11 @@ class Predictor:
         return self._predicted[key]
 
     def _summed(self, candidates: Array, side: int) -> Prediction:
-        view = self._view(candidates, side)
+        view = self.view(candidates, side)
         s, sums = self.settings, np.zeros((len(candidates), kernels.SUMS))
         flat = view.seen.ravel(), view.state.ravel(), view.past.ravel(), view.fade.ravel()
         limits = s.smooth, s.smooth_share, self.reach, s.plane_margin, s.plane_sigmas
-        kernels.sum_up(view.u, view.v, *self._known, limits, *flat, sums)
+        kernels.sum_up(view.u, view.v, *self.known, limits, *flat, sums)
         # where nothing is read little is known: surfaces that give no reading are the object's or not
         total = np.maximum(sums[:, kernels.HITS] - s.unread * sums[:, kernels.UNREAD], 1.0)
         # what the image's border hides is hidden, too: the corner of an object tells little of it
@@ -276,7 +271,7 @@ class Predictor:
         usual = self.model.mean_outline * self.camera.fx * self.camera.fy / distance**2
         return np.clip(picture.area / np.maximum(usual, s.cells * s.cell), s.least_cells, 1.0)
 
-    def _bounded(self, view: _View, pieces: NDArray[np.int64], total: Array) -> tuple[Array, Array]:
+    def _bounded(self, view: View, pieces: NDArray[np.int64], total: Array) -> tuple[Array, Array]:
         """(n,) share seen, of each piece no more than what bounds its word; and how much of that is of pieces of one
         colour that go on beyond the outline.
         """
@@ -303,7 +298,7 @@ class Predictor:
         lost = np.minimum(s.beyond / (s.cells * s.seen) * outside, earned)
         return seen, np.asarray(lost.sum(axis=1))
 
-    def _view(self, candidates: Array, side: int) -> _View:
+    def view(self, candidates: Array, side: int) -> View:
         """The predicted pixels of poses (n, 4, 4), side^2 rays each, and what each of them is."""
         if len(candidates) > 1:
             return self._cast(candidates, side)
@@ -312,7 +307,7 @@ class Predictor:
             self._views[key] = self._cast(candidates, side)
         return self._views[key]
 
-    def _cast(self, candidates: Array, side: int) -> _View:
+    def _cast(self, candidates: Array, side: int) -> View:
         assert self.camera is not None
         assert self._depth is not None
         s, count = self.settings, len(candidates)
@@ -322,7 +317,7 @@ class Predictor:
         rotations, translations = (np.ascontiguousarray(candidates[:, :3, k]) for k in (slice(3), 3))
         middle = self.model.surface.middle
         k = kernels.outline_rays(
-            self._points, rotations, translations, self._known[1], middle, u, v, rays, index, inside
+            self._points, rotations, translations, self.known[1], middle, u, v, rays, index, inside
         )
         met = self.model.surface.cast_local(rays[:k])
         expected, seen, past, fade = np.zeros((4, count, side**2))
@@ -332,12 +327,12 @@ class Predictor:
             index[:k],
             u,
             v,
-            *self._known,
+            *self.known,
             (
                 s.tolerance,
                 s.fading,
                 s.past_beside,
-                self._belief.edge_pixels,
+                self.belief.edge_pixels,
                 s.hand_step,
                 s.hand_margin,
                 s.plane_margin,
@@ -345,14 +340,14 @@ class Predictor:
             ),
             *(values.ravel() for values in (expected, seen, state, past, fade)),
         )
-        return _View(u, v, expected, seen, state, past, fade, inside)
+        return View(u, v, expected, seen, state, past, fade, inside)
 
     @cached_property
-    def _known(self) -> tuple[tuple[NDArray[Any], ...], tuple[float, ...], tuple[float, ...]]:
+    def known(self) -> tuple[tuple[NDArray[Any], ...], tuple[float, ...], tuple[float, ...]]:
         """What the kernels are told of the frame: images and planes, the camera, and the noise of its depth."""
         assert self.camera is not None
         assert self._depth is not None
-        c, m = self.camera, self._belief
+        c, m = self.camera, self.belief
         mask = np.zeros((0, 0), dtype=bool) if self._mask is None else self._mask
         return (
             (self._depth, mask, *self._hand, self._planes),
@@ -360,47 +355,16 @@ class Predictor:
             (m.axial_floor, m.axial_growth, m.axial_from, m.bias_sigma, m.scale_sigma),
         )
 
-    def seen_and_empty(self, pose: Array, side: int | None = None, inner: int = 1) -> tuple[Pixels, Evidence]:
+    def shown(self, pose: Array, side: int, inner: int = 1) -> Pixels:
         """The pixels that show the object at pose (4, 4): inside its outline by `inner` rays, where edges smear no
-        depth, at the predicted depth, and not the hand's. And OUTSIDE rows on the rays that see past it, where it
-        cannot be. side: rays along each side of the outline's box; default as many as show enough pixels.
+        depth, at the predicted depth, and not the hand's. side: rays along each side of the outline's box.
         """
-        few, many = self.settings.sides_rows
-        view = self._view(pose[None], few if side is None else side)
-        shown = self._shown(view, inner)
-        if side is None and len(shown) < self.settings.enough_rows:
-            view = self._view(pose[None], many)
-            shown = self._shown(view, inner)
-        return shown, self._empty(view)
-
-    def _shown(self, view: _View, inner: int) -> Pixels:
-        s, side = self.settings, view.side
-        core, near = view.has(kernels.HIT).reshape(side, side), view.has(kernels.NEAR)[0]
-        for _ in range(inner):
-            inside = np.zeros_like(core)
-            inside[1:-1, 1:-1] = core[:-2, 1:-1] & core[2:, 1:-1] & core[1:-1, :-2] & core[1:-1, 2:]
-            core = core & inside
-        good = core.ravel() & near
-        if good.sum() < s.thin_share * near.sum():  # a thin thing is all edge
-            good = near
-        uv = view.pixels(good)
+        view = self.view(pose[None], side)
+        chosen = np.zeros(side * side, dtype=np.int64)
+        chosen = chosen[: shown_rays(view.state[0], side, inner, self.settings.thin_share, chosen)]
+        uv = view.at(chosen)
         area = float(np.ptp(view.u[0]) * np.ptp(view.v[0])) / side**2
-        return Pixels(uv, self._rays(uv) * view.seen[0, good, None], max(area, 1.0))
-
-    def _empty(self, view: _View) -> Evidence:
-        s = self.settings
-        past = np.flatnonzero((view.past[0] == 1.0) & (view.seen[0] > view.expected[0]))
-        if not len(past):
-            return tables.empty()
-        # as many as the rays by which a pose is scored would see past it
-        count = max(1, round(len(past) * min(1.0, (s.side / view.side) ** 2)))
-        past = past[(np.arange(count) * len(past)) // count]
-        depth = view.expected[0, past, None] + np.array(s.empty_depths)
-        free = depth < view.seen[0, past, None] - s.empty_clearance
-        points = (self._rays(view.at(past))[:, None] * depth[..., None])[free]
-        rows = tables.outside(points, s.empty_sigma, VISION, gate=s.empty_gate)
-        hits = float(view.has(kernels.HIT).sum()) * min(1.0, (s.side / view.side) ** 2)
-        return rows.reweighted(s.cells / max(hits, 1.0) / len(s.empty_depths))
+        return Pixels(uv, self._rays(uv) * view.seen[0, chosen, None], max(area, 1.0))
 
     def _rays(self, uv: NDArray[np.int64]) -> Array:
         """(n, 3) rays of depth 1 through pixels (n, 2)."""
@@ -422,8 +386,8 @@ class Predictor:
         seen = self._depth[v, u].astype(np.float64)
         read = is_reading(seen)
         seen = np.where(read, seen, np.inf)
-        smooth = np.hypot(self._belief.independent_sigma(beyond), self._belief.bias_sigma)
-        tolerance = s.tolerance * np.hypot(smooth, self._belief.scale_sigma * beyond)
+        smooth = np.hypot(self.belief.independent_sigma(beyond), self.belief.bias_sigma)
+        tolerance = s.tolerance * np.hypot(smooth, self.belief.scale_sigma * beyond)
         hidden = read & (seen < beyond - tolerance)
         if self._hand[0].size:
             hidden |= self._hand[0][v // s.hand_step, u // s.hand_step] < beyond + s.hand_margin

@@ -172,9 +172,9 @@ def see_print(
     s = settings or PrintSettings()
     if model.texture is None or frame.rgb is None or frame.camera is None or not predictor.sees:
         return "nothing is printed on the mesh" if model.texture is None else "no colours beside depth"
-    pixels = predictor.seen_and_empty(pose, s.side)[0]
+    pixels = predictor.shown(pose, s.side)
     if len(pixels) < s.enough:
-        pixels = predictor.seen_and_empty(pose, 3 * s.side // 2)[0]
+        pixels = predictor.shown(pose, 3 * s.side // 2)
     pixels = pixels.thinned(s.most_pixels)
     if len(pixels) < s.least_pixels:
         return f"only {len(pixels)} pixels of the object in view"

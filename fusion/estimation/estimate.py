@@ -39,6 +39,7 @@ from fusion.estimation.tolerance import good_enough, is_within, with_shared_erro
 from fusion.estimation.trace import Trace
 from scenes.evidence import table as tables
 from scenes.evidence.align import Prior
+from scenes.evidence.alike import alike
 from scenes.evidence.near_symmetries import near_symmetries
 from scenes.evidence.point_pairs import pair_table
 from scenes.geometry import poses as se3
@@ -177,10 +178,12 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
     coloured = viewed.rgb is not None and predictor.sees and asks_for(viewed.rgb, settings.contour)
     no_image = "no image beside depth" if viewed.rgb is None else "a colour camera's image is not asked for"
     useless: tuple[str, ...] = ()
+    beside = (best.beside if finish else float("nan")), 0.0
     with trace.stage("outline", finish and coloured, why_not if coloured else no_image) as stage:
         if finish and coloured:
             told = outlined(viewed, pool, best, modes[0], beliefs.mesh_sigma, settings)
             modes, felt = (told.mode, *modes[1:]), felt.corrected(told.solved.correct())
+            beside = best.beside, told.beside
             useless = () if told.lines else (f"colours are not used: {told.why}",)
             stage.note(told.lines, told.why)
     first, facing = turned_as_printed(sensed, modes[0], facing, settings.texture)
@@ -195,14 +198,15 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         share, rms = posterior.pixel_agreement(model, seen, pose)
         seeing = visibility(viewed, model, pose, beliefs.depth)
         picture = predictor.predict(pose[None]) if predictor.sees else None
-        modes = (as_shown(modes[0], picture, believed, settings.confidence), *modes[1:])
+        modes = (as_shown(modes[0], picture, believed, settings.confidence, beside), *modes[1:])
+        same = alike(model, modes, settings.confidence.tolerance)
         nats = posterior.nats_of_contacts(model, felt.rows, contacts, pose)
         agreed = residuals, nats, share, seeing, picture
         rules = settings.verdict, settings.confidence
-        right, sure, word, why = posterior.judged(model, modes, *agreed, *rules, believed is None)
-        observed = observations(model, modes, picture, residuals, nats, settings.confidence, believed is None)
+        right, sure, word, why = posterior.judged(model, modes, *agreed, *rules, believed is None, same)
+        observed = observations(model, modes, picture, residuals, nats, settings.confidence, believed is None, same)
         room = room_about(se3.apply(pose, model.centroid[None])[0], might_be)
-        covariance = told_covariance(model, modes, word, right, believed, settings.confidence, room)
+        covariance = told_covariance(model, modes, word, right, believed, settings.confidence, room, same)
         word, why = by_facing(model, facing, word, why, settings.texture)
         stage.note(len(rows), why)
 
@@ -222,7 +226,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         pixel_rms_mm=1e3 * rms,
         notes=(
             why,
-            *posterior.way_round(model, modes, word, settings.confidence.tolerance, settings.verdict),
+            *posterior.way_round(same, word, settings.confidence.tolerance, settings.verdict),
             *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility),
             *useless,
             *felt.untold,

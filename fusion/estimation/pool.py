@@ -27,6 +27,7 @@ from touch.held import Held
 from vision.look.looked import Looked, RowSettings, free_space_rows, surface_rows
 from vision.look.pixels import Pixels
 from vision.predicted import Predictor
+from vision.shown import shown_rows
 from vision.sight import Sight
 from vision.starts import seen_starts
 
@@ -260,12 +261,13 @@ class Pool:
 
         side: rays along each side of the outline's box.
         """
-        pixels, empty = self.predictor.seen_and_empty(pose, side)
-        free = tables.stack(self.free, empty)
-        if len(pixels) < self.settings.least_pixels:
-            return free
-        mine = replace(self.looked, pixels=pixels, told_apart=True)
-        return tables.stack(surface_rows(mine, self.depth, self.rows), free)
+        return self.evidence_of_each(pose[None], side)[0]
+
+    def evidence_of_each(self, poses: Array, side: int | None = None, most: int = 0) -> list[Evidence]:
+        """`evidence` of each of poses (n, 4, 4). most: at most so many pixels and half as much of what is free,
+        carrying the weight of all; 0: all.
+        """
+        return shown_rows(self.predictor, poses, self.free, self.rows, self.settings.least_pixels, side, most)
 
     def sifted(self, candidates: Array) -> Array:
         """The most promising of poses (n, 4, 4) by few rays, best first."""
@@ -373,10 +375,10 @@ class Pool:
         outline; fresh: none of them was ever fitted.
         """
         poses, hessians, steps = tried.poses.copy(), tried.hessians.copy(), np.zeros_like(tried.iterations)
-        moved = []
-        for k in np.flatnonzero(fresh | (tried.iterations > 0)):
-            shown = self.evidence(tried.poses[k], side)
-            rows = tables.stack(thin(shown, self.settings.first_rows) if fresh else shown, self.felt)
+        moved, open_ones = [], np.flatnonzero(fresh | (tried.iterations > 0))
+        shown = self.evidence_of_each(tried.poses[open_ones], side, self.settings.first_rows if fresh else 0)
+        for k, mine in zip(open_ones, shown):
+            rows = tables.stack(mine, self.felt)
             if len(rows):
                 found = align(self.model, rows, tried.poses[k : k + 1], self.prior, self.settings.fit)
                 poses[k], hessians[k], steps[k] = found.poses[0], found.hessians[0], found.iterations[0]

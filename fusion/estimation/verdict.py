@@ -11,7 +11,7 @@ from fusion.estimation.answer import ContactResidual, Contribution, Estimate, Mo
 from fusion.estimation.confidence import ConfidenceSettings, chances
 from scenes.evidence import align as alignment
 from scenes.evidence.align import Prior
-from scenes.evidence.alike import alike, hardly_moves
+from scenes.evidence.alike import Alike, alike, hardly_moves
 from scenes.evidence.modes import ModeSettings, covariance_of, distinct_modes
 from scenes.evidence.table import GATE_ABOVE, POINT, SIGMA, TOUCH, VISION, WEIGHT, Evidence, empty
 from scenes.geometry import poses as se3
@@ -180,9 +180,10 @@ def verdict(
     seeing: Visibility,
     settings: VerdictSettings | None = None,
     tolerance: float = ConfidenceSettings.tolerance,
+    same: Alike | None = None,
 ) -> tuple[str, str]:
     """The verdict and its reason: lost when the evidence is not explained, ambiguous when it fits several places of the
-    surface; poses between which no part of it moves by more than tolerance (m) are one.
+    surface; poses between which no part of it moves by more than tolerance (m) are one: `same`, None to find them.
     """
     settings = settings or VerdictSettings()
     if not modes:
@@ -197,7 +198,7 @@ def verdict(
         return "lost", f"the camera sees past {seeing.violated:.0%} of the object"
     if not residuals and np.isfinite(seeing.visible) and seeing.visible < settings.least_visible:
         return "ambiguous", f"only {seeing.visible:.0%} of the object is seen and nothing touches it"
-    same = alike(model, modes, tolerance)
+    same = same or alike(model, modes, tolerance)
     if same.weight < settings.sure_share:
         of = "first" if len(same.modes) == 1 else f"first {len(same.modes)}"
         return "ambiguous", f"{of} of {len(modes)} modes {'holds' if of == 'first' else 'hold'} {same.weight:.0%}"
@@ -209,14 +210,15 @@ def verdict(
     return "ok", f"first mode holds {modes[0].weight:.0%}"
 
 
-def way_round(
-    model: ObjectModel, modes: tuple[Mode, ...], word: str, tolerance: float, settings: VerdictSettings | None = None
-) -> tuple[str, ...]:
-    """A note on an answer with the verdict `word` that is `ok` whichever way round it is; none where that is known."""
+def way_round(same: Alike, word: str, tolerance: float, settings: VerdictSettings | None = None) -> tuple[str, ...]:
+    """A note on an answer with the verdict `word` that is `ok` whichever way round it is; none where that is known.
+
+    same: the modes that are one answer within tolerance (m).
+    """
     settings = settings or VerdictSettings()
-    if word != "ok" or modes[0].weight >= settings.sure_share:
+    if word != "ok" or same.modes[0].weight >= settings.sure_share:
         return ()
-    ways = len(alike(model, modes, tolerance).modes)
+    ways = len(same.modes)
     return (f"which way round is not known: in {ways} poses the surface is where it is to {1e3 * tolerance:.3g} mm",)
 
 
@@ -231,17 +233,20 @@ def judged(
     settings: VerdictSettings,
     confident: ConfidenceSettings,
     anywhere: bool = False,
+    same: Alike | None = None,
 ) -> tuple[float, float, str, str]:
     """Of the first of the modes, found in one frame or followed through many: the chance that it is the right one, and
     that it is near enough, too (the confidence); verdict and its reason.
 
     residuals and contact_nats: how each contact agrees there, and what all cost; pixel_share: of the object's pixels
-    that it explains; picture: the predicted one, None without a depth image; anywhere: there was no start. What
-    contradicts the pose, and a picture that does not show it, speak against it however narrow its covariance is.
+    that it explains; picture: the predicted one, None without a depth image; anywhere: there was no start; same: the
+    modes that are one answer within the tolerance of `confident`, None to find them. What contradicts the pose, and a
+    picture that does not show it, speak against it however narrow its covariance is.
     """
-    right, near = chances(model, modes, picture, residuals, contact_nats, None, confident, anywhere)
+    same = same or alike(model, modes, confident.tolerance)
+    right, near = chances(model, modes, picture, residuals, contact_nats, confident, anywhere, same)
     sure = right * near
-    word, why = verdict(model, modes, residuals, pixel_share, seeing, settings, confident.tolerance)
+    word, why = verdict(model, modes, residuals, pixel_share, seeing, settings, confident.tolerance, same)
     if word == "ok" and contact_nats > settings.most_contradicted * max(len(residuals), 1):
         word, why = "lost", "the contacts, or their normals, contradict every pose"
     if word == "ok" and sure < confident.sure:

@@ -47,10 +47,11 @@ def cost_terms(lattice, rows, huber, bend, rotation, middle, prior, need, hessia
 
     rows (n, PREPARED): see row_kernels.prepare. huber: see robust, 0 = off. bend: share of a point's sigma that counts
     as not knowing where on a bent surface its normal was felt; that widening is taken as constant in the derivatives.
-    lattice: values, origin, spacing and the object's centroid. prior: rotation (3, 3), middle (3,) and information
+    lattice: values, origin, spacing, step by which points are led back, and the object's
+    centroid. prior: rotation (3, 3), middle (3,) and information
     (6, 6) about them, zeros when there is none. scratch (10, 3): working room.
     """
-    values, origin, spacing, centroid = lattice
+    values, origin, spacing, lead, centroid = lattice
     total = 0.0
     if need:
         for i in range(6):
@@ -86,7 +87,7 @@ def cost_terms(lattice, rows, huber, bend, rotation, middle, prior, need, hessia
             vy = sign * (r01 * rows[n, 3] + r11 * rows[n, 4] + r21 * rows[n, 5])
             vz = sign * (r02 * rows[n, 3] + r12 * rows[n, 4] + r22 * rows[n, 5])
             if gx * vx + gy * vy + gz * vz > 0.0:
-                d, gx, gy, gz = led_back_at(values, origin, spacing, qx, qy, qz, vx, vy, vz)
+                d, gx, gy, gz = led_back_at(values, origin, spacing, lead, qx, qy, qz, vx, vy, vz)
                 fx, fy, fz = qx - d * gx, qy - d * gy, qz - d * gz
         d -= rows[n, OFFSET]
         gate, floor = (

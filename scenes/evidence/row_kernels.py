@@ -103,7 +103,7 @@ def near_rows(lattice, rows, speaking, rotation, middle, reach, active):
     pose, or one near it, may have within the surface or nearer to it than reach (m); returns how many rows are active,
     and how far (m) the farthest row left out is from the pose's middle.
     """
-    values, origin, spacing, centroid = lattice
+    values, origin, spacing, _, centroid = lattice
     k = speaking
     lever = 0.0
     for n in range(speaking, rows.shape[0]):

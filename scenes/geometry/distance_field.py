@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,9 @@ Array = NDArray[np.float64]
 
 # Raised whenever the building below changes what it writes, so that old cache entries are not read.
 CACHE_VERSION = 4
+
+# A point beyond the far side of a wall is led back by so many cells at first (walls have two, see FieldSettings).
+FIRST_STEP = 1.5
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,8 @@ class FieldSettings:
 @dataclass(frozen=True)
 class DistanceField:
     """values (nx, ny, nz) float32 metres at origin (3,) + spacing * (i, j, k); rms_error, max_error: distance of
-    surface samples to the zero level, metres, as measured when it was built.
+    surface samples to the zero level, metres, as measured when it was built. finest: spacing of the lattice that this
+    one is a coarser one of, 0 for none.
     """
 
     values: NDArray[np.float32]
@@ -54,6 +59,21 @@ class DistanceField:
     spacing: float
     rms_error: float
     max_error: float
+    finest: float = 0.0
+
+    @property
+    def step(self) -> float:
+        """First step (m) by which a point beyond the far side of a wall is led back towards who sees it."""
+        return FIRST_STEP * (self.finest or self.spacing)
+
+    @cached_property
+    def coarser(self) -> DistanceField | None:
+        """The same at every second node, an eighth of the memory; None where the nodes are no such number."""
+        if any(n % 2 == 0 or n < 5 for n in self.values.shape):
+            return None
+        values = np.ascontiguousarray(self.values[::2, ::2, ::2])
+        error = self.rms_error, self.max_error
+        return DistanceField(values, self.origin, 2.0 * self.spacing, *error, finest=self.finest or self.spacing)
 
     def distance(self, points: Array) -> Array:
         """Signed distances (n,) at points (n, 3), metres, object frame. Raises InputError unless finite."""
@@ -75,7 +95,7 @@ class DistanceField:
         points = lattice.check_finite(points, "seen_distance_and_gradient")
         out, gradients = np.zeros(len(points)), np.zeros((len(points), 3))
         rays = np.ascontiguousarray(rays, dtype=np.float64)
-        lattice.seen_distances(self.values, self.origin, self.spacing, points, rays, facing, out, gradients)
+        lattice.seen_distances(self.values, self.origin, self.spacing, self.step, points, rays, facing, out, gradients)
         return out, gradients
 
     def normals(self, points: Array) -> Array:
@@ -96,7 +116,8 @@ def load_or_build(vertices: Array, faces: NDArray[np.int64], settings: FieldSett
     content = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
 
     def make() -> Arrays:
-        return {name: np.asarray(value) for name, value in vars(build(vertices, faces, settings)).items()}
+        kept = vars(build(vertices, faces, settings)).items()
+        return {name: np.asarray(value) for name, value in kept if name != "finest"}
 
     arrays = remembered("field", (CACHE_VERSION, settings), content, make, _is_lattice)
     errors = float(arrays["rms_error"]), float(arrays["max_error"])

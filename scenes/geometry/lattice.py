@@ -208,29 +208,28 @@ def normals(values, origin, spacing, points, out):
 # Coordinates (m) whose squares overflow are no places.
 _FARTHEST = 1e100
 
-# A seen point beyond the far side of a wall is led back towards the camera in steps of this many cells, doubled.
-_FIRST_STEP = 1.5
+# A seen point beyond the far side of a wall is led back towards the camera in so many steps, doubled.
 _STEPS = 4
 
 
 @numba.njit(cache=True, nogil=True)
-def seen_distance_at(values, origin, spacing, x, y, z, vx, vy, vz):
+def seen_distance_at(values, origin, spacing, step, x, y, z, vx, vy, vz):
     """Signed distance of a seen point to the surface that faces the camera, and its gradient: (d, gx, gy, gz).
 
-    v (unit) is the viewing direction, object frame. Where the nearest surface looks away from the camera, it cannot be
-    what was seen: the point is led back along v until the nearest surface faces it, and that face's distance is
-    continued in a straight line. Across a thin wall the value then goes on falling instead of turning back to zero.
+    v (unit) is the viewing direction, object frame; step (m): see DistanceField.step. Where the nearest surface looks
+    away from the camera, it cannot be what was seen: the point is led back along v until the nearest surface faces it,
+    and that face's distance is continued in a straight line. Across a thin wall the value then goes on falling instead
+    of turning back to zero.
     """
     d, gx, gy, gz = distance_at(values, origin, spacing, x, y, z)
     if gx * vx + gy * vy + gz * vz <= 0.0:
         return d, gx, gy, gz
-    return led_back_at(values, origin, spacing, x, y, z, vx, vy, vz)
+    return led_back_at(values, origin, spacing, step, x, y, z, vx, vy, vz)
 
 
 @numba.njit(cache=True, nogil=True)
-def led_back_at(values, origin, spacing, x, y, z, vx, vy, vz):
+def led_back_at(values, origin, spacing, step, x, y, z, vx, vy, vz):
     """seen_distance_at of a point whose nearest surface is known to look away from the camera."""
-    step = _FIRST_STEP * spacing
     for _ in range(_STEPS):
         d, gx, gy, gz = distance_at(values, origin, spacing, x - step * vx, y - step * vy, z - step * vz)
         along = gx * vx + gy * vy + gz * vz
@@ -254,12 +253,21 @@ def distances(values, origin, spacing, points, out, gradients):
 
 
 @numba.njit(cache=True, nogil=True)
-def seen_distances(values, origin, spacing, points, rays, facing, out, gradients):
+def seen_distances(values, origin, spacing, step, points, rays, facing, out, gradients):
     """Fill out (n,) and gradients (n, 3): seen_distance_at where facing (n,) holds, distance_at elsewhere."""
     for n in range(points.shape[0]):
         if facing[n]:
             d, gx, gy, gz = seen_distance_at(
-                values, origin, spacing, points[n, 0], points[n, 1], points[n, 2], rays[n, 0], rays[n, 1], rays[n, 2]
+                values,
+                origin,
+                spacing,
+                step,
+                points[n, 0],
+                points[n, 1],
+                points[n, 2],
+                rays[n, 0],
+                rays[n, 1],
+                rays[n, 2],
             )
         else:
             d, gx, gy, gz = distance_at(values, origin, spacing, points[n, 0], points[n, 1], points[n, 2])

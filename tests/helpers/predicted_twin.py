@@ -8,7 +8,7 @@ from scenes.geometry.cameras import is_reading
 
 def predicted(found, pose, side):
     """Shares (seen, agree, past, hidden, behind_hand, outline) and hits of one pose (4, 4); found: a Predictor."""
-    s, camera, depth, belief = found.settings, found.camera, found._depth, found._belief
+    s, camera, depth, belief = found.settings, found.camera, found._depth, found.belief
     u, v, inside = grid(found, pose, side)
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
     inverse = se3.inverse(pose)
@@ -78,7 +78,7 @@ def is_hand(found, at, seen):
 
 def is_plane(found, rays, seen):
     out = np.zeros(seen.shape, dtype=bool)
-    settings, own = found.settings, found._belief.independent_sigma(seen)
+    settings, own = found.settings, found.belief.independent_sigma(seen)
     sigmas, margin = settings.plane_sigmas, settings.plane_margin
     for plane in found._planes:
         room = np.maximum(margin + sigmas * own, sigmas * plane[4] * np.hypot(own, margin / sigmas))

@@ -238,8 +238,9 @@ def test_lines_that_scatter_by_whole_blocks_count_less():
     frame, model = coloured("box")
     evidence = evidence_at(frame, model, frame.camera_from_object_truth)
     evidence.terms(np.zeros(6))
+    assert evidence.beside == 0.0
     evidence.terms(np.zeros(6), (np.zeros(6), np.eye(6)))
-    before = evidence.share.copy()
+    before, little = evidence.share.copy(), evidence.beside
     # no block is surer than a mesh is believed to be right
     assert (before < evidence.alone).all()
     # whole pieces of the outline, each seen elsewhere
@@ -249,6 +250,10 @@ def test_lines_that_scatter_by_whole_blocks_count_less():
     )
     evidence.terms(np.zeros(6), (np.zeros(6), np.eye(6)))
     assert evidence.share.max() < 0.7 * before.max()
+    # and are off by about as much as they were moved, in metres
+    pixel = float(np.median(evidence.lines.outline.points[:, 2])) / frame.camera.fx
+    assert little < 0.3 * pixel < 0.7 * pixel < evidence.beside < 3.0 * pixel
+    assert evidence_at(replace(frame, rgb=None), model, np.eye(4)).beside == 0.0
 
 
 def test_a_pose_that_may_be_anywhere_is_not_read():

@@ -42,10 +42,10 @@ def test_the_true_pose_is_seen_and_others_are_not(name):
 def test_rays_meet_what_a_renderer_draws():
     frame, model = plain_view("mug"), library.make("mug")
     pose = frame.camera_from_object_truth
-    view = predictor(frame, model)._view(pose[None], 24)
+    view = predictor(frame, model).view(pose[None], 24)
     drawn = Renderer({"object": (model.vertices, model.faces)}).render(frame.camera, {"object": pose}).depth
     hit = view.has(predicted_kernels.HIT)[0]
-    u, v = view.pixels(hit).T
+    u, v = view.at(np.flatnonzero(hit)).T
     np.testing.assert_allclose(view.expected[0, hit], drawn[v, u], atol=2e-6)
 
 
@@ -168,23 +168,11 @@ def test_one_piece_of_the_image_has_one_bounded_word():
 
 def test_pixels_inside_the_outline_lie_on_the_surface(lab_frame, drill):
     truth = lab_frame.camera_from_object_truth
-    pixels = predictor(lab_frame, drill).seen_and_empty(truth)[0]
+    pixels = predictor(lab_frame, drill).shown(truth, 40)
     assert len(pixels) > 100
     local = poses.apply(poses.inverse(truth), pixels.points)
     assert np.median(np.abs(drill.field.distance(local))) < 0.004
     assert lab_frame.mask[pixels.uv[:, 1], pixels.uv[:, 0]].mean() > 0.9
-
-
-def test_what_is_seen_past_is_empty():
-    frame, model = plain_view("box"), library.make("box")
-    frame = replace(frame, depth=np.where(frame.depth > 0, frame.depth, 1.5).astype(np.float32))
-    truth = frame.camera_from_object_truth
-    shifted = poses.make_pose(None, [0.03, 0.0, 0.0]) @ truth
-    rows = predictor(frame, model).seen_and_empty(shifted)[1]
-    assert len(rows) > 10
-    assert (model.field.distance(poses.apply(poses.inverse(truth), rows.points)) > 0).all()
-    assert model.field.distance(poses.apply(poses.inverse(shifted), rows.points)).min() < 0
-    assert len(predictor(frame, model).seen_and_empty(truth)[1]) < 0.2 * len(rows)
 
 
 @pytest.mark.parametrize("place", [[5.0, 0.0, 0.5], [0.0, 0.0, -0.5], [0.0, 0.0, 0.02]])
@@ -194,7 +182,7 @@ def test_poses_that_no_camera_sees_cost_a_number(place):
     found = predictor(frame, model)
     assert np.isfinite(found.costs(pose[None])).all()
     assert found.costs(pose[None])[0] > found.costs(frame.camera_from_object_truth[None])[0]
-    assert len(found.seen_and_empty(pose)[0]) == 0
+    assert len(found.shown(pose, 40)) == 0
 
 
 def test_without_an_image_every_pose_costs_nothing(drill):

@@ -119,7 +119,8 @@ class ContourEvidence:
         centre = pose[:3, :3] @ model.centroid + pose[:3, 3]
         self.jacobian = np.concatenate([se3.cross(place - centre, slope), slope], axis=1)
         self.common = np.concatenate([normal, np.ones((len(place), 1))], axis=1)
-        self._mesh = mesh_sigma * float(np.median(camera.fx / z))
+        self._scale = float(np.median(camera.fx / z))
+        self._mesh = mesh_sigma * self._scale
         fatter = np.hypot(s.fatter, self._mesh)
         self.shift = s.shift if self.lines.grey else s.shift_colour
         self.believed = np.array([self.shift, self.shift, fatter]) ** 2.0
@@ -130,7 +131,14 @@ class ContourEvidence:
         blocks = np.floor(outline.places / s.block).astype(np.int64)
         blocks -= blocks.min(axis=0)
         self._block = blocks[:, 0] * (int(blocks[:, 1].max()) + 1) + blocks[:, 1]
-        self._common = np.zeros(3)
+        self._common, self._apart = np.zeros(3), 0.0
+
+    @property
+    def beside(self) -> float:
+        """By how much (m) whole blocks of the outline are off beyond what their lines say, as a standard deviation, as
+        the frame alone shows it where `terms` last learned it; 0 before.
+        """
+        return float(np.sqrt(self._apart)) / self._scale if self.lines is not None else 0.0
 
     @property
     def count(self) -> int:
@@ -168,6 +176,7 @@ class ContourEvidence:
         # a pose and the lines' common errors fit five of an outline's blocks, about
         kernels.misfit(off, weight, self.share, self.alone, self._block, 5, found, information)
         ratio, apart, beyond = found
+        self._apart = float(apart)
         prior = self.settings.believed_blocks
         apart = (prior * self._mesh**2 + beyond * apart) / (prior + beyond)
         self.share = self.alone / ratio / (1.0 + apart * information)[self._block]

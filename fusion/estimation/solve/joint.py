@@ -29,10 +29,15 @@ from numpy.typing import NDArray
 
 from fusion.estimation.solve.newton_kernels import JITTER
 from fusion.estimation.solve.problem import JointProblem
+from fusion.estimation.solve.settings import JointSettings
 from fusion.estimation.solve.system import FIXED, POSE, SCALE, XI, System
 from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
 
 Array = NDArray[np.float64]
+
+# Turns (rad), and moves as shares of the object's radius, to which a Gauss-Newton matrix holds.
+FARTHEST = 0.1
 
 
 @dataclass(frozen=True)
@@ -46,7 +51,8 @@ class JointResult:
     follows (6, 6): by how much xi is expected to be otherwise where the pose turns out to be otherwise.
     unsolved (6, 6): what else of the covariance pixels share, solved for by nothing: the mesh's own error, and by how
     much parts of the image disagree. biased (6, 6): what of `shared` comes of the depth bias. shares: of the mixture,
-    of each rig that was tried; empty where none were.
+    of each rig that was tried; empty where none were. beside (m): by how much blocks of the image are off together, as
+    a root mean square; NaN where no pixel tells.
     """
 
     pose: Array
@@ -65,6 +71,7 @@ class JointResult:
     unsolved: Array = field(default_factory=lambda: np.zeros((6, 6)))
     biased: Array = field(default_factory=lambda: np.zeros((6, 6)))
     shares: tuple[float, ...] = ()
+    beside: float = float("nan")
 
     @property
     def millimetres(self) -> float:
@@ -101,34 +108,52 @@ def solve(problem: JointProblem, pose: Array, level: float) -> JointResult:
     return answered(settle(problem, pose, level))
 
 
-def settle(problem: JointProblem, pose: Array, level: float, after: Settled | None = None) -> Settled:
+def settle(
+    problem: JointProblem, pose: Array, level: float, after: Settled | None = None, facing: System | None = None
+) -> Settled:
     """Gauss-Newton from `pose` (4, 4) for shared errors `level` times as large as believed.
 
     Where nothing of known shape ties depth's scale and bias (problem.ties_depth), they are not solved for, because a
     wrong outline is then explained by a wrong scale: they widen the covariance by what they do to the pose (a consider
-    analysis, Schmidt 1966), and move nothing. after: a solution of another level of the same problem, whose unknowns it
-    begins with.
+    analysis, Schmidt 1966), and move nothing. after: a solution of another level of the same problem; it begins where
+    that one says that this one ends. facing: a system that knows which way the surface faces each pixel.
     """
-    system = System(problem, pose, level)
-    # what is whitened by a level is in units of it
-    here, unknown = pose, system.start() if after is None else after.unknown * (after.level / level)
+    system = System(problem, pose, level, facing)
+    here, unknown = (pose, system.start()) if after is None else _onwards(after, level)
     free = system.size if problem.ties_depth else SCALE
     here, unknown, cost, normal, log_det = system.descend(here, unknown, free)
     return Settled(system, here, unknown, cost, normal, -cost - 0.5 * log_det, level)
 
 
+def _onwards(after: Settled, level: float) -> tuple[Array, Array]:
+    """Pose (4, 4) and unknowns (size,) of another level as a solution's own Gauss-Newton matrix has them: what was
+    sensed is the same, only the shared errors' prior is as wide as the level says.
+    """
+    ratio, system = level / after.level, after.system
+    own = np.zeros(system.size)
+    own[6:] = 1.0
+    # at the minimum what was sensed pulls as the prior does, the other way; whitened by `after`'s level
+    matrix = after.normal + np.diag(system.width + own * (ratio**-2.0 - 1.0))
+    step = np.linalg.solve(matrix, own * after.unknown * (1.0 - ratio**-2.0))
+    unknown = (after.unknown + own * step) / ratio
+    if max(np.abs(step[:3]).max(), np.abs(step[3:6]).max() / system.problem.model.radius) > FARTHEST:
+        return after.pose, after.unknown / ratio
+    return se3.perturb(after.pose, step[POSE], system.problem.model.centroid), unknown
+
+
 def answered(settled: Settled) -> JointResult:
     """A solution with its covariances."""
     one, system = marginalised(settled), settled.system
-    misfit = system.misfit()
+    misfit, beside = system.misfit(), system.beside()
     independent, shared, biased, follows = _split(system, settled.pose, settled.normal)
     parts = misfit * independent, misfit * shared, misfit * biased
-    return replace(one, independent=parts[0], shared=parts[1], biased=parts[2], follows=follows)
+    return replace(one, independent=parts[0], shared=parts[1], biased=parts[2], follows=follows, beside=beside)
 
 
 def marginalised(settled: Settled) -> JointResult:
     """A solution with its covariance, all else marginalised; what of it noise and shared errors make is left out."""
     system, here, unknown, free = settled.system, settled.pose, settled.unknown, settled.free
+    problem = system.problem
     whole = settled.normal + np.diag(system.width)
     gain = _marginal(whole[:free, :free])
     covariance = gain
@@ -137,7 +162,9 @@ def marginalised(settled: Settled) -> JointResult:
         covariance = gain + inverse @ inverse.T
     system.terms(here, unknown)
     misfit = system.misfit()
-    unsolved = system.excess_spread(whole[:free, :free], misfit) + _mesh_spread(system)
+    unsolved = system.excess_spread(whole[:free, :free], misfit) + mesh_spread(
+        problem.model, system.mesh_variance(), problem.settings
+    )
     return JointResult(
         here,
         misfit * covariance + unsolved,
@@ -153,12 +180,12 @@ def marginalised(settled: Settled) -> JointResult:
     )
 
 
-def _mesh_spread(system: System) -> Array:
-    """(6, 6) what the mesh's own error makes of a pose: a scan is off smoothly, over whole faces, so that pixels do not
-    average it out.
+def mesh_spread(model: ObjectModel, variance: float, settings: JointSettings) -> Array:
+    """(6, 6) what a mesh's own error of that variance (m^2) makes of a pose: a scan is off smoothly, over whole faces,
+    so that pixels do not average it out, and no more than a few parts of the surface do.
     """
-    variance = system.mesh_variance()
-    return np.diag(np.repeat([variance / system.problem.model.radius**2, variance], 3))
+    each = variance / settings.mesh_parts
+    return np.diag(np.repeat([each / model.radius**2, each], 3))
 
 
 def _as_seen(system: System, pose: Array, unknown: Array) -> Array:

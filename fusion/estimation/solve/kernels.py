@@ -54,7 +54,7 @@ def vision_rows(
     Outputs, all (n, ...): index of the row; jac by (turn, move, scale); along: by its bias; residuals in m;
     information: weight / sigma^2.
     """
-    values, origin, spacing, centroid = lattice
+    values, origin, spacing, lead, centroid = lattice
     total = 0.0
     k = 0
     for n in range(rows.shape[0]):
@@ -73,7 +73,7 @@ def vision_rows(
             vx = rotation[0, 0] * nx + rotation[1, 0] * ny + rotation[2, 0] * nz
             vy = rotation[0, 1] * nx + rotation[1, 1] * ny + rotation[2, 1] * nz
             vz = rotation[0, 2] * nx + rotation[1, 2] * ny + rotation[2, 2] * nz
-            d, ox, oy, oz = seen_distance_at(values, origin, spacing, qx, qy, qz, vx, vy, vz)
+            d, ox, oy, oz = seen_distance_at(values, origin, spacing, lead, qx, qy, qz, vx, vy, vz)
         else:
             d, ox, oy, oz = distance_at(values, origin, spacing, qx, qy, qz)
         d -= rows[n, OFFSET]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fusion.estimation.pool import Pool
 from fusion.estimation.settings import EstimateSettings
-from fusion.estimation.solve.joint import JointResult
+from fusion.estimation.solve.joint import JointResult, mesh_spread
 from scenes.evidence.align import costs
 from scenes.evidence.modes import Mode
 from scenes.geometry import poses as se3
@@ -30,13 +30,15 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 class Outlined:
     """mode: with what the outline says. solved: the joint solution, its calibration moved with the pose. lines: that
-    were open; why: a word on what was found.
+    were open; why: a word on what was found. beside (m): by how much whole blocks of the outline are off, beyond what
+    their lines say.
     """
 
     mode: Mode
     solved: JointResult
     lines: int
     why: str
+    beside: float = 0.0
 
 
 def asks_for(image: NDArray[np.uint8], settings: ContourSettings) -> bool:
@@ -86,11 +88,12 @@ def outlined(
     inverse = np.linalg.inv(information + hessian)
     kept = np.eye(6) - inverse @ hessian
     # the mesh's own error is in both, and no evidence takes it away
-    mesh = np.diag(np.repeat([(mesh_sigma / model.radius) ** 2, mesh_sigma**2], 3))
+    mesh = mesh_spread(model, mesh_sigma**2, settings.joint)
     spread = kept @ _positive(mode.covariance - mesh) @ kept.T + inverse @ hessian @ inverse + mesh
     why = f"{lines} lines across it, moved by {1e3 * float(np.linalg.norm(moved[3:])):.1f} mm, {worse:+.1f} nats"
     calibrated = replace(solved, xi=solved.xi + solved.follows @ moved)
-    return Outlined(replace(mode, pose=at, covariance=0.5 * (spread + spread.T)), calibrated, lines, why)
+    moved_mode = replace(mode, pose=at, covariance=0.5 * (spread + spread.T))
+    return Outlined(moved_mode, calibrated, lines, why, evidence.beside)
 
 
 def _worse(pool: Pool, poses: tuple[Array, Array], as_seen: tuple[Array, Array]) -> float:

@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[JointResult]:
     """Solve each problem from its start, at least one; how large shared errors are is averaged over at the first.
 
-    A rig weighs exp(log evidence) times how usual it is. The first answer is the rigs' weighted mean and mixture
-    covariance, so that not knowing the rig is part of its uncertainty; other modes use the best.
+    A rig weighs exp(log evidence / temperature) times how usual it is. The first answer is the rigs' weighted mean and
+    mixture covariance, so that not knowing the rig is part of its uncertainty; other modes use the best.
     """
     problem, settings = problems[0], problems[0].settings
     pairs = list(zip(problems, starts))[: settings.modes]
@@ -27,8 +27,11 @@ def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[Joint
         return [solve(one, start, 1.0) for one, start in pairs]
     tried = [settle(problem, starts[0], settings.rigs[0].level)]
     for rig in settings.rigs[1:]:
-        tried.append(settle(problem, tried[-1].pose, rig.level, after=tried[-1]))
-    score = np.array([t.log_evidence + np.log(rig.share) for t, rig in zip(tried, settings.rigs)])
+        # from the second on they end so near to each other that pixels face the surface alike
+        facing = tried[1].system if len(tried) > 1 else None
+        tried.append(settle(problem, tried[-1].pose, rig.level, tried[-1], facing))
+    evidence = np.array([t.log_evidence for t in tried]) / settings.evidence_temperature
+    score = evidence + np.log([rig.share for rig in settings.rigs])
     weights = np.exp(score - score.max())
     weights = weights / weights.sum()
     shares = tuple(float(share) for share in weights)

@@ -25,8 +25,10 @@ FIXED = 13
 class System:
     """Cost, gradient and Gauss-Newton matrix of a JointProblem about (delta, whitened xi, s, b)."""
 
-    def __init__(self, problem: JointProblem, pose: Array, level: float) -> None:
-        """Pose (4, 4): where it is solved from. level: factor on what shared errors are believed to be."""
+    def __init__(self, problem: JointProblem, pose: Array, level: float, facing: System | None = None) -> None:
+        """Pose (4, 4): where it is solved from. level: factor on what shared errors are believed to be. facing: a
+        system of the same problem that knows from near there which way the surface faces each pixel.
+        """
         self.problem = problem
         self.size = FIXED + len(problem.bias)
         # a cloud keeps the weights of its rows
@@ -48,7 +50,9 @@ class System:
         self.width = np.zeros(self.size)
         self.width[POSE] = np.array([1.0] * 3 + [problem.model.radius] * 3) ** -2.0
         self._hand_white = self._whitened_hand() if problem.hand is not None else None
-        self.normals, self.slope = self._facing(pose)
+        self.normals: Array
+        self.slope: Array
+        self.normals, self.slope = self._facing(pose) if facing is None else (facing.normals, facing.slope)
         # where `terms` last was: what the vision rows cost, and how many count
         self.seen_cost, self._used = 0.0, 0
 
@@ -147,22 +151,38 @@ class System:
         the pose. What is believed of meshes is the prior, an inverse gamma as for the pixels (`misfit`); what
         independent noise leaves in a block's mean is taken off, and six blocks' worth goes into the pose.
         """
-        problem, k = self.problem, self._used
-        s, believed = problem.settings, problem.beliefs.mesh_sigma**2
-        if problem.camera is None or not k:
+        s, believed = self.problem.settings, self.problem.beliefs.mesh_sigma**2
+        mean, weight = self._block_means()
+        if not len(mean):
             return believed
-        index, _, _, residual, information, _ = (part[:k] for part in problem.room)
-        mine = problem.on[index] & (information > 0.0)
-        if not mine.any():
-            return believed
-        group = self._blocks(index[mine])
-        weight = np.bincount(group, information[mine])
-        mean = np.bincount(group, (information * residual)[mine]) / weight
         square = float(np.maximum(np.square(mean) - 1.0 / weight, 0.0).sum())
         free = max(float(len(weight)) - 6.0, 0.0)
         # fewer blocks than unknowns: they are all taken up by the pose
         square *= min(1.0, free / 6.0)
         return ((s.believed_blocks - 2.0) * believed + square) / (s.believed_blocks + free - 2.0)
+
+    def beside(self) -> float:
+        """By how much (m) blocks of the image are off together, where `terms` last was: the root mean square of their
+        means by weight, of what noise leaves in these too; NaN where no pixel tells.
+        """
+        mean, weight = self._block_means()
+        return float(np.sqrt(weight @ np.square(mean) / weight.sum())) if len(mean) else float("nan")
+
+    def _block_means(self) -> tuple[Array, Array]:
+        """How far (b,) m blocks of the image are off on average, where `terms` last was, and their weights (b,) 1/m^2;
+        none where no pixel tells.
+        """
+        problem, k = self.problem, self._used
+        nothing = np.zeros(0), np.zeros(0)
+        if problem.camera is None or not k:
+            return nothing
+        index, _, _, residual, information, _ = (part[:k] for part in problem.room)
+        mine = problem.on[index] & (information > 0.0)
+        if not mine.any():
+            return nothing
+        group = self._blocks(index[mine])
+        weight = np.asarray(np.bincount(group, information[mine]), dtype=np.float64)
+        return np.bincount(group, (information * residual)[mine]) / weight, weight
 
     def _blocks(self, index: NDArray[np.int64]) -> NDArray[np.int64]:
         """(n,) block of the image of each of the rows `index` (n,)."""

@@ -15,6 +15,7 @@ from fusion.tracking.filter import Belief
 from fusion.tracking.hypotheses import Hypotheses, weights
 from fusion.tracking.slip import Watched
 from fusion.tracking.steps.sensing import Sensed
+from scenes.evidence.alike import alike
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
@@ -72,13 +73,13 @@ def judge(
     picture = None if sensed.pool is None else sensed.pool.predictor.predict(pose[None], settings.side)
     seeing = visibility(sensed.viewed, model, pose, beliefs.depth) if picture is None else as_seen(picture)
     nats = posterior.nats_of_contacts(model, sensed.felt.rows, len(contacts), pose)
-    agreed = residuals, nats, share, seeing, picture
-    right, sure, word, why = posterior.judged(model, modes, *agreed, first.verdict, first.confidence)
+    agreed, same = (residuals, nats, share, seeing, picture), alike(model, modes, first.confidence.tolerance)
+    right, sure, word, why = posterior.judged(model, modes, *agreed, first.verdict, first.confidence, same=same)
     if word != "lost" and strays(share, usual, len(sensed.looked.pixels), settings):
         word, why = "lost", f"{share:.0%} of the pixels explained, {usual:.0%} before"
     if word != "lost" and settings.leaps(leap):
         word, why = "lost", f"{1e3 * np.linalg.norm(leap[3:]):.0f} mm from the prediction"
-    covariance = told_covariance(model, modes, word, right, None, first.confidence)
+    covariance = told_covariance(model, modes, word, right, None, first.confidence, same=same)
     unknown = posterior.unobservable(model, pose, belief.covariance, first.verdict)
     # what is lost is not to be trusted at all
     sure = 0.0 if word == "lost" else sure

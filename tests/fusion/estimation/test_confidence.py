@@ -117,26 +117,41 @@ def test_a_batch_has_it(capsys, tmp_path, capture):
     assert all(0.0 <= float(row["confidence"]) <= 1.0 for row in rows)
 
 
-def test_what_is_hidden_widens_an_answer_but_not_what_a_prior_told():
+def shown(agree):
+    """A predicted picture of which a share agrees."""
+    return Prediction(
+        np.array([agree]), np.zeros(1), np.array([agree]), *np.zeros((4, 1)), np.array([200]), np.array([9e3])
+    )
+
+
+def test_what_is_hidden_or_off_widens_an_answer_but_not_what_a_prior_told():
     rng = np.random.default_rng(4)
     root = rng.normal(size=(6, 6)) * 1e-3
     covariance = root @ root.T + 1e-8 * np.eye(6)
     mode = Mode(np.eye(4), 1.0, 0.0, covariance)
-    little, much = (
-        Prediction(
-            np.array([agree]), np.zeros(1), np.array([agree]), *np.zeros((4, 1)), np.array([200]), np.array([9e3])
-        )
-        for agree in (0.02, 0.95)
-    )
-    s = ConfidenceSettings()
+
+    def factor(picture, *beside, prior=None):
+        wide = as_shown(mode, picture, prior, None, *beside).covariance
+        np.testing.assert_allclose(wide / wide[0, 0], covariance / covariance[0, 0], rtol=1e-6)
+        return wide[0, 0] / covariance[0, 0]
+
     assert as_shown(mode, None, None) is mode
-    np.testing.assert_allclose(as_shown(mode, little, None).covariance, s.widening[0] * covariance)
-    np.testing.assert_allclose(as_shown(mode, much, None).covariance, s.widening[-1] * covariance)
+    little, much = shown(0.02), shown(0.95)
+    # the less is seen, and the more blocks of depth or of the outline are off together, the wider
+    assert factor(little) > factor(shown(0.3)) > factor(much)
+    by_depth = [factor(much, (off, 0.0)) for off in (0.0, 0.0003, 0.001, 0.003)]
+    assert by_depth == sorted(by_depth)
+    assert by_depth[-1] > 2.0 * by_depth[0]
+    # what depth's bias takes on, the outline shows
+    assert factor(much, (0.0003, 0.0003)) > factor(much, (0.0004, 0.0)) > factor(much, (0.0003, 0.0))
+    # beyond what was fitted nothing grows
+    assert factor(much, (0.003, 0.0)) == factor(much, (0.1, 0.05))
+    assert factor(shown(1e-9)) == factor(little)
     # a prior that says all leaves nothing to widen; one that says nothing is none
     told = Prior(np.eye(4), np.linalg.inv(covariance))
     np.testing.assert_allclose(as_shown(mode, little, told).covariance, covariance, rtol=1e-6, atol=1e-14)
     vague = Prior(np.eye(4), 1e-9 * np.eye(6))
-    np.testing.assert_allclose(as_shown(mode, little, vague).covariance, s.widening[0] * covariance, rtol=1e-6)
+    assert factor(little, prior=vague) == pytest.approx(factor(little), rel=1e-6)
     # no direction of a degenerate covariance raises
     flat = Mode(np.eye(4), 1.0, 0.0, np.diag([1e-4, 0.0, 0.0, 1e-6, 1e-6, 0.0]))
     assert np.isfinite(as_shown(flat, little, told).covariance).all()
@@ -146,9 +161,9 @@ def test_every_factor_of_the_regression_is_a_feature_with_its_sign(box):
     names = [feature.name for feature in FEATURES]
     assert sorted(names) == sorted({field.name for field in fields(Regression)} - {"nearest"})
     for feature in FEATURES:
-        for factors, fitted in ((ConfidenceSettings().seen, feature.seen), (ConfidenceSettings().felt, feature.felt)):
-            value = getattr(factors, feature.name)
-            assert feature.sign * value >= 0.0
+        for seen, fitted in ((True, feature.seen), (False, feature.felt)):
+            value = getattr(ConfidenceSettings().seen if seen else ConfidenceSettings().felt, feature.name)
+            assert feature.sign_of(seen) * value >= 0.0
             assert fitted or value == 0.0
 
 

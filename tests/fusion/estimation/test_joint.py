@@ -273,9 +273,24 @@ def test_a_rig_that_is_not_known_widens_the_answer(drill):
     """However well pixels agree, the covariance is the mixture of all rigs that may be the case."""
     problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-5)
     calm = solve_modes([problem], [pose])[0]
-    alone, usual = solve(problem, pose, calm.level), solve(problem, pose, 1.0)
-    assert calm.level < usual.level
+    alone, usual = solve(problem, pose, problem.settings.rigs[0].level), solve(problem, pose, 1.0)
     assert np.trace(alone.covariance[3:, 3:]) < np.trace(calm.covariance[3:, 3:]) < np.trace(usual.covariance[3:, 3:])
+
+
+def test_the_evidence_of_rigs_counts_by_its_temperature(drill):
+    """The hotter, the less a frame says of its rig, up to nothing beyond how usual each is; and the wider it is."""
+    problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-5)
+    found = [
+        solve_modes([replace(problem, settings=replace(problem.settings, evidence_temperature=hot))], [pose])[0]
+        for hot in (1.0, 4.0, 1e9)
+    ]
+    calmest = [one.shares[0] for one in found]
+    assert calmest == sorted(calmest, reverse=True)
+    assert calmest[0] > 0.6 > calmest[1] > 0.2
+    usual = np.array([rig.share for rig in problem.settings.rigs])
+    np.testing.assert_allclose(found[2].shares, usual / usual.sum(), atol=1e-6)
+    width = [np.trace(one.covariance[3:, 3:]) for one in found]
+    assert width == sorted(width)
 
 
 def test_a_surface_that_is_off_smoothly_speaks_of_the_mesh(drill, rng):
@@ -286,16 +301,21 @@ def test_a_surface_that_is_off_smoothly_speaks_of_the_mesh(drill, rng):
     rows = problem.seen.rows.copy()
     rows[:, :3] *= 1.0 + (wave / np.linalg.norm(problem.seen.points, axis=1))[:, None]
     off = replace(problem, seen=replace(problem.seen, rows=rows))
-    found = []
+    found, together = [], []
     for one in (problem, off):
         system = System(one, pose, 1.0)
         system.terms(pose, np.zeros(system.size))
         found.append(system.mesh_variance())
+        together.append(system.beside())
     believed = problem.beliefs.mesh_sigma**2
     assert found[0] < believed < found[1]
+    assert together[0] < 0.0003
+    assert 0.001 < together[1] < 0.004
+    assert solve(off, pose, 1.0).beside > solve(problem, pose, 1.0).beside
     # what is believed stays where nothing is seen
     blind = System(replace(problem, seen=evidence.empty()), pose, 1.0)
     assert blind.mesh_variance() == pytest.approx(believed)
+    assert np.isnan(blind.beside())
 
 
 def test_what_exceeds_is_what_another_covariance_lacks(rng):

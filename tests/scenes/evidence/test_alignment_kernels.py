@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scenes.evidence import table as evidence
-from scenes.evidence.align import AlignSettings, Prior, align, costs, terms
+from scenes.evidence.align import COARSE, AlignSettings, Prior, align, costs, terms
 from scenes.evidence.kernels import SHORTEST_GRADIENT
 from scenes.evidence.row_kernels import loss_floor, robust
 from scenes.evidence.table import NO_GATE, OFFSET, TOUCH, VISION
@@ -23,8 +23,8 @@ seeds = st.integers(0, 2**32 - 1)
 class Twin:
     """The cost of scenes.evidence.table in plain NumPy, one pose at a time."""
 
-    def __init__(self, model):
-        self.model, self.field = model, model.field
+    def __init__(self, model, field=None):
+        self.model, self.field = model, field or model.field
 
     def _value(self, points):
         """Trilinear interpolation inside the box; the way to the box added outside."""
@@ -54,7 +54,7 @@ class Twin:
             if gradient[n] @ rays[n] <= 0:
                 continue
             for k in range(4):
-                step = 1.5 * self.field.spacing * 2**k
+                step = self.field.step * 2**k
                 back = points[n : n + 1] - step * rays[n]
                 along = float(self._direction(back)[0] @ rays[n])
                 if along < 0:
@@ -62,7 +62,7 @@ class Twin:
                     feet[n] = points[n] - value[n] * self._direction(back)[0]
                     break
             else:
-                value[n] = -0.5 * 1.5 * self.field.spacing * 2**4
+                value[n] = -0.5 * self.field.step * 2**4
                 feet[n] = points[n] + value[n] * rays[n]
         return value, feet
 
@@ -214,8 +214,23 @@ def test_the_cost_is_that_of_the_twin(mug, twin, blur, blur_normal, huber, seed)
     prior = draw_prior(pose, mug.centroid, rng)
     used = AlignSettings(blur=blur, blur_normal=blur_normal, huber=huber)
     ours = terms(mug, table, pose, prior, used)[0]
+    # what is blurred widely is looked up in the coarser lattice
+    twin = twin if blur < COARSE * mug.field.coarser.spacing else Twin(mug, mug.field.coarser)
     assert ours == pytest.approx(twin.cost(table, pose, prior, blur, blur_normal, huber), rel=1e-9)
     assert costs(mug, table, pose[None], prior, used)[0] == pytest.approx(ours, rel=1e-12)
+
+
+@settings(max_examples=10)
+@given(seed=seeds)
+def test_a_coarser_lattice_tells_blurred_costs_apart_as_well(mug, twin, seed):
+    rng = np.random.default_rng(seed)
+    pose = draw_pose(rng)
+    table, blur = draw_table(mug, pose, rng), COARSE * mug.field.coarser.spacing
+    candidates = poses.perturb(pose, rng.normal(size=(30, 6)) * np.repeat([0.3, 0.01], 3), mug.centroid)
+    coarse = costs(mug, table, candidates, None, AlignSettings(blur=1.001 * blur, blur_normal=0.3))
+    fine = costs(mug, table, candidates, None, AlignSettings(blur=0.999 * blur, blur_normal=0.3))
+    assert np.corrcoef(coarse, fine)[0, 1] > 0.995
+    np.testing.assert_allclose(coarse, fine, rtol=0.01)
 
 
 @pytest.mark.parametrize("kind", "nofsrat")

@@ -105,6 +105,23 @@ def test_the_gradient_is_that_of_the_value(name):
         assert np.allclose(gradient[:, axis], numeric, atol=2e-6)
 
 
+def test_every_second_node_is_a_coarser_lattice_of_the_same():
+    model = library.make("mug")
+    field, coarse = model.field, model.field.coarser
+    assert coarse.spacing == 2 * field.spacing
+    assert coarse.step == field.step
+    assert coarse.values.nbytes < field.values.nbytes / 7
+    nodes = field.origin + coarse.spacing * np.array([[3, 4, 5], [7, 2, 9]])
+    np.testing.assert_allclose(coarse.distance(nodes), field.distance(nodes), atol=1e-7)
+    points = box_points(model, 500, 0.02)
+    assert np.abs(coarse.distance(points) - field.distance(points)).mean() < 0.1 * field.spacing
+    # the corners of the box are the same: what lies outside is as far
+    assert np.allclose(
+        field.origin + field.spacing * (np.array(field.values.shape) - 1),
+        coarse.origin + coarse.spacing * (np.array(coarse.values.shape) - 1),
+    )
+
+
 def test_value_alone_is_the_value_with_gradient():
     model = library.make("mug")
     field = model.field
