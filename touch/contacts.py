@@ -160,11 +160,9 @@ def _hand_rows(frame: Frame, region: Ball | None, settings: TouchSettings) -> Ev
     assert frame.hand is not None
     assert frame.joints is not None
     assert frame.world_from_hand is not None
-    points = frame.hand.points_on_surface(frame.joints)
     camera_from_hand = frame.camera_from_world @ frame.world_from_hand
-    points = points @ camera_from_hand[:3, :3].T + camera_from_hand[:3, 3]
-    if region is not None:
-        points = points[np.linalg.norm(points - region.centre, axis=1) < region.radius]
+    centre, radius = (np.zeros(3), np.inf) if region is None else (region.centre, region.radius)
+    points = frame.hand.points_in_ball(frame.joints, camera_from_hand, centre, radius)
     if not len(points):
         return tables.empty()
     step = max(1, len(points) // settings.hand_points)

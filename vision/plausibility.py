@@ -62,8 +62,8 @@ def _seen_past(frame: Frame, hand: HandView, settings: PlausibilitySettings) -> 
     measured = camera_from_hand(frame)
     if measured is None or frame.hand is None or frame.joints is None or frame.depth is None or frame.camera is None:
         return 0.0, 0
-    points = frame.hand.points_on_surface(frame.joints)
-    points = points[:: max(1, len(points) // settings.points)] @ hand.aligned[:3, :3].T + hand.aligned[:3, 3]
+    points = frame.hand.points_on_surface(frame.joints, most=settings.points)
+    points = points @ hand.aligned[:3, :3].T + hand.aligned[:3, 3]
     points = points[points[:, 2] > 1e-3]
     if not len(points):
         return 0.0, 0

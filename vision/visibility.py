@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.geometry import poses as se3
 from scenes.geometry.cameras import is_reading
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import DepthModel
 from scenes.recordings.frames import Frame
+from vision.contour import kernels
+from vision.contour.outline import Caster
 
 Array = NDArray[np.float64]
 
@@ -40,20 +41,19 @@ def visibility(frame: Frame, model: ObjectModel, pose: Array, depth_model: Depth
     if frame.depth is None or frame.camera is None:
         return nothing
     camera = frame.camera
-    corners = se3.apply(pose, model.vertices[:: max(1, len(model.vertices) // 2000)])
-    if (corners[:, 2] <= 0).any():
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    some, bounds = np.ascontiguousarray(model.vertices[:: max(1, len(model.vertices) // 2000)]), np.zeros(5)
+    kernels.box(some, np.ascontiguousarray(pose[:3, :3]), pose[:3, 3].copy(), lens, bounds)
+    if bounds[4] <= 0:
         return nothing
-    uv, _ = camera.project(corners)
-    low = np.maximum(np.floor(uv.min(axis=0)), 0).astype(int)
-    high = np.minimum(np.ceil(uv.max(axis=0)), [camera.width - 1, camera.height - 1]).astype(int)
+    low = np.maximum(np.floor(bounds[[0, 2]]), 0).astype(int)
+    high = np.minimum(np.ceil(bounds[[1, 3]]), [camera.width - 1, camera.height - 1]).astype(int)
     if (high < low).any():
         return nothing
-    u = np.unique(np.linspace(low[0], high[0], RAYS).round().astype(int))
-    v = np.unique(np.linspace(low[1], high[1], RAYS).round().astype(int))
-    u, v = (x.ravel() for x in np.meshgrid(u, v))
-    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(u))], axis=1)
-    inverse = se3.inverse(pose)
-    expected = model.surface.cast(np.broadcast_to(inverse[:3, 3], rays.shape), rays @ inverse[:3, :3].T)
+    # each once, in order
+    u, v = (np.linspace(first, last, min(RAYS, last - first + 1)).round().astype(int) for first, last in zip(low, high))
+    u, v = np.tile(u, len(v)), np.repeat(v, len(u))
+    expected = Caster(model, camera, pose).depth(np.stack([u, v], axis=1).astype(np.float64))
     on = np.isfinite(expected)
     if not on.any():
         return nothing

@@ -80,3 +80,20 @@ def apply_each(transforms, which, points, out):
         for i in range(3):
             turned = (pose[i, 0] * points[n, 0] + pose[i, 2] * points[n, 2]) + pose[i, 1] * points[n, 1]
             out[n, i] = turned + pose[i, 3]
+
+
+@numba.njit(cache=True, nogil=True)
+def apply_in_ball(transforms, which, points, centre, radius, out):
+    """Put those of points (n, 3) into out (n, 3), each by its own of transforms (k, 4, 4) as in apply_each, that end
+    nearer than `radius` to centre (3,); returns how many.
+    """
+    count = 0
+    for n in range(points.shape[0]):
+        pose, square = transforms[which[n]], 0.0
+        for i in range(3):
+            turned = (pose[i, 0] * points[n, 0] + pose[i, 2] * points[n, 2]) + pose[i, 1] * points[n, 1]
+            out[count, i] = turned + pose[i, 3]
+            square += (out[count, i] - centre[i]) ** 2
+        if square < radius * radius:
+            count += 1
+    return count

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -44,6 +45,14 @@ def _numbers(values: ArrayLike, name: str) -> Array:
         raise InputError(f"contacts: expected {name} as real numbers: {error}") from error
 
 
+def _check_places(points: Array) -> None:
+    """Raise InputError for points (n, 3) that are no places."""
+    near = np.abs(points) < FARTHEST  # NaN is not below it either
+    if not near.all():
+        bad = ~near.all(axis=1)
+        raise InputError(f"contacts: expected finite points, got row {int(np.argmax(bad))} = {points[bad][0]}")
+
+
 class Contacts:
     """Points that lie on the object's surface, sensed by touch.
 
@@ -68,9 +77,7 @@ class Contacts:
             raise InputError(f"contacts: expected points of shape (n, 3), got {places.shape}")
         self.points = places.reshape(-1, 3) if places.size else np.zeros((0, 3))
         n = len(self.points)
-        bad = ~(np.abs(self.points) < FARTHEST).all(axis=1)  # NaN is not below it either
-        if bad.any():
-            raise InputError(f"contacts: expected finite points, got row {int(np.argmax(bad))} = {self.points[bad][0]}")
+        _check_places(self.points)
         self.normals = self._rows(normals, n, 3, "normals")
         with np.errstate(invalid="ignore", over="ignore"):
             length = np.linalg.norm(self.normals, axis=1)
@@ -108,6 +115,13 @@ class Contacts:
             raise InputError(f"contacts: expected {name} above 0, from {low:g} to {high:g}, got {wrong:g}")
         return array
 
+    @staticmethod
+    def none() -> Contacts:
+        """No contacts: most frames have none of most kinds."""
+        out = copy(_nothing())
+        out.sensors = []
+        return out
+
     def __len__(self) -> int:
         return len(self.points)
 
@@ -139,21 +153,21 @@ class Contacts:
     def moved(self, target_from_source: Array) -> Contacts:
         """The same contacts in another frame."""
         rotation, translation = target_from_source[:3, :3], target_from_source[:3, 3]
-        return Contacts(
-            self.points @ rotation.T + translation,
-            self.normals @ rotation.T,
-            self.sigma_point,
-            self.sigma_normal,
-            self.sensors,
-            self.forces @ rotation.T,
-            self.sigma_known,
-        )
+        out = copy(self)
+        out.points = self.points @ rotation.T + translation
+        _check_places(out.points)
+        # what is checked already and turned needs its length only
+        out.normals, out.forces = self.normals @ rotation.T, self.forces @ rotation.T
+        out.normals /= np.linalg.norm(out.normals, axis=1, keepdims=True)
+        out.sigma_point, out.sigma_normal = self.sigma_point.copy(), self.sigma_normal.copy()
+        out.sensors = list(self.sensors)
+        return out
 
     @staticmethod
     def concatenate(parts: list[Contacts]) -> Contacts:
         """All rows of all parts, in order."""
         if not parts:
-            return Contacts(np.zeros((0, 3)))
+            return Contacts.none()
         filled = [p for p in parts if len(p)]
         if len(filled) == 1:
             return filled[0]
@@ -166,6 +180,11 @@ class Contacts:
             np.concatenate([p.forces for p in parts]),
             all(p.sigma_known for p in parts if len(p)),  # a part without contacts says nothing of the others
         )
+
+
+@lru_cache(maxsize=1)
+def _nothing() -> Contacts:
+    return Contacts(np.zeros((0, 3)))
 
 
 @dataclass(frozen=True)
@@ -220,7 +239,7 @@ class Frame:
     hand: Hand | None = None
     joints: dict[str, float] | None = None
     world_from_hand: Array | None = None
-    contacts: Contacts = field(default_factory=lambda: Contacts(np.zeros((0, 3))))
+    contacts: Contacts = field(default_factory=Contacts.none)
     no_contact: EmptyRegions | None = None
     wrenches: tuple[Wrench, ...] = ()
     tactile: dict[str, Array] = field(default_factory=dict)
@@ -297,7 +316,7 @@ class Frame:
 
     def without_touch(self) -> Frame:
         """The frame without what touch gave."""
-        return replace(self, contacts=Contacts(np.zeros((0, 3))), no_contact=None, wrenches=(), tactile={}, gels={})
+        return replace(self, contacts=Contacts.none(), no_contact=None, wrenches=(), tactile={}, gels={})
 
     def hand_from_object(self, pose: Array, correction: Array) -> Array | None:
         """(4, 4) of the object at pose (4, 4) camera_from_object, the camera-robot calibration corrected; None without

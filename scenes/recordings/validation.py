@@ -180,6 +180,9 @@ def _depth_problem(frame: Frame) -> str | None:
         return None
     some = frame.depth[::UNIT_STEP, ::UNIT_STEP]
     some = some[np.isfinite(some) & (some > 0) & (some < MILLIMETRES[1])]
+    # where most are below it the median is
+    if 2 * np.count_nonzero(some < MILLIMETRES[0]) > len(some):
+        return None
     median = float(np.median(some)) if len(some) else 0.0
     if median < MILLIMETRES[0]:
         return None

@@ -38,6 +38,9 @@ class Hand:
     sensors by name.
     """
 
+    # joints and hand_from_link that were asked for last
+    _last: tuple[tuple[tuple[str, float], ...], Array] | None = None
+
     def __init__(self, robot: Robot, sensors: dict[str, Sensor] | None = None) -> None:
         """Use `load`, or pass a description; raises InputError when a sensor sits on a link that is not there."""
         self.name = robot.name
@@ -212,11 +215,19 @@ class Hand:
         Raises InputError for joints that this hand does not have. Positions beyond the limits are used as given:
         `limit_excess` tells which they are.
         """
-        return dict(zip(self.link_names, self._poses_of_values(self.joint_values(joints))))
+        return dict(zip(self.link_names, self._poses_at(joints)))
+
+    def _poses_at(self, joints: dict[str, float]) -> Array:
+        """hand_from_link (l, 4, 4); the last ones are kept, for one frame's joints are asked about several times."""
+        key = tuple(joints.items())
+        last = self._last
+        if last is None or last[0] != key:
+            last = self._last = key, self._poses_of_values(self.joint_values(joints))
+        return last[1].copy()
 
     def vertices(self, joints: dict[str, float]) -> Array:
         """(n, 3) corners of the hand's mesh in the hand frame."""
-        return _by_link(self._poses_of_values(self.joint_values(joints)), self._vertex_link, self._vertices)
+        return _by_link(self._poses_at(joints), self._vertex_link, self._vertices)
 
     def mesh(self, joints: dict[str, float]) -> tuple[Array, Indices, Indices]:
         """Vertices (n, 3) in the hand frame, faces (m, 3) wound outwards, and each face's link (m,)."""
@@ -232,10 +243,24 @@ class Hand:
             raise InputError(f"spacing: expected metres above 0, got {spacing}")
         return _surface_samples(self, float(spacing), corners)
 
-    def points_on_surface(self, joints: dict[str, float], spacing: float = SAMPLE_SPACING) -> Array:
-        """(n, 3) samples of the whole hand's surface in the hand frame."""
+    def points_on_surface(
+        self, joints: dict[str, float], spacing: float = SAMPLE_SPACING, most: int | None = None
+    ) -> Array:
+        """(n, 3) samples of the whole hand's surface in the hand frame; of every so many one, for about `most`."""
         points, _, link = self.surface_samples(spacing)
-        return _by_link(self._poses_of_values(self.joint_values(joints)), link, points)
+        step = 1 if most is None else max(1, len(points) // most)
+        return _by_link(self._poses_at(joints), link[::step], points[::step])
+
+    def points_in_ball(self, joints: dict[str, float], target_from_hand: Array, centre: Array, radius: float) -> Array:
+        """(n, 3) samples of the hand's surface in a target frame, those nearer than `radius` (m, inf for all) to
+        centre (3,).
+        """
+        from scenes.geometry.rotation_kernels import apply_in_ball
+
+        points, _, link = self.surface_samples()
+        out = np.zeros((len(points), 3))
+        target_from_link = np.ascontiguousarray(target_from_hand @ self._poses_at(joints))
+        return out[: apply_in_ball(target_from_link, link, points, np.asarray(centre, np.float64), radius, out)]
 
     def hand_from_sensor(self, joints: dict[str, float]) -> dict[str, Array]:
         """(4, 4) pose of every sensor at these joint positions."""

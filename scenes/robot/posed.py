@@ -77,7 +77,7 @@ class PosedHand:
         asked = np.ascontiguousarray(points, np.float64)
         distance, gradient = np.full(len(asked), within), np.zeros((len(asked), 3))
         face, foot = np.zeros(len(asked), dtype=np.int64), np.zeros((len(asked), 3))
-        kernels.nearest(asked, within, self._tree, self._corners, self._boxes, face, foot)
+        kernels.nearest(asked, within, self._tree, self._corners, self._normals, self._boxes, face, foot)
         slanted = np.zeros(len(asked), dtype=bool)
         feet(asked, face, self._corners, self._normals, UPRIGHT, foot, distance, gradient, slanted)
         doubtful = np.flatnonzero(slanted)

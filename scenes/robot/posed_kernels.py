@@ -142,9 +142,9 @@ def _foot(corner, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def nearest(points, within, tree, corners, boxes, face, foot):  # type: ignore[no-untyped-def]
+def nearest(points, within, tree, corners, normals, boxes, face, foot):  # type: ignore[no-untyped-def]
     """Fill face (n,) with the triangle nearest to each of points (n, 3) and foot (n, 3) with its point there; -1 where
-    none is nearer than `within` (m). tree: right, start, count of its nodes.
+    none is nearer than `within` (m). tree: right, start, count of its nodes; normals (m, 3) of the triangles.
     """
     right, start, count = tree
     waiting, away = np.zeros(DEEPEST, dtype=np.int64), np.zeros(DEEPEST)
@@ -168,6 +168,11 @@ def nearest(points, within, tree, corners, boxes, face, foot):  # type: ignore[n
             node = waiting[depth]
             if count[node]:
                 for k in range(start[node], start[node] + count[node]):
+                    # no triangle is nearer than its plane
+                    a, b, c = x - corners[k, 0, 0], y - corners[k, 0, 1], z - corners[k, 0, 2]
+                    above = a * normals[k, 0] + b * normals[k, 1] + c * normals[k, 2]
+                    if above * above >= best:
+                        continue
                     a, b, c = _foot(corners[k], x, y, z)
                     square = (a - x) ** 2 + (b - y) ** 2 + (c - z) ** 2
                     if square < best:
@@ -249,14 +254,23 @@ def least(points, tree, corners, boxes):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def inside(points, rays, tree, corners, boxes, out):  # type: ignore[no-untyped-def]
-    """Fill out (n,) with whether most of rays (r, 3) from points (n, 3) cross an odd number of triangles; no component
-    of a ray is 0.
+    """Fill out (n,) with whether two of three rays (3, 3) from points (n, 3), turned about to lead away from the middle
+    of all triangles, cross an odd number of them; no component of a ray is 0.
     """
     right, start, count = tree
-    waiting, inverse = np.zeros(DEEPEST, dtype=np.int64), 1.0 / rays
+    waiting = np.zeros(DEEPEST, dtype=np.int64)
+    ray, inverse, odd = np.zeros(3), np.zeros(3), np.zeros(3, dtype=np.int64)
     for n in range(len(points)):
-        votes = 0
-        for r in range(len(rays)):
+        for r in range(3):
+            if r == 2 and odd[0] == odd[1]:
+                odd[2] = odd[0]
+                break
+            away = 0.0
+            for d in range(3):
+                away += rays[r, d] * (points[n, d] - 0.5 * (boxes[0, d] + boxes[0, 3 + d]))
+            for d in range(3):
+                ray[d] = -rays[r, d] if away < 0.0 else rays[r, d]
+                inverse[d] = 1.0 / ray[d]
             crossings, depth = 0, 1
             waiting[0] = 0
             while depth:
@@ -264,8 +278,8 @@ def inside(points, rays, tree, corners, boxes, out):  # type: ignore[no-untyped-
                 node = waiting[depth]
                 first, last = 0.0, np.inf
                 for d in range(3):
-                    one = (boxes[node, d] - points[n, d]) * inverse[r, d]
-                    other = (boxes[node, 3 + d] - points[n, d]) * inverse[r, d]
+                    one = (boxes[node, d] - points[n, d]) * inverse[d]
+                    other = (boxes[node, 3 + d] - points[n, d]) * inverse[d]
                     first, last = max(first, min(one, other)), min(last, max(one, other))
                 if first > last:
                     continue
@@ -274,9 +288,9 @@ def inside(points, rays, tree, corners, boxes, out):  # type: ignore[no-untyped-
                     depth += 2
                     continue
                 for k in range(start[node], start[node] + count[node]):
-                    crossings += _crosses(corners[k], points[n], rays[r])
-            votes += crossings % 2
-        out[n] = 2 * votes > len(rays)
+                    crossings += _crosses(corners[k], points[n], ray)
+            odd[r] = crossings % 2
+        out[n] = odd.sum() >= 2
 
 
 @numba.njit(cache=True, nogil=True)

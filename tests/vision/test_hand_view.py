@@ -9,6 +9,7 @@ from scenes.geometry import poses
 from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import Beliefs, CalibrationModel
 from vision.look.hand import camera_from_hand, prior_information, view_hand
+from vision.look.hand_kernels import pulls
 from vision.look.pixels import read_pixels
 
 FULL = (0, 0, 640, 480)
@@ -86,3 +87,23 @@ def test_the_hands_depth_is_that_of_a_renderer(exact_frame, box):
     assert (np.isfinite(depth) != there).mean() < 1e-3  # single precision, at the outline
     both = np.isfinite(depth) & there
     assert np.allclose(depth[both], drawn.depth[both], atol=1e-4)
+
+
+def test_what_pixels_say_of_the_hand_is_as_by_numpy(rng):
+    points, gradient = rng.normal(size=(60, 3)), rng.normal(size=(60, 3))
+    distance, weight = 0.012 * rng.normal(size=60), rng.uniform(1.0, 2.0, 60)
+    rotation, centre, gate = poses.exp_rotation(rng.normal(size=3)), rng.normal(size=3), 0.01
+    hessian, pull = np.eye(6), rng.normal(size=6)
+    whole, all_pull = hessian.copy(), pull.copy()
+    direction, jacobian, robust = np.zeros((60, 3)), np.zeros((60, 6)), np.zeros(60)
+    some = points, distance, gradient, rotation, centre, gate, weight
+    pulls(*some, direction, jacobian, robust, whole, all_pull)
+    turned = gradient @ rotation.T
+    rows = -np.concatenate([np.cross(points - centre, turned), turned], axis=1)
+    tukey = np.square(np.maximum(0.0, 1.0 - (distance / gate) ** 2))
+    assert (tukey == 0.0).any()
+    np.testing.assert_allclose(direction, turned, atol=1e-12)
+    np.testing.assert_allclose(jacobian, rows, atol=1e-12)
+    np.testing.assert_allclose(robust, tukey, atol=1e-12)
+    np.testing.assert_allclose(whole, hessian + (rows * (weight * tukey)[:, None]).T @ rows, atol=1e-9)
+    np.testing.assert_allclose(all_pull, pull + rows.T @ (weight * tukey * distance), atol=1e-9)

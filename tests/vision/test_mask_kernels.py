@@ -1,4 +1,4 @@
-"""The compiled loops of an object's mask, against NumPy."""
+"""The compiled loops of an object's mask and of an image's pieces, against NumPy."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,9 @@ import pytest
 from scenes.geometry.cameras import is_reading
 from scenes.recordings.beliefs import DepthModel
 from vision.look import mask_kernels as kernels
+from vision.look import piece_kernels as pieces_of
 from vision.look.mask import MaskSettings, for_kernels, on_planes
+from vision.look.pixels import median
 
 LENS = 110.0, 120.0, 41.2, 28.9
 BOX = 7, 3, 64, 51
@@ -76,3 +78,45 @@ def test_shares_of_colours(rng, step):
     kernels.shares(rgb, chosen, step, out)
     colours = rgb[chosen].astype(np.float64)
     assert np.array_equal(out, (colours[:, :2] / np.maximum(colours.sum(axis=1, keepdims=True), 1.0))[::step])
+
+
+def test_surfaces_are_read_off_the_planes(depth):
+    settings, camera, step = MaskSettings(), DepthModel(), 3
+    for planes in (np.zeros((0, 6)), np.array([[0.0, 0.6, -0.8, 0.55, 1.3, np.inf]])):
+        points, good = np.zeros((20, 27, 3)), np.zeros((20, 27), dtype=bool)
+        pieces_of.surface_points(depth, LENS, step, *for_kernels(planes, camera, settings), points, good)
+        seen = depth.astype(np.float64)
+        every = points_of(np.where(is_reading(seen), seen, 0.0), (0, 0))[::step, ::step]
+        assert np.array_equal(points, every)
+        assert np.array_equal(good, (every[..., 2] > 0) & ~on_planes(every, planes, camera, settings))
+
+
+def test_cells_of_chosen_pieces_are_listed_in_order(rng):
+    numbers = rng.integers(-1, 5, size=300)
+    slot = np.array([1, -1, 0, -1, 2])
+    size = np.bincount(numbers[numbers >= 0])[[2, 0, 4]]
+    ends = np.cumsum(size)
+    cells = np.zeros(ends[-1], dtype=np.int64)
+    pieces_of.list_cells(numbers, slot, ends - size, cells)
+    for own, piece in zip(np.split(cells, ends[:-1]), (2, 0, 4)):
+        assert np.array_equal(own, np.flatnonzero(numbers == piece))
+
+
+def test_votes_on_planes_and_nearness(rng):
+    points, tolerance = rng.normal(size=(200, 3)), rng.uniform(0.05, 0.2, 200)
+    normals, offsets, votes = rng.normal(size=(7, 3)), rng.normal(size=7), np.zeros(7, dtype=np.int64)
+    pieces_of.count_votes(points, tolerance, normals, offsets, 3, votes)
+    on = np.abs(points[::3] @ normals.T + offsets) < tolerance[::3, None]
+    assert np.array_equal(votes, on.sum(axis=0))
+    others = rng.normal(size=(30, 3)) + 2.0
+    least = np.linalg.norm(points[:, None] - others[None], axis=2).min()
+    assert pieces_of.are_near(points, others, 1.001 * least)
+    assert not pieces_of.are_near(points, others, 0.999 * least)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 40])
+def test_medians_are_numpys(rng, count):
+    for values in (rng.normal(size=count), rng.normal(size=(count, 3)).astype(np.float32)):
+        found = median(values)
+        assert np.array_equal(found, np.median(values, axis=0))
+        assert found.dtype == values.dtype

@@ -53,7 +53,7 @@ def array_contacts(readings: Sequence[Reading], settings: ArrayRowSettings | Non
         forces.append(normal * reading.pitch**2)
         names.append(reading.sensor)
     if not points:
-        return Contacts(np.zeros((0, 3)))
+        return Contacts.none()
     count = len(points)
     sigmas = np.full(count, settings.place_sigma), np.full(count, settings.normal_sigma)
     return Contacts(points, np.array(normals), *sigmas, names, np.array(forces))

@@ -37,7 +37,7 @@ def gel_contacts(patches: Sequence[Patch], settings: GelRowSettings | None = Non
     settings = settings or GelRowSettings()
     on = [patch for patch in patches if len(patch)]
     if not on:
-        return Contacts(np.zeros((0, 3)))
+        return Contacts.none()
     return Contacts(
         np.array([patch.middle for patch in on]),
         np.array([patch.normal for patch in on]),

@@ -18,7 +18,7 @@ def wrench_contacts(frame: Frame) -> Contacts:
     Raises CaptureError for wrenches without a hand, joints or a surface to solve on.
     """
     if not frame.wrenches:
-        return Contacts(np.zeros((0, 3)))
+        return Contacts.none()
     if frame.hand is None or frame.joints is None or frame.world_from_hand is None:
         raise CaptureError(f"{frame.where}: wrenches need a hand, its joints and its pose to become contacts")
     hand_from_sensor = frame.hand.hand_from_sensor(frame.joints)
@@ -41,7 +41,7 @@ def wrench_contacts(frame: Frame) -> Contacts:
         forces.append(world_from_sensor[:3, :3] @ wrench.force)
         names.append(wrench.sensor)
     if not points:
-        return Contacts(np.zeros((0, 3)))
+        return Contacts.none()
     return Contacts(points, normals, np.full(len(points), DEFAULT_SIGMA_POINT), DEFAULT_SIGMA_NORMAL, names, forces)
 
 

@@ -65,7 +65,7 @@ def outline_of(model: ObjectModel, camera: Camera, pose: Array, settings: Outlin
     low, high = low - 1.5 * step, high + 1.5 * step
     u, v = np.arange(low[0], high[0], step), np.arange(low[1], high[1], step)
     grid = np.stack(np.meshgrid(u, v), axis=-1)
-    caster = _Caster(model, camera, pose)
+    caster = Caster(model, camera, pose)
     hit = np.isfinite(caster.depth(grid.reshape(-1, 2))).reshape(grid.shape[:2])
     pairs = []
     for axis in (0, 1):
@@ -98,11 +98,11 @@ def outline_of(model: ObjectModel, camera: Camera, pose: Array, settings: Outlin
 def inner_depths(model: ObjectModel, camera: Camera, pose: Array, outline: Outline, across: tuple[float, ...]) -> Array:
     """(n,) least depth (m) of the object at the outline's places and `across` (px along the normal) from them."""
     inside = (outline.places[None] + np.array(across)[:, None, None] * outline.normals[None]).reshape(-1, 2)
-    depths = _Caster(model, camera, pose).depth(inside).reshape(len(across), len(outline))
+    depths = Caster(model, camera, pose).depth(inside).reshape(len(across), len(outline))
     return np.minimum(depths.min(axis=0), outline.points[:, 2])
 
 
-class _Caster:
+class Caster:
     """Depths of the object at a pose along rays through places of the image."""
 
     def __init__(self, model: ObjectModel, camera: Camera, pose: Array) -> None:

@@ -13,6 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from vision.look.piece_kernels import are_near
+from vision.look.pixels import median
+
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
@@ -241,13 +244,11 @@ def _groups(
     ends = np.cumsum(size)
     cells = [order[ends[one] - size[one] : ends[one]] for one in asked]
     few = [points[own[:: max(1, len(own) // s.points)]] for own in cells]
-    mean = np.array([np.median(colours[own], axis=0) for own in cells]).reshape(-1, 3)
+    mean = np.array([median(colours[own]) for own in cells]).reshape(-1, 3)
     alike = np.square(mean[:, None] - mean[None]).sum(axis=2) < s.alike**2
     leader = np.arange(len(asked))
     for a, b in np.argwhere(np.tril(alike, -1)):
-        if leader[a] != leader[b]:
-            apart = np.square(few[a][:, None] - few[b][None]).sum(axis=2).min()
-            if apart < s.between**2:
-                leader[leader == leader[a]] = leader[b]
+        if leader[a] != leader[b] and are_near(few[a], few[b], s.between):
+            leader[leader == leader[a]] = leader[b]
     groups = [asked[leader == one] for one in np.unique(leader)]
     return tuple(sorted(groups, key=lambda group: -int(size[group].sum())))

@@ -17,6 +17,7 @@ from scenes.geometry.cameras import Camera
 from scenes.recordings.beliefs import Beliefs, CalibrationModel
 from scenes.recordings.frames import Frame
 from scenes.robot.posed import PosedHand
+from vision.look.hand_kernels import pulls
 from vision.look.pixels import Pixels
 
 Array = NDArray[np.float64]
@@ -139,23 +140,13 @@ def fit_hand(
         # the first passes only bring the hand near: some of its pixels, each with the weight of those left out
         step = COARSE if i < len(gates) - 1 else 1
         some = points[::step]
-        distance, direction, robust = hand_terms(surface, aligned, some, gate)
-        row_weight = step * weight[::step] * robust
-        # the hand moves, the points stay: the distance falls by g . (omega x (p - c) + v)
-        jac = -np.concatenate([se3.cross(some - centre, direction), direction], axis=1)
-        hessian = (jac * row_weight[:, None]).T @ jac + prior
-        off = xi
-        xi = off - np.linalg.solve(hessian, jac.T @ (row_weight * distance) + prior @ off)
+        distance, gradient = surface.closest(se3.apply(se3.inverse(aligned), some), gate)
+        off, hessian, pull = xi, prior.copy(), prior @ xi
+        direction, jac, robust = np.zeros((len(some), 3)), np.zeros((len(some), 6)), np.zeros(len(some))
+        turn, each = np.ascontiguousarray(aligned[:3, :3]), step * weight[::step]
+        pulls(some, distance, gradient, turn, centre, gate, each, direction, jac, robust, hessian, pull)
+        xi = off - np.linalg.solve(hessian, pull)
     aligned = se3.perturb(np.eye(4), xi, centre) @ measured
     # the last step is a fraction of a millimetre: what it changes is linear
     distance, agree = distance + jac @ (xi - off), robust > 0
     return HandView(measured, aligned, centre, xi, points[agree], distance[agree], direction[agree], surface)
-
-
-def hand_terms(surface: PosedHand, camera_from_hand: Array, points: Array, gate: float) -> tuple[Array, Array, Array]:
-    """Distances (n,) of points to the hand, their gradients (n, 3) camera frame, and robust weights (n,) (Tukey): 0
-    beyond the gate, where no more is told than that.
-    """
-    distance, direction = surface.closest(se3.apply(se3.inverse(camera_from_hand), points), gate)
-    robust = np.square(np.maximum(0.0, 1.0 - (distance / gate) ** 2))
-    return distance, direction @ camera_from_hand[:3, :3].T, robust

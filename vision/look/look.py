@@ -18,9 +18,10 @@ from scenes.recordings.frames import Frame
 from vision.look.colours import Coloured, PartingSettings
 from vision.look.hand import HandView, HandViewSettings, view_hand
 from vision.look.looked import Looked, RowSettings, no_pixels, no_planes, nothing_seen
-from vision.look.mask import MaskSettings, connected_pieces, find_planes, for_kernels, object_mask, on_planes
+from vision.look.mask import MaskSettings, connected_pieces, find_planes, for_kernels, object_mask
+from vision.look.piece_kernels import list_cells, surface_points
 from vision.look.pixel_kernels import CHOSEN, OTHER
-from vision.look.pixels import Pixels, Region, read_pixels, sort_pixels
+from vision.look.pixels import Pixels, Region, median, read_pixels, sort_pixels
 from vision.look.points import all_points
 from vision.look.regions import find_region, region_around
 
@@ -138,21 +139,37 @@ def _find_pieces(
     """
     assert frame.camera is not None
     out: list[Pixels] = []
-    coarse: list[NDArray[np.bool_]] = []
     points, pieces = surfaces(frame, planes, beliefs, settings)
+    # of the pieces that are there: which each cell is of, and their sizes
+    coarse = np.full(pieces.size, -1)
+    sizes: list[int] = []
     for numbers in (pieces, finer_surfaces(points, pieces, settings)):
-        size = np.bincount(numbers[numbers >= 0], minlength=1)
+        size = np.bincount(numbers.ravel() + 1, minlength=2)[1:]
         order = np.argsort(-size, kind="stable")[: settings.most_pieces - len(out)]
-        for piece in order:
-            own = numbers == piece
+        before = len(sizes)
+        for own in _cells(numbers, order, size):
             # what finer steps did not part is there already
-            if any((own & other).sum() > settings.piece_same * other.sum() for other in coarse):
+            shared = np.bincount(coarse[own] + 1, minlength=before + 1)[1 : before + 1]
+            if (shared > settings.piece_same * np.array(sizes[:before])).any():
                 continue
             pixels = _piece(own, points, frame.camera, model, settings)
             if pixels is not None:
-                coarse.append(own)
+                # those that finer steps part are of no other
+                if numbers is pieces:
+                    coarse[own] = len(sizes)
+                    sizes.append(len(own))
                 out.append(pixels)
     return tuple(out)
+
+
+def _cells(numbers: NDArray[np.int64], chosen: NDArray[np.int64], size: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Indices, in order, of the cells of each chosen piece of numbers (h, w), whose sizes (k,) are known."""
+    slot = np.full(len(size), -1)
+    slot[chosen] = np.arange(len(chosen))
+    ends = np.cumsum(size[chosen])
+    cells = np.zeros(int(ends[-1]) if len(ends) else 0, dtype=np.int64)
+    list_cells(numbers.ravel(), slot, ends - size[chosen], cells)
+    return np.split(cells, ends[:-1]) if len(ends) else []
 
 
 def coloured_pieces(
@@ -165,22 +182,25 @@ def coloured_pieces(
     for group in coloured.groups[: settings.most_coloured]:
         of_it = np.zeros(len(coloured.whole) + 1, dtype=bool)  # the last one stands for no piece
         of_it[group] = True
-        pixels = _piece(of_it[coloured.numbers], points, camera, model, settings)
+        own = np.flatnonzero(of_it[coloured.numbers])
+        pixels = _piece(own, points, camera, model, settings)
         if pixels is not None:
             found.append(pixels)
     return tuple(found)
 
 
-def _piece(own: Mask, points: Array, camera: Camera, model: ObjectModel, settings: LookSettings) -> Pixels | None:
-    """The pixels that `own` (h, w) of points (h, w, 3) have; None where these are far too few for the object's."""
-    step, count = settings.piece_step, int(own.sum())
-    middle = float(np.median(points[..., 2][own])) if count else 0.0
+def _piece(
+    own: NDArray[np.int64], points: Array, camera: Camera, model: ObjectModel, settings: LookSettings
+) -> Pixels | None:
+    """The pixels that cells own (n,) of points (h, w, 3) are; None where these are far too few for the object's."""
+    step, count, places = settings.piece_step, len(own), points.reshape(-1, 3)
+    middle = float(median(places[own, 2])) if count else 0.0
     # the mean shadow of a convex body is a quarter of its surface (Cauchy)
     shown = model.area / 4.0 * camera.fx * camera.fy / max(middle, 1e-3) ** 2 / step**2
     if count < max(settings.least_masked / step**2, settings.piece_share * shown):
         return None
-    v, u = np.nonzero(own)
-    pixels = Pixels(step * np.stack([u, v], axis=1).astype(np.int64), points[own], float(step**2))
+    v, u = np.divmod(own, points.shape[1])
+    pixels = Pixels(step * np.stack([u, v], axis=1), places[own], float(step**2))
     return pixels.thinned(settings.most_in_piece)
 
 
@@ -200,13 +220,11 @@ def surfaces(frame: Frame, planes: Array, beliefs: Beliefs, settings: LookSettin
     assert frame.depth is not None
     assert frame.camera is not None
     camera, step = frame.camera, settings.piece_step
-    v, u = np.mgrid[0 : camera.height : step, 0 : camera.width : step]
-    z = frame.depth[::step, ::step].astype(np.float64)
-    good = is_reading(z)
-    z = np.where(good, z, 0.0)
-    points = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=2)
-    good &= ~on_planes(points, planes, beliefs.depth, settings.mask)
-    return points, connected_pieces(z, good, settings.mask)
+    shape = -(-camera.height // step), -(-camera.width // step)
+    points, good = np.zeros((*shape, 3)), np.zeros(shape, dtype=bool)
+    lens, off = (camera.fx, camera.fy, camera.cx, camera.cy), for_kernels(planes, beliefs.depth, settings.mask)
+    surface_points(np.ascontiguousarray(frame.depth), lens, step, *off, points, good)
+    return points, connected_pieces(points[..., 2], good, settings.mask)
 
 
 def _find_hand(frame: Frame, beliefs: Beliefs, settings: LookSettings) -> HandView | None:

@@ -19,8 +19,8 @@ from scenes.recordings.beliefs import Beliefs, DepthModel
 from scenes.recordings.frames import Frame
 from vision.look import mask_kernels as kernels
 from vision.look.hand import HandView, HandViewSettings, view_hand
-from vision.look.piece_kernels import mark_planes, number_pieces
-from vision.look.pixels import Region, read_pixels
+from vision.look.piece_kernels import count_votes, mark_planes, number_pieces
+from vision.look.pixels import Region, median, read_pixels
 from vision.look.regions import find_region
 
 Array = NDArray[np.float64]
@@ -192,7 +192,8 @@ def find_planes(frame: Frame, settings: MaskSettings, depth_model: DepthModel, e
             break
         plane[5] = np.inf if not k else 0.0
         on = on_planes(left, plane[None], depth_model, settings)
-        across = np.percentile(left[on], 95, axis=0) - np.percentile(left[on], 5, axis=0)
+        low, high = np.percentile(left[on], [5, 95], axis=0)
+        across = high - low
         if float(np.linalg.norm(across)) <= extent:
             break
         found, left = np.concatenate([found, plane[None]]), left[~on]
@@ -222,15 +223,15 @@ def find_plane(
     tolerance = settings.plane_margin + settings.plane_sigmas * depth_model.independent_sigma(points[:, 2])
     rng = np.random.default_rng(0)
     corners = points[rng.integers(len(points), size=(settings.plane_tries, 3))]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = poses.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normals, axis=1)
     normals = normals[length > 1e-6] / length[length > 1e-6, None]
     offsets = -np.einsum("ni,ni->n", normals, corners[length > 1e-6][:, 0])
     if not len(normals):
         return None
-    some = slice(None, None, settings.plane_voters)
-    on = np.abs(points[some] @ normals.T + offsets) < tolerance[some, None]
-    best = int(on.sum(axis=0).argmax())
+    votes = np.zeros(len(normals), dtype=np.int64)
+    count_votes(np.ascontiguousarray(points), tolerance, normals, offsets, settings.plane_voters, votes)
+    best = int(votes.argmax())
     normal, offset = normals[best], offsets[best]
     chosen = np.abs(points @ normal + offset) < tolerance
     if chosen.sum() < 50:
@@ -262,7 +263,7 @@ def _scatter(height: Array, tolerance: Array, z: Array, depth_model: DepthModel,
     if not behind.any():
         return 1.0
     sigma = np.hypot(depth_model.independent_sigma(z[behind]), settings.plane_margin / settings.plane_sigmas)
-    seen = float(np.median(-height[behind] / sigma)) / 0.6745
+    seen = float(median(-height[behind] / sigma)) / 0.6745
     return float(np.clip(seen, 1.0, settings.plane_most_scatter))
 
 
@@ -329,9 +330,9 @@ def _colour_scores(
     centres, spreads = [], []
     for part in (hand, other):
         share = shares(part, settings.colour_most)
-        centre = np.median(share, axis=0)
+        centre = median(share)
         centres.append(centre)
-        spreads.append(np.maximum(1.4826 * np.median(np.abs(share - centre), axis=0), settings.colour_floor))
+        spreads.append(np.maximum(1.4826 * median(np.abs(share - centre)), settings.colour_floor))
     apart = np.abs(centres[0] - centres[1]) / np.sqrt((spreads[0] ** 2 + spreads[1] ** 2) / 2)
     if apart.max() < settings.colour_apart:
         return None

@@ -1,10 +1,13 @@
-"""Compiled: which pixels hang together, and which are on a plane."""
+"""Compiled: which pixels hang together, which are on a plane, and which plane most of them are on."""
 
 from __future__ import annotations
 
 import math
 
 import numba
+import numpy as np
+
+from scenes.geometry.cameras import FARTHEST_READING
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -79,3 +82,56 @@ def mark_planes(points, planes, noise, margins, out):  # type: ignore[no-untyped
     """
     for n in range(points.shape[0]):
         out[n] = out[n] or is_on_plane(points[n, 0], points[n, 1], points[n, 2], planes, noise, margins)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def surface_points(depth, lens, step, planes, noise, margins, points, good):  # type: ignore[no-untyped-def]
+    """Fill points (h, w, 3) with every `step`-th pixel of a depth image, z 0 for no reading, and good (h, w) with
+    whether it has one, off planes (k, 6). lens (fx, fy, cx, cy); noise, margins: see mark_planes.
+    """
+    fx, fy, cx, cy = lens
+    for row in range(good.shape[0]):
+        for column in range(good.shape[1]):
+            z = float(depth[row * step, column * step])
+            # not true of NaN either
+            if not 0.0 < z < FARTHEST_READING:
+                z = 0.0
+            x, y = (column * step - cx) / fx * z, (row * step - cy) / fy * z
+            points[row, column, 0], points[row, column, 1], points[row, column, 2] = x, y, z
+            good[row, column] = z > 0.0 and not is_on_plane(x, y, z, planes, noise, margins)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def list_cells(numbers, slot, first, cells):  # type: ignore[no-untyped-def]
+    """Fill cells (n,) with the indices of the cells of numbers (m,) that are of chosen pieces, in order: those of piece
+    p from first[slot[p]] on; none of a piece whose slot is -1, or without a number, -1.
+    """
+    seen = np.zeros(len(first), dtype=np.int64)
+    for n in range(len(numbers)):
+        if numbers[n] >= 0 and slot[numbers[n]] >= 0:
+            own = slot[numbers[n]]
+            cells[first[own] + seen[own]] = n
+            seen[own] += 1
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def count_votes(points, tolerance, normals, offsets, every, votes):  # type: ignore[no-untyped-def]
+    """Fill votes (k,): how many of every so manieth of points (n, 3) are within tolerance (n,) of planes with normals
+    (k, 3) and offsets (k,).
+    """
+    for k in range(len(offsets)):
+        a, b, c, off, own = normals[k, 0], normals[k, 1], normals[k, 2], offsets[k], 0
+        for n in range(0, len(points), every):
+            own += abs(points[n, 0] * a + points[n, 1] * b + points[n, 2] * c + off) < tolerance[n]
+        votes[k] = own
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def are_near(first, second, distance):  # type: ignore[no-untyped-def]
+    """Whether any of points (n, 3) is nearer than `distance` to any of others (m, 3)."""
+    for n in range(len(first)):
+        for m in range(len(second)):
+            x, y, z = first[n, 0] - second[m, 0], first[n, 1] - second[m, 1], first[n, 2] - second[m, 2]
+            if x * x + y * y + z * z < distance * distance:
+                return True
+    return False

@@ -129,3 +129,10 @@ def sort_pixels(
     within = NO_MASK if mask is None else np.ascontiguousarray(mask, dtype=bool)
     counts = kernels.sort(depth, lens, box, stride, within, ball, *planes, which)
     return Sorted(depth, lens, box, stride, which, dict(zip((kernels.CHOSEN, kernels.OTHER), counts)))
+
+
+def median(values: NDArray) -> NDArray:
+    """Median along the first axis of at least one finite value; NumPy's own takes many times as long on few."""
+    half, even = len(values) // 2, len(values) % 2 == 0
+    parted = np.partition(values, (half - 1, half) if even else half, axis=0)
+    return np.asarray((parted[half - 1] + parted[half]) / 2 if even else parted[half])

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
-from vision.look.pixels import Region, read_pixels
+from vision.look.pixels import Region, median, read_pixels
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -28,7 +28,7 @@ def find_region(
         )
         points = every.points
         if len(points):
-            return Region(np.median(points, axis=0), model.diameter + slack)
+            return Region(median(points), model.diameter + slack)
     if len(frame.contacts):
         middle = frame.contacts.moved(frame.camera_from_world).points.mean(axis=0)
         return Region(middle, model.diameter + slack)

@@ -124,3 +124,26 @@ def test_a_frame_of_plain_arrays_is_estimated_like_a_recorded_one():
     nearest = model.symmetries.nearest(answer.pose, frame.camera_from_object_truth)
     moved = poses.difference(nearest, frame.camera_from_object_truth, model.centroid)
     assert np.linalg.norm(moved[3:]) < 1e-3
+
+
+def test_contacts_are_moved_as_if_made_anew(rng):
+    normals = rng.normal(size=(4, 3))
+    normals[2] = np.nan
+    given = Contacts(
+        rng.normal(size=(4, 3)), normals, [1e-3, 2e-3, 3e-3, 4e-3], None, list("abca"), rng.normal(size=(4, 3))
+    )
+    pose = poses.make_pose(poses.exp_rotation(rng.normal(size=3)), rng.normal(size=3))
+    moved, turn = given.moved(pose), pose[:3, :3].T
+    anew = Contacts(
+        given.points @ turn + pose[:3, 3], given.normals @ turn, given.sigma_point, given.sigma_normal, given.sensors,
+        given.forces @ turn, given.sigma_known,
+    )  # fmt: skip
+    assert vars(moved).keys() == vars(anew).keys()
+    for name, value in vars(anew).items():
+        np.testing.assert_array_equal(getattr(moved, name), value)
+    with pytest.raises(InputError, match="expected finite points, got row 0"):
+        given.moved(np.diag([1e200, 1.0, 1.0, 1.0]))
+    none = Contacts.none()
+    none.sensors.append("a")  # nobody else's
+    assert not len(Contacts.none())
+    assert not Contacts.none().sensors

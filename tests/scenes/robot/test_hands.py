@@ -161,6 +161,20 @@ def test_samples_cover_every_link(hand):
         hand.surface_samples(0.0)
 
 
+def test_samples_in_a_ball_and_few_of_them(hand, rng):
+    joints = dict.fromkeys(hand.joint_names[:5], 0.2)
+    every = hand.points_on_surface(joints)
+    target = poses.make_pose(poses.exp_rotation(rng.normal(size=3)), rng.normal(size=3))
+    placed = poses.apply(target, every)
+    near = np.linalg.norm(placed - placed[40], axis=1) < 0.03
+    assert 0 < near.sum() < len(near)
+    np.testing.assert_allclose(hand.points_in_ball(joints, target, placed[40], 0.03), placed[near], atol=1e-12)
+    np.testing.assert_allclose(hand.points_in_ball(joints, target, np.zeros(3), np.inf), placed, atol=1e-12)
+    assert np.array_equal(hand.points_on_surface(joints, most=100), every[:: len(every) // 100])
+    # what was asked last is not what is asked now
+    assert not np.allclose(hand.points_on_surface({}), every)
+
+
 def test_joints_for_another_hand(hand):
     with pytest.raises(InputError, match=r"hand 'five_finger_hand'.*'FFJ3'.*another hand"):
         hand.forward_kinematics({"FFJ3": 0.1})

@@ -1,0 +1,39 @@
+"""Compiled: what the pixels of a hand say of its place. Camera frame, metres, radians."""
+
+from __future__ import annotations
+
+import numba
+
+
+@numba.njit(cache=True, nogil=True)
+def pulls(points, distance, gradient, rotation, centre, gate, weight, direction, jacobian, robust, hessian, pull):  # type: ignore[no-untyped-def]
+    """Add to hessian (6, 6) and pull (6,) the Gauss-Newton matrix and gradient of points (n, 3) with weight (n,) each,
+    which are so far, distance (n,), from a hand, whose gradient (n, 3) in its own frame is turned by rotation (3, 3)
+    into direction (n, 3).
+
+    Fills jacobian (n, 6): how distances change with a turn and a move of the hand about centre (3,): the hand moves,
+    the points stay, and the distance falls by g . (omega x (p - c) + v); and robust (n,): Tukey's weights, 0 beyond the
+    gate (m).
+    """
+    for n in range(len(points)):
+        for i in range(3):
+            turned = rotation[i, 0] * gradient[n, 0] + rotation[i, 1] * gradient[n, 1] + rotation[i, 2] * gradient[n, 2]
+            direction[n, i] = turned
+            jacobian[n, 3 + i] = -turned
+        x, y, z = points[n, 0] - centre[0], points[n, 1] - centre[1], points[n, 2] - centre[2]
+        a, b, c = direction[n, 0], direction[n, 1], direction[n, 2]
+        jacobian[n, 0], jacobian[n, 1], jacobian[n, 2] = z * b - y * c, x * c - z * a, y * a - x * b
+        share = distance[n] / gate
+        left = max(0.0, 1.0 - share * share)
+        robust[n] = left * left
+        own = weight[n] * robust[n]
+        if own == 0.0:
+            continue
+        for i in range(6):
+            scaled = own * jacobian[n, i]
+            pull[i] += scaled * distance[n]
+            for j in range(i + 1):
+                hessian[i, j] += scaled * jacobian[n, j]
+    for i in range(6):
+        for j in range(i):
+            hessian[j, i] = hessian[i, j]
