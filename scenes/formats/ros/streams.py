@@ -178,7 +178,9 @@ def contacts_of(topic: Topic, message: Any, dropped: Dropped) -> list[tuple[str,
         felt = Contacts(points, normals, *sigmas, names, parts["forces"])
     except PalpateError as error:
         raise CaptureError(f"{where}: {error}") from error
-    somewhere = points.any(axis=1) if options.get("zero_unknown", False) else np.ones(len(felt), dtype=bool)
+    somewhere = np.ones(len(felt), dtype=np.bool_)
+    if options.get("zero_unknown", False):
+        somewhere = np.asarray(points.any(axis=1), dtype=np.bool_)
     if not somewhere.all():
         dropped.add(where, "contacts at 0 0 0, which stands for no known place", int((~somewhere).sum()))
     if "frame_field" not in options or not len(felt):
