@@ -207,12 +207,12 @@ class Tracker:
             vote = 0.0
         carried = (leader, *state.hypotheses[1:])
         state.hypotheses, agrees = several.voted(self.model, carried, modes, vote, against, s.hypotheses)
-        if not agrees and better < -s.hypotheses.missed:  # what the search has found is what the frame prefers, too
-            first = state.hypotheses[0]
-            doubted = replace(first, votes=max(0.0, first.votes - s.hypotheses.part))
-            state.hypotheses = doubted, *state.hypotheses[1:]
+        doubtful = not agrees and better <= s.hypotheses.missed  # the frame has what was found as gladly
+        if doubtful:
+            state.hypotheses = several.doubted(state.hypotheses, s.hypotheses)
         believed = state.hypotheses[0].votes >= s.hypotheses.believed and (agrees or better > 0.0)
-        state.renewal.found(frame.index, agrees if vote and against else None, s.renewal, believed)
+        told = (vote and against) or (doubtful and leader.votes >= s.hypotheses.believed)
+        state.renewal.found(frame.index, agrees if told else None, s.renewal, believed)
         where = "agrees" if agrees else "finds it elsewhere"
         why = f"{where}, {several.sure_of(alone):.0%} sure; {better:+.0f} nats for the track; {vote:.1f} votes"
         if same and vote and better < -s.anchor:
@@ -287,7 +287,10 @@ class Tracker:
             asked = np.array([h.pose for h in carried])
             first, beliefs = s.first, self._beliefs
             pool = pool_near(viewed, self.model, asked, looked, felt, beliefs, first, s.room)
-            sensed = self._sensed = Sensed(viewed, looked, seen, felt, pool, self._state.things, s.occluders)
+            unsolved = viewed.depth is None or not len(looked.pixels)
+            placed = looked.hand is None and (unsolved or self._looker.correction is not None)
+            sensed = Sensed(viewed, looked, seen, felt, pool, self._state.things, s.occluders, placed)
+            self._sensed = sensed
         with trace.stage("align", True, "") as stage:
             prior = loose(predicted.pose, predicted.own, s)
             found = refine(self.model, carried, prior, sensed, s)
@@ -300,12 +303,12 @@ class Tracker:
             learned = len(self._state.rigs)
             solved = solve_leader(self.model, frame, leader, prior, found, sensed, self._state.rigs, self._beliefs, s)
             blind = self._state.hand is not None and not len(looked.pixels)
-            calibration, corrected = self._beliefs.calibration, self._looker.correction is not None
-            rows = tables.stack(found.seen, felt.rows)
-            measured = measurement_of(self.model, solved, predicted.pose, rows, blind, corrected, calibration, s)
+            told = self._looker.correction is not None or self._state.correction is not None
+            seen = replace(sensed, seen=found.seen)
+            measured = measurement_of(self.model, solved, predicted.pose, seen, blind, told, self._beliefs, s)
             if len(self._state.rigs) > learned:  # of what all frames share the first was told no more than this one
                 predicted = replace(predicted, shared=measured.shared)
-            if looked.hand is not None and felt_rows:
+            if felt_rows and not placed:
                 felt = felt.corrected(solved.correct())
             off = 1e3 * shift(felt.correction, self._middle(solved.pose))
             stage.note(len(found.seen) + felt_rows, f"calibration off by {off:.1f} mm")
@@ -322,6 +325,8 @@ class Tracker:
         if said.verdict != "lost":
             self._accept(frame, felt, belief, found.hypotheses, said.share)
             self._state.right = said.right
+            if felt_rows and not placed and looked.hand is None:
+                self._state.correction = felt.correction
             now = replace(sensed, felt=felt, seen=found.seen)
             settled = not found.switched and frame.index == self._state.index
             self._state.known = known_of(self.model, prior, now, measured, said, self._beliefs, s) if settled else None
@@ -357,14 +362,15 @@ class Tracker:
         return frame if "touch" in self._senses else frame.without_touch()
 
     def _feel(self, frame: Frame, looked: Looked | None = None) -> Felt:
-        """What is felt, moved to where the hand is seen, or was last; as the robot reports it before a look."""
-        region = None if looked is None else looked.region
-        felt = feel(self._felt_frame(frame), np.eye(4), self._beliefs, region, self.settings.first.touch)
-        if looked is None or not len(felt.reported_rows):
-            return felt
-        if looked.hand is not None:
-            return felt.corrected(looked.hand.correct())
-        return felt if self._looker.correction is None else felt.corrected(self._looker.correction)
+        """What is felt, moved to where the hand is seen, or was last, or where the object has had it."""
+        region, told = None if looked is None else looked.region, self._state.correction
+        if looked is not None and looked.hand is not None:
+            told = looked.hand.correct()
+        elif self._looker.correction is not None:
+            told = self._looker.correction
+        elif told is None and looked is not None and not len(looked.pixels):
+            told = np.eye(4)  # what a calibration may be off by is in the measurement then
+        return feel(self._felt_frame(frame), told, self._beliefs, region, self.settings.first.touch)
 
     def _skins(self, frame: Frame, felt: Felt) -> Watched:
         """Whether what presses arrays and gels has moved over them."""
