@@ -207,7 +207,8 @@ class Tracker:
             vote = 0.0
         carried = (leader, *state.hypotheses[1:])
         state.hypotheses, agrees = several.voted(self.model, carried, modes, vote, against, s.hypotheses)
-        doubtful = not agrees and better <= s.hypotheses.missed  # the frame has what was found as gladly
+        as_gladly = better <= (s.hypotheses.missed if not vote else -s.hypotheses.missed)
+        doubtful = not agrees and as_gladly  # of two that look alike the one that is not found is none the worse for it
         if doubtful:
             state.hypotheses = several.doubted(state.hypotheses, s.hypotheses)
         believed = state.hypotheses[0].votes >= s.hypotheses.believed and (agrees or better > 0.0)
