@@ -167,9 +167,11 @@ class Tracker:
         how = self.settings.first.confidence
         return within(self.model, mode.pose, mode.covariance, how.tolerance, how.seen.nearest)
 
-    def _anchor(self, answer: Estimate) -> None:
+    def _anchor(self, answer: Estimate, tracked: Array | None = None) -> None:
+        """Believe an estimate; of a pose that this frame was tracked to (4, 4) as unsure as the two are apart."""
         share, own = self.settings.first_lasting, answer.modes[0].covariance
-        self._state.belief = Belief(answer.pose, (1 - share) * own, share * own)
+        apart = np.zeros(6) if tracked is None else se3.difference(answer.pose, tracked, self.model.centroid)
+        self._state.belief = Belief(answer.pose, (1 - share) * own + np.outer(apart, apart), share * own)
 
     def _recover(self, frame: Frame, lost: TrackedEstimate) -> TrackedEstimate:
         """Look for the object around the prediction, if anything is seen there, and now and then everywhere."""
@@ -216,8 +218,8 @@ class Tracker:
         state.renewal.found(frame.index, agrees if told else None, s.renewal, believed)
         where = "agrees" if agrees else "finds it elsewhere"
         why = f"{where}, {several.sure_of(alone):.0%} sure; {better:+.0f} nats for the track; {vote:.1f} votes"
-        if same and vote and better < -s.anchor:
-            self._anchor(replace(alone, pose=modes[0].pose))
+        if same and vote and against and better < -s.anchor:
+            self._anchor(replace(alone, pose=modes[0].pose), answer.pose)
             why += "; it goes on from there"
         if not believed:
             why += self._search_around(frame, answer)
