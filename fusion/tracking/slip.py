@@ -79,8 +79,8 @@ class SlipWatch:
 
     def predict(self, motion: Array, expected: InHand, drift: Array) -> None:
         """Move with the hand by motion (4, 4), and as the fingers do; drift (6, 6): of a wrong calibration."""
-        self._fingers.predict(motion, expected.motion, expected.sticking + drift, expected.sliding)
-        self._palm.predict(motion, np.zeros(6), expected.still + drift)
+        self._fingers.predict(motion, expected.motion, expected.sticking, expected.sliding, drift)
+        self._palm.predict(motion, np.zeros(6), expected.still, drift=drift)
 
     def carry(self, motion: Array) -> None:
         """Move with the hand by motion (4, 4): a late frame's lesson comes to the present."""
