@@ -9,6 +9,7 @@ camera axes.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -168,6 +169,12 @@ class SlipTest:
         """Whether the last step was in a slip or just after it."""
         return self._quiet <= self.settings.lasts
 
+    def copied(self) -> SlipTest:
+        """Another that has seen the same."""
+        other = copy(self)
+        other._spans = copy(self._spans)
+        return other
+
     def restart(self, belief: Belief | None, pixel: Array | None) -> None:
         """Forget; the object is held as `belief` has it, seen at `pixel` (2,) (None without a camera)."""
         self._held, self._pixel = belief, pixel
@@ -178,8 +185,8 @@ class SlipTest:
         self, camera_from_camera: Array, delta: Array, noise: Array, sliding: float = 0.0, drift: Array | None = None
     ) -> None:
         """Move with the hand (4, 4), and by what the fingers do to the object (6,), camera axes, known to noise (6, 6);
-        sliding: chi-square by which the fingertips' own motion contradicts contacts that stick. drift (6, 6): of a wrong
-        calibration, beside the noise.
+        sliding: chi-square by which the fingertips' own motion contradicts contacts that stick. drift (6, 6): what a
+        wrong calibration makes of it, beside the noise.
         """
         drift = np.zeros((6, 6)) if drift is None else drift
         self._spans.predict(camera_from_camera, delta, noise, np.sqrt(np.diag(drift)))

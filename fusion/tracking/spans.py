@@ -1,9 +1,9 @@
 """Has the object moved in the hand between two short spans of frames?
 
-A single frame tells a pose to some tenths of a millimetre, and what all frames share drifts by as much while an object
-is carried: a slip of a millimetre is lost in either, held against the frame before it or against all before it. The
-means of two spans that lie as far apart as a slip lasts differ by the slip and little else (a two-sample test: Hotelling
-1931). Camera frame, metres, radians.
+A single frame tells a pose to some tenths of a millimetre, and what all frames share drifts by as much while an
+object is carried: a slip of a millimetre is lost in either, held against the frame before it or against all before it.
+The means of two spans that lie as far apart as a slip lasts differ by the slip and little else (a two-sample test:
+Hotelling 1931). Camera frame, metres, radians.
 """
 
 from __future__ import annotations

@@ -40,7 +40,6 @@ from fusion.tracking.steps.printed import as_before, as_printed
 from fusion.tracking.steps.refining import loose, measurement_of, prefers, refine, shift, solve_leader
 from fusion.tracking.steps.sensing import Sensed, pool_near
 from scenes.errors import CaptureError
-from scenes.evidence import table as tables
 from scenes.evidence.align import Prior
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -307,8 +306,8 @@ class Tracker:
             solved = solve_leader(self.model, frame, leader, prior, found, sensed, self._state.rigs, self._beliefs, s)
             blind = self._state.hand is not None and not len(looked.pixels)
             told = self._looker.correction is not None or self._state.correction is not None
-            seen = replace(sensed, seen=found.seen)
-            measured = measurement_of(self.model, solved, predicted.pose, seen, blind, told, self._beliefs, s)
+            shown = replace(sensed, seen=found.seen)
+            measured = measurement_of(self.model, solved, predicted.pose, shown, blind, told, self._beliefs, s)
             if len(self._state.rigs) > learned:  # of what all frames share the first was told no more than this one
                 predicted = replace(predicted, shared=measured.shared)
             if felt_rows and not placed:

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from fusion.estimation.solve.settings import Rig
 from fusion.tracking.filter import Belief, Measurement, SlipTest, block, positive_part, scales, update
-from fusion.tracking.spans import SpanTest
 from fusion.tracking.motion import (
     HandMotion,
     HandMotionSettings,
@@ -16,6 +15,7 @@ from fusion.tracking.motion import (
     carried_by_contacts,
     grasp_transpose,
 )
+from fusion.tracking.spans import SpanTest
 from fusion.tracking.steps.refining import mean_rig, rig_of
 from scenes.geometry import poses
 from scenes.recordings.beliefs import CalibrationModel
@@ -216,7 +216,7 @@ def test_slips_sudden_and_slow_are_told_from_noise(mug, slow):
 
 @pytest.mark.parametrize("slips", [False, True])
 def test_a_small_step_is_told_from_a_drift_that_is_as_large(mug, slips):
-    """A millimetre in six frames, of which one frame tells half a millimetre, or the same in forty while the hand moves."""
+    """A step in six frames, of which one frame tells half a millimetre; or a drift in forty while the hand moves."""
     rng = np.random.default_rng(5)
     own = np.diag(np.repeat([0.006, 0.0005], 3) ** 2)
     hand = poses.make_pose(poses.exp_rotation(np.array([0.0, 0.01, 0.0])), [0.001, 0.0, 0.0])
