@@ -148,7 +148,8 @@ class TrackState:
     large its shared errors may be (levels); right: chance that the leader is the right one, as last judged; sure:
     whether the last answer was ok; known: from the last look in full, None when the next frame must be looked at so;
     correction (4, 4) camera_from_camera of what the robot reports, as the last joint solution has it where no pixels of
-    the hand tell: a calibration stays; None before.
+    the hand tell: a calibration stays; None before; lens (4,): focal lengths (px, and shares of the image) of the last
+    image looked at, and lens_for: images since, which had others.
     """
 
     belief: Belief | None = None
@@ -165,3 +166,5 @@ class TrackState:
     sure: bool = False
     known: Known | None = None
     correction: Array | None = None
+    lens: Array | None = None
+    lens_for: int = 0

@@ -35,6 +35,7 @@ from fusion.tracking.slip import SlipWatch, Watched
 from fusion.tracking.state import TrackState
 from fusion.tracking.steps.glancing import as_judged, glance, known_of, may_glance
 from fusion.tracking.steps.judging import as_believed, as_followed, judge
+from fusion.tracking.steps.lens import through_one_lens
 from fusion.tracking.steps.predicting import predict
 from fusion.tracking.steps.printed import as_before, as_printed
 from fusion.tracking.steps.refining import loose, measurement_of, prefers, refine, shift, solve_leader
@@ -115,6 +116,7 @@ class Tracker:
     def step(self, frame: Frame) -> TrackedEstimate:
         """The object in this frame."""
         state = self._state
+        frame, unused = through_one_lens(frame, state, self.settings)
         if state.belief is None:
             if self._asked is None and frame.beliefs is not None:
                 self._believe(frame.beliefs)
@@ -130,7 +132,7 @@ class Tracker:
         if state.sure and answer.verdict != "ok":
             state.renewal.hurry(frame.index, self.settings.renewal)
         state.sure = answer.verdict == "ok"
-        return answer
+        return replace(answer, notes=(*answer.notes, *unused)) if unused else answer
 
     # --- beginning, beginning again, and asking whether the beginning was right
 
@@ -321,8 +323,6 @@ class Tracker:
                 self.model, found.hypotheses, belief, replace(sensed, felt=felt, seen=found.seen), self._state.usual,
                 np.zeros(6) if found.switched else leap, self._beliefs, s,
             )  # fmt: skip
-            if watched.slip:
-                said = replace(said, why=f"slips in the hand ({watched.by}); {said.why}")
             stage.note(len(found.seen) + felt_rows, said.why)
         if said.verdict != "lost":
             self._accept(frame, felt, belief, found.hypotheses, said.share)
@@ -355,8 +355,6 @@ class Tracker:
                 return None
             belief, watched = self._updated(frame, predicted, found.measured, False, felt)
             said = as_judged(self.model, known, carried, belief, found, s)
-            if watched.slip:
-                said = replace(said, why=f"slips in the hand ({watched.by}); {said.why}")
         self._accept(frame, felt, belief, carried, found.share)
         return self._believed(as_followed(frame, belief, predicted, said, watched, found.sensed, trace.stages, s))
 
