@@ -44,6 +44,14 @@ def _numbers(values: ArrayLike, name: str) -> Array:
         raise InputError(f"contacts: expected {name} as real numbers: {error}") from error
 
 
+def _places(points: Array) -> Array:
+    """The points (n, 3); raises InputError for those that are no places."""
+    bad = ~(np.abs(points) < FARTHEST).all(axis=1)  # NaN is not below it either
+    if bad.any():
+        raise InputError(f"contacts: expected finite points, got row {int(np.argmax(bad))} = {points[bad][0]}")
+    return points
+
+
 class Contacts:
     """Points that lie on the object's surface, sensed by touch.
 
@@ -67,10 +75,7 @@ class Contacts:
         if places.size and (places.ndim > 2 or places.shape[-1] != 3):
             raise InputError(f"contacts: expected points of shape (n, 3), got {places.shape}")
         self.points = places.reshape(-1, 3) if places.size else np.zeros((0, 3))
-        n = len(self.points)
-        bad = ~(np.abs(self.points) < FARTHEST).all(axis=1)  # NaN is not below it either
-        if bad.any():
-            raise InputError(f"contacts: expected finite points, got row {int(np.argmax(bad))} = {self.points[bad][0]}")
+        n = len(_places(self.points))
         self.normals = self._rows(normals, n, 3, "normals")
         with np.errstate(invalid="ignore", over="ignore"):
             length = np.linalg.norm(self.normals, axis=1)
@@ -139,15 +144,10 @@ class Contacts:
     def moved(self, target_from_source: Array) -> Contacts:
         """The same contacts in another frame."""
         rotation, translation = target_from_source[:3, :3], target_from_source[:3, 3]
-        return Contacts(
-            self.points @ rotation.T + translation,
-            self.normals @ rotation.T,
-            self.sigma_point,
-            self.sigma_normal,
-            self.sensors,
-            self.forces @ rotation.T,
-            self.sigma_known,
-        )
+        out = copy(self)  # what was checked once stays so, wherever it is
+        out.points = _places(self.points @ rotation.T + translation)
+        out.normals, out.forces = self.normals @ rotation.T, self.forces @ rotation.T
+        return out
 
     @staticmethod
     def concatenate(parts: list[Contacts]) -> Contacts:
