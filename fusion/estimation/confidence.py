@@ -158,7 +158,7 @@ class ConfidenceSettings:
     bluntest: float = 1.6e-3
     narrowest: float = 0.03
     widest: float = 1.0
-    # Spread over the radius (no unit) from which ADD-S is less than it: half the answers of touch alone have 0.09 or more.
+    # Spread over the radius (no unit) from which ADD-S is less than it: half the answers of touch alone have 0.09.
     far_share: float = 0.1
     # Where the object is, as far as is known, when the first mode is not the right one: rad, and shares of its radius,
     # when no prior says so.
