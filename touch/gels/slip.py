@@ -58,6 +58,9 @@ class PatchSlipSettings:
     # other seeds never had two in a row beyond 1.8.
     alone: float = 2.8
     together: float = 2.4
+    # Share of those limits for heights that both images measure: held still, 300 frames of another seed never had two in
+    # a row beyond 1.4 sigmas, and slides of shapes that say little have 2.2 to 3.
+    measured: float = 0.8
     # Frames ago that a patch is compared with: a slip lasts a tenth of a second and more, soft skin creeps in minutes.
     memory: int = 4
 
@@ -106,6 +109,7 @@ class PatchWatch:
         s = self.settings
         kept: dict[str, deque[Patch]] = {}
         sigmas: dict[str, float] = {}
+        limits: dict[str, float] = {}
         for patch in patches:
             if patch.pressed is None or not len(patch):
                 continue  # a contact that ends, or begins, is no slip
@@ -115,9 +119,10 @@ class PatchWatch:
                 past = deque(maxlen=s.memory)  # another grip
             elif motion is not None:
                 sigmas[patch.sensor] = sigmas_off(motion, carried(past[0], patch), s)
+                limits[patch.sensor] = s.measured if motion.measured else 1.0
             past.append(patch)
             kept[patch.sensor] = past
-        second, first = sorted([0.0, 0.0, *sigmas.values()])[-2:]
+        second, first = sorted([0.0, 0.0, *(off / limits[name] for name, off in sigmas.items())])[-2:]
         now = max(first / s.alone, second / s.together)
         # one image that is odd is no slip: two in a row must say so
         statistic, self._last = min(now, self._last), now
