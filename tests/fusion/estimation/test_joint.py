@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from fusion.estimation.solve.joint import solve
 from fusion.estimation.solve.kernels import mark_near
 from fusion.estimation.solve.problem import JointProblem
-from fusion.estimation.solve.rigs import solve_modes
+from fusion.estimation.solve.rigs import _averaged, solve_modes
 from fusion.estimation.solve.settings import JointSettings
 from fusion.estimation.solve.system import FIXED, POSE, SCALE, XI, System, _blocks, exceeding
 from scenes.evidence import table as evidence
@@ -22,6 +22,7 @@ from scenes.evidence.table import NO_GATE, TOUCH, VISION
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.recordings.beliefs import Beliefs, DepthModel
+from scenes.synthesis import library
 from touch.contacts import feel
 from vision.look.look import look
 from vision.look.looked import RowSettings
@@ -291,6 +292,35 @@ def test_the_evidence_of_rigs_counts_by_its_temperature(drill):
     np.testing.assert_allclose(found[2].shares, usual / usual.sum(), atol=1e-6)
     width = [np.trace(one.covariance[3:, 3:]) for one in found]
     assert width == sorted(width)
+
+
+def test_rigs_that_end_apart_widen_the_answer_and_move_it_only_near_by(drill):
+    """Not knowing which of two poses it is, is part of the uncertainty, however far apart; their mean is no answer."""
+    problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-5)
+    best = solve(problem, pose, 1.0)
+    share, weights = 0.5 * drill.radius, np.array([0.75, 0.25])
+
+    def averaged(model, step):
+        other = replace(best, pose=poses.perturb(best.pose, step, model.centroid))
+        return _averaged(model, [best, other], weights, best)
+
+    near = averaged(drill, np.array([0, 0, 0, 0.1 * share, 0, 0]))
+    assert near.pose[0, 3] == pytest.approx(best.pose[0, 3] + 0.025 * share)
+    assert near.covariance[3, 3] == pytest.approx(best.covariance[3, 3] + 0.1875 * (0.1 * share) ** 2)
+    apart = averaged(drill, np.array([0, 0, 0, share, 0, 0]))
+    np.testing.assert_allclose(apart.pose, best.pose, atol=1e-12)
+    assert apart.covariance[3, 3] == pytest.approx(best.covariance[3, 3] + 0.25 * share**2)
+    # another side of the object is another mode, which the search has
+    turned = averaged(drill, np.array([0, np.pi, 0, 0, 0, 0]))
+    np.testing.assert_allclose(turned.covariance, best.covariance)
+    # a turn about its own axis leaves a round thing where it was
+    can = library.make("cylinder")
+    axis = best.pose[:3, :3] @ can.symmetries.axes[0].direction
+    spun = averaged(can, np.concatenate([1.2 * axis, 0.1 * share * np.eye(3)[0]]))
+    across = np.cross(axis, np.eye(3)[0])
+    assert abs(across @ (spun.pose[:3, 3] - best.pose[:3, 3])) < 0.01 * share
+    np.testing.assert_allclose(spun.pose[:3, :3], best.pose[:3, :3], atol=1e-9)
+    assert np.linalg.norm(spun.pose[:3, 3] - best.pose[:3, 3]) == pytest.approx(0.025 * share, rel=0.01)
 
 
 def test_a_surface_that_is_off_smoothly_speaks_of_the_mesh(drill, rng):
