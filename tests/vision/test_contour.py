@@ -394,3 +394,22 @@ def test_a_border_is_bracketed_and_halved(rng):
     assert np.array_equal(depth, expected)
     assert np.array_equal(inner, ends[0])
     assert np.array_equal(outer, ends[1])
+
+
+def test_lines_are_weighed_and_summed_as_by_numpy(rng):
+    log_p = rng.normal(size=(30, 26))
+    log_p -= np.log(np.exp(log_p).sum(axis=1, keepdims=True))
+    rows, moved, share = rng.normal(size=(30, 9)), 0.5 * rng.normal(size=9), rng.uniform(0.1, 1.0, 30)
+    expected, mean, precision = rows @ moved, np.zeros(30), np.zeros(30)
+    kernels.sites(log_p, -12.5, expected, 2.5, mean, precision)
+    variance = 1.0 / np.maximum(precision, 1e-6) + 0.25**2
+    off = mean - expected
+    odds = 0.01 * np.sqrt(2.0 * np.pi * variance) * np.exp(np.minimum(0.5 * off**2 / variance, 50.0))
+    left, weight = np.zeros(30), np.zeros(30)
+    kernels.weigh(log_p, -12.5, rows, moved, (2.5, 0.25, 0.01), share, left, weight)
+    np.testing.assert_allclose(left, rows[:, :6] @ moved[:6] - mean, atol=1e-9)
+    np.testing.assert_allclose(weight, np.where(precision > 0, share / variance / (1.0 + odds), 0.0), rtol=1e-9)
+    whole, pull = np.zeros((9, 9)), np.zeros(9)
+    kernels.sum_up(rows, weight, left, whole, pull)
+    np.testing.assert_allclose(whole, (rows * weight[:, None]).T @ rows, atol=1e-12)
+    np.testing.assert_allclose(pull, rows.T @ (weight * left), atol=1e-9)

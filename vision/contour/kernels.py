@@ -75,6 +75,49 @@ def sites(log_p, lowest, expected, window, mean, precision):
 
 
 @numba.njit(cache=True, nogil=True)
+def weigh(log_p, lowest, rows, moved, widths, share, left, weight):
+    """Fill left (n,): how far (px) each place is from what its line says (see `sites`), what all lines share left in,
+    and weight (n,) of each line.
+
+    rows (n, 9): how a place's offset changes with a pose's move and with what all lines share, and moved (9,) by how
+    much these do. widths: of the Gaussian within which a line is read (px); of a line beyond what its colours say (px,
+    standard deviation); odds that it is wrong, times its density there. share (n,): of each line.
+    """
+    window, floor, wrong = widths
+    n = len(log_p)
+    expected, mean, precision = np.zeros(n), np.zeros(n), np.zeros(n)
+    for i in range(n):
+        for k in range(6):
+            left[i] += rows[i, k] * moved[k]
+        expected[i] = left[i]
+        for k in range(6, 9):
+            expected[i] += rows[i, k] * moved[k]
+    sites(log_p, lowest, expected, window, mean, precision)
+    for i in range(n):
+        left[i] -= mean[i]
+        if precision[i] > 0.0:
+            variance = 1.0 / max(precision[i], 1e-6) + floor * floor
+            off = mean[i] - expected[i]
+            odds = wrong * np.sqrt(2.0 * np.pi * variance) * np.exp(min(0.5 * off * off / variance, 50.0))
+            weight[i] = share[i] / variance / (1.0 + odds)
+
+
+@numba.njit(cache=True, nogil=True)
+def sum_up(rows, weight, left, whole, pull):
+    """Add to whole (m, m) and pull (m,) the matrix and the gradient of rows (n, m) with weight (n,) and left (n,)."""
+    n, m = rows.shape
+    for i in range(n):
+        for a in range(m):
+            scaled = weight[i] * rows[i, a]
+            pull[a] += scaled * left[i]
+            for b in range(a + 1):
+                whole[a, b] += scaled * rows[i, b]
+    for a in range(m):
+        for b in range(a):
+            whole[b, a] = whole[a, b]
+
+
+@numba.njit(cache=True, nogil=True)
 def shift_scores(table, lowest, normals, most, unknown, scores):
     """Fill scores (2 most + 1, 2 most + 1): mean over the lines of table (n, m), over offsets lowest, lowest + 1, ...
     (px), where a shift of the whole outline by (dv, du) px, rows first, moves each; unknown: outside its table.

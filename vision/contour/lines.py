@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from vision.contour import kernels
 from vision.contour.outline import Outline
+from vision.look.pixels import median
 
 Array = NDArray[np.float64]
 
@@ -144,8 +145,8 @@ def _looked_over(colours: NDArray[np.uint8], settings: LineSettings) -> tuple[st
         return f"the image is overexposed: {over:.0%} of what surrounds the outline", edges
     if high - low < s.contrast:
         return f"the image has no contrast: {high - low:.0f} levels of 255 around the outline", edges
-    clear = height >= np.median(height)
-    width = float(np.median(height[clear] / (np.sqrt(2.0 * np.pi) * np.maximum(slope[clear], 0.5))))
+    clear = height >= median(height)
+    width = float(median(height[clear] / (np.sqrt(2.0 * np.pi) * np.maximum(slope[clear], 0.5))))
     if width > s.blurred:
         return f"the image is blurred: edges around the outline are {width:.0f} px wide", edges
     return "", edges
