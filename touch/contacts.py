@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -78,12 +79,12 @@ class Felt:
         believed = 1e3 * float(felt.sigma_point[0])
         return (f"contacts say no sigma: {believed:g} mm believed of each, none taken for false",)
 
-    @property
+    @cached_property
     def contacts(self) -> Contacts:
         """The contacts, corrected."""
         return self.reported_contacts.moved(self.correction)
 
-    @property
+    @cached_property
     def rows(self) -> Evidence:
         """The rows of evidence, corrected."""
         rows = self.reported_rows

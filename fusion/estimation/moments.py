@@ -33,15 +33,15 @@ class MomentSettings:
     # Uneven evidence that holds less than this share of the information in every direction is not looked into.
     share: float = 0.2
     # Vision rows that stand for all (see alignment.search.thin), and samples: with a third of them effective the error
-    # of a standard deviation is 6 % of it.
+    # of a standard deviation is 8 % of it.
     rows: int = 100
-    samples: int = 400
+    samples: int = 240
     # Fewer effective samples than this tell nothing: the Gaussian stays.
     effective: float = 20.0
     # Directions this many times as wide (variance) as Laplace's method has them are changed.
     wider: float = 1.5
     # When so many of the first half of the samples are effective, and they change nothing, the rest is not drawn.
-    clear: float = 50.0
+    clear: float = 40.0
     # Width of a direction that nothing else bounds: rad, and shares of the object's radius (as for modes).
     widest_angle: float = 1.0
     widest_share: float = 1.0

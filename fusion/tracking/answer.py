@@ -78,6 +78,10 @@ class TrackSettings:
     near_angle: float = float(np.deg2rad(10.0))
     near_distance: float = 0.02
     global_every: int = 5
+    # Share by which focal lengths may change from one frame to the next (a zoom), and images of another lens that are
+    # not looked at before it is believed.
+    zoom: float = 0.1
+    other_lens: int = 5
     # Confidence (a probability, no unit) from which what is found everywhere is followed though it is ambiguous: more
     # likely right than not, where nothing else is known. It is not ok before other frames have found it, too.
     found_again: float = 0.5

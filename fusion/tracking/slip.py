@@ -53,7 +53,8 @@ class SlipWatch:
         """length: correlation length of the depth bias in pixels, over which shared errors change."""
         settings = settings or WatchSettings()
         self._fingers = SlipTest(model, length, settings.poses)
-        self._palm = SlipTest(model, length, settings.poses)
+        # against the palm; none while no finger has moved since both began, and the two would be the same
+        self._palm: SlipTest | None = None
         self._patterns = PatternWatch(settings.patterns)
         self._patches = PatchWatch(settings.patches)
         # a slip that the skins have said goes on for as long as one that the poses have
@@ -63,7 +64,7 @@ class SlipWatch:
     def restart(self) -> None:
         """Forget where the poses had the object in the hand. Patterns do not depend on what is believed of it."""
         self._fingers.restart(None, None)
-        self._palm.restart(None, None)
+        self._palm = None
 
     def let_go(self) -> None:
         """Forget the patterns, too."""
@@ -75,17 +76,21 @@ class SlipWatch:
     @property
     def going_on(self) -> bool:
         """Whether its poses have just said that the object moves in the hand."""
-        return self._fingers.going_on or self._palm.going_on
+        return self._fingers.going_on or (self._palm is not None and self._palm.going_on)
 
     def predict(self, motion: Array, expected: InHand, drift: Array) -> None:
         """Move with the hand by motion (4, 4), and as the fingers do; drift (6, 6): of a wrong calibration."""
-        self._fingers.predict(motion, expected.motion, expected.sticking + drift, expected.sliding)
-        self._palm.predict(motion, np.zeros(6), expected.still + drift)
+        if self._palm is None and (expected.motion.any() or expected.sliding):
+            self._palm = self._fingers.copied()
+        self._fingers.predict(motion, expected.motion, expected.sticking, expected.sliding, drift)
+        if self._palm is not None:
+            self._palm.predict(motion, np.zeros(6), expected.still, drift=drift)
 
     def carry(self, motion: Array) -> None:
         """Move with the hand by motion (4, 4): a late frame's lesson comes to the present."""
         for test in (self._fingers, self._palm):
-            test.predict(motion, np.zeros(6), np.zeros((6, 6)))
+            if test is not None:
+                test.predict(motion, np.zeros(6), np.zeros((6, 6)))
 
     def feel(self, readings: Sequence[Reading], patches: Sequence[Patch] = ()) -> Watched:
         """What the arrays and the gels of the next frame say; patches in the palm's frame."""
@@ -100,7 +105,7 @@ class SlipWatch:
     def step(self, measured: Measurement, belief: Belief, pixel: Array | None, felt: Watched) -> Watched:
         """What a frame's own answer says, and what its skins said; belief: the tracker's own, to start from."""
         slip = self._fingers.step(measured, belief, pixel)
-        moved = self._palm.step(measured, belief, pixel) or slip
+        moved = (self._palm is not None and self._palm.step(measured, belief, pixel)) or slip
         by = " and ".join(word for word in ("its poses do not go with the hand" if slip else "", felt.by) if word)
         return Watched(slip or felt.slip, moved or felt.slip, max(self._fingers.statistic, felt.statistic), by)
 

@@ -146,7 +146,10 @@ class TrackState:
     index: of that; unseen: frames without evidence; lost_for: frames; usual: share of pixels that the pose explains,
     usually; things: what goes with the object and is not it; rigs: of each of the first frames, the mean square of how
     large its shared errors may be (levels); right: chance that the leader is the right one, as last judged; sure:
-    whether the last answer was ok; known: from the last look in full, None when the next frame must be looked at so.
+    whether the last answer was ok; known: from the last look in full, None when the next frame must be looked at so;
+    correction (4, 4) camera_from_camera of what the robot reports, as the last joint solution has it where no pixels of
+    the hand tell: a calibration stays; None before; lens (4,): focal lengths (px, and shares of the image) of the last
+    image looked at, and lens_for: images since, which had others.
     """
 
     belief: Belief | None = None
@@ -162,3 +165,6 @@ class TrackState:
     right: float = 0.0
     sure: bool = False
     known: Known | None = None
+    correction: Array | None = None
+    lens: Array | None = None
+    lens_for: int = 0

@@ -35,12 +35,12 @@ from fusion.tracking.slip import SlipWatch, Watched
 from fusion.tracking.state import TrackState
 from fusion.tracking.steps.glancing import as_judged, glance, known_of, may_glance
 from fusion.tracking.steps.judging import as_believed, as_followed, judge
+from fusion.tracking.steps.lens import through_one_lens
 from fusion.tracking.steps.predicting import predict
 from fusion.tracking.steps.printed import as_before, as_printed
 from fusion.tracking.steps.refining import loose, measurement_of, prefers, refine, shift, solve_leader
 from fusion.tracking.steps.sensing import Sensed, pool_near
 from scenes.errors import CaptureError
-from scenes.evidence import table as tables
 from scenes.evidence.align import Prior
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -116,6 +116,7 @@ class Tracker:
     def step(self, frame: Frame) -> TrackedEstimate:
         """The object in this frame."""
         state = self._state
+        frame, unused = through_one_lens(frame, state, self.settings)
         if state.belief is None:
             if self._asked is None and frame.beliefs is not None:
                 self._believe(frame.beliefs)
@@ -131,7 +132,7 @@ class Tracker:
         if state.sure and answer.verdict != "ok":
             state.renewal.hurry(frame.index, self.settings.renewal)
         state.sure = answer.verdict == "ok"
-        return answer
+        return replace(answer, notes=(*answer.notes, *unused)) if unused else answer
 
     # --- beginning, beginning again, and asking whether the beginning was right
 
@@ -167,9 +168,11 @@ class Tracker:
         how = self.settings.first.confidence
         return within(self.model, mode.pose, mode.covariance, how.tolerance, how.seen.nearest)
 
-    def _anchor(self, answer: Estimate) -> None:
+    def _anchor(self, answer: Estimate, tracked: Array | None = None) -> None:
+        """Believe an estimate; of a pose that this frame was tracked to (4, 4) as unsure as the two are apart."""
         share, own = self.settings.first_lasting, answer.modes[0].covariance
-        self._state.belief = Belief(answer.pose, (1 - share) * own, share * own)
+        apart = np.zeros(6) if tracked is None else se3.difference(answer.pose, tracked, self.model.centroid)
+        self._state.belief = Belief(answer.pose, (1 - share) * own + np.outer(apart, apart), share * own)
 
     def _recover(self, frame: Frame, lost: TrackedEstimate) -> TrackedEstimate:
         """Look for the object around the prediction, if anything is seen there, and now and then everywhere."""
@@ -207,16 +210,17 @@ class Tracker:
             vote = 0.0
         carried = (leader, *state.hypotheses[1:])
         state.hypotheses, agrees = several.voted(self.model, carried, modes, vote, against, s.hypotheses)
-        if not agrees and better < -s.hypotheses.missed:  # what the search has found is what the frame prefers, too
-            first = state.hypotheses[0]
-            doubted = replace(first, votes=max(0.0, first.votes - s.hypotheses.part))
-            state.hypotheses = doubted, *state.hypotheses[1:]
+        as_gladly = better <= (s.hypotheses.missed if not vote else -s.hypotheses.missed)
+        doubtful = not agrees and as_gladly  # of two that look alike the one that is not found is none the worse for it
+        if doubtful:
+            state.hypotheses = several.doubted(state.hypotheses, s.hypotheses)
         believed = state.hypotheses[0].votes >= s.hypotheses.believed and (agrees or better > 0.0)
-        state.renewal.found(frame.index, agrees if vote and against else None, s.renewal, believed)
+        told = (vote and against) or (doubtful and leader.votes >= s.hypotheses.believed)
+        state.renewal.found(frame.index, agrees if told else None, s.renewal, believed)
         where = "agrees" if agrees else "finds it elsewhere"
         why = f"{where}, {several.sure_of(alone):.0%} sure; {better:+.0f} nats for the track; {vote:.1f} votes"
-        if same and vote and better < -s.anchor:
-            self._anchor(replace(alone, pose=modes[0].pose))
+        if same and vote and against and better < -s.anchor:
+            self._anchor(replace(alone, pose=modes[0].pose), answer.pose)
             why += "; it goes on from there"
         if not believed:
             why += self._search_around(frame, answer)
@@ -287,7 +291,10 @@ class Tracker:
             asked = np.array([h.pose for h in carried])
             first, beliefs = s.first, self._beliefs
             pool = pool_near(viewed, self.model, asked, looked, felt, beliefs, first, s.room)
-            sensed = self._sensed = Sensed(viewed, looked, seen, felt, pool, self._state.things, s.occluders)
+            unsolved = viewed.depth is None or not len(looked.pixels)
+            placed = looked.hand is None and (unsolved or self._looker.correction is not None)
+            sensed = Sensed(viewed, looked, seen, felt, pool, self._state.things, s.occluders, placed)
+            self._sensed = sensed
         with trace.stage("align", True, "") as stage:
             prior = loose(predicted.pose, predicted.own, s)
             found = refine(self.model, carried, prior, sensed, s)
@@ -300,12 +307,12 @@ class Tracker:
             learned = len(self._state.rigs)
             solved = solve_leader(self.model, frame, leader, prior, found, sensed, self._state.rigs, self._beliefs, s)
             blind = self._state.hand is not None and not len(looked.pixels)
-            calibration, corrected = self._beliefs.calibration, self._looker.correction is not None
-            rows = tables.stack(found.seen, felt.rows)
-            measured = measurement_of(self.model, solved, predicted.pose, rows, blind, corrected, calibration, s)
+            told = self._looker.correction is not None or self._state.correction is not None
+            shown = replace(sensed, seen=found.seen)
+            measured = measurement_of(self.model, solved, predicted.pose, shown, blind, told, self._beliefs, s)
             if len(self._state.rigs) > learned:  # of what all frames share the first was told no more than this one
                 predicted = replace(predicted, shared=measured.shared)
-            if looked.hand is not None and felt_rows:
+            if felt_rows and not placed:
                 felt = felt.corrected(solved.correct())
             off = 1e3 * shift(felt.correction, self._middle(solved.pose))
             stage.note(len(found.seen) + felt_rows, f"calibration off by {off:.1f} mm")
@@ -316,12 +323,12 @@ class Tracker:
                 self.model, found.hypotheses, belief, replace(sensed, felt=felt, seen=found.seen), self._state.usual,
                 np.zeros(6) if found.switched else leap, self._beliefs, s,
             )  # fmt: skip
-            if watched.slip:
-                said = replace(said, why=f"slips in the hand ({watched.by}); {said.why}")
             stage.note(len(found.seen) + felt_rows, said.why)
         if said.verdict != "lost":
             self._accept(frame, felt, belief, found.hypotheses, said.share)
             self._state.right = said.right
+            if felt_rows and not placed and looked.hand is None:
+                self._state.correction = felt.correction
             now = replace(sensed, felt=felt, seen=found.seen)
             settled = not found.switched and frame.index == self._state.index
             self._state.known = known_of(self.model, prior, now, measured, said, self._beliefs, s) if settled else None
@@ -348,8 +355,6 @@ class Tracker:
                 return None
             belief, watched = self._updated(frame, predicted, found.measured, False, felt)
             said = as_judged(self.model, known, carried, belief, found, s)
-            if watched.slip:
-                said = replace(said, why=f"slips in the hand ({watched.by}); {said.why}")
         self._accept(frame, felt, belief, carried, found.share)
         return self._believed(as_followed(frame, belief, predicted, said, watched, found.sensed, trace.stages, s))
 
@@ -357,14 +362,15 @@ class Tracker:
         return frame if "touch" in self._senses else frame.without_touch()
 
     def _feel(self, frame: Frame, looked: Looked | None = None) -> Felt:
-        """What is felt, moved to where the hand is seen, or was last; as the robot reports it before a look."""
-        region = None if looked is None else looked.region
-        felt = feel(self._felt_frame(frame), np.eye(4), self._beliefs, region, self.settings.first.touch)
-        if looked is None or not len(felt.reported_rows):
-            return felt
-        if looked.hand is not None:
-            return felt.corrected(looked.hand.correct())
-        return felt if self._looker.correction is None else felt.corrected(self._looker.correction)
+        """What is felt, moved to where the hand is seen, or was last, or where the object has had it."""
+        region, told = None if looked is None else looked.region, self._state.correction
+        if looked is not None and looked.hand is not None:
+            told = looked.hand.correct()
+        elif self._looker.correction is not None:
+            told = self._looker.correction
+        elif told is None and looked is not None and not len(looked.pixels):
+            told = np.eye(4)  # what a calibration may be off by is in the measurement then
+        return feel(self._felt_frame(frame), told, self._beliefs, region, self.settings.first.touch)
 
     def _skins(self, frame: Frame, felt: Felt) -> Watched:
         """Whether what presses arrays and gels has moved over them."""

@@ -32,7 +32,7 @@ PITCHES = (1e-4, 10.0)
 # Pixels of the shorter side that are worked with: of a thumbnail-sized gel, every 0.15 mm.
 WORKING_SIDE = 110
 # The same where only what changes slowly is told: lamps, and how deep the skin is on the whole.
-COARSE_SIDE = 24
+COARSE_SIDE = 30
 # A channel at 255 in more than this share of an image shows no shape there.
 SATURATED = 0.25
 # Smoothing (pixels) of a background's brightness.
@@ -72,6 +72,21 @@ class Gel:
         k = self.matrix
         y = (v - k[1, 2]) / k[1, 1]
         return np.stack([(u - k[0, 2] - k[0, 1] * y) / k[0, 0], y], axis=2)
+
+    @cached_property
+    def lines(self) -> tuple[Array, Array]:
+        """(h, w, 3) directions of the pixels' lines, and (2, 3) how what is seen at the depth 1 (pinhole) or anywhere
+        (parallel lines) moves from column to column and from row to row.
+        """
+        if self.matrix is None:
+            assert self.pitch is not None
+            upright = np.zeros((self.height, self.width, 3))
+            upright[..., 2] = 1.0
+            return upright, self.pitch * np.eye(3)[:2]
+        k = self.matrix
+        directions = np.concatenate([self.rays, np.ones((self.height, self.width, 1))], axis=2)
+        skew = -k[0, 1] / (k[0, 0] * k[1, 1])
+        return directions, np.array([[1.0 / k[0, 0], 0.0, 0.0], [skew, 1.0 / k[1, 1], 0.0]])
 
     def points(self, indentation: Array | float = 0.0) -> Array:
         """(h, w, 3) sensor frame (m): the skin when it is pressed in by `indentation` (m, (h, w) or one for all)."""
@@ -235,8 +250,11 @@ def image_problem(image: NDArray[Any], gel: Gel) -> str | None:
         return None
     if gel.background is None:
         return "expected the untouched background for a colour image, the sensor has none"
-    if np.ptp(image) == 0:
+    lowest, highest = image.min(), image.max()
+    if lowest == highest:
         return "expected an image of the gel, got one colour all over"
+    if highest < 255:
+        return None
     for channel, name in enumerate(("red", "green", "blue")):
         share = float(np.mean(image[:, :, channel] == 255))
         if share > SATURATED:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.robot.gels import Gel
+from touch.gels.colour_kernels import judge, most_frequent
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -72,23 +73,21 @@ def moved_skin(image: NDArray[np.uint8], gel: Gel, settings: ColourSettings | No
     settings = settings or ColourSettings()
     assert gel.background is not None
     step = gel.working_step
-    raw = image.astype(np.float32) - gel.background.astype(np.float32)
-    blurred: NDArray[np.float32] = np.asarray(cv2.GaussianBlur(raw, (0, 0), settings.blur), dtype=np.float32)
+    raw: NDArray[np.float32] = np.asarray(cv2.subtract(image, gel.background, dtype=cv2.CV_32F), dtype=np.float32)
+    blurred: NDArray[np.float32] = np.ascontiguousarray(
+        cv2.GaussianBlur(raw, (0, 0), settings.blur)[::step, ::step], dtype=np.float32
+    )
     # grain: differences of neighbours, which a slope hardly changes; white grain smoothed with this width is left with
     # 1 / (2 sqrt(pi) width) of it
-    rows = raw[:: 2 * step]
-    grain = np.abs(rows[:, 1::step] - rows[:, :-1:step][:, : rows[:, 1::step].shape[1]]).reshape(-1, 3)
-    noise = 1.4826 / np.sqrt(2.0) * np.median(grain, axis=0)
+    noise = 1.4826 / np.sqrt(2.0) * _median_gap(raw[:: 2 * step], step)
     noise = np.maximum(noise / (2.0 * np.sqrt(np.pi) * settings.blur), 0.3)
     # exposure drifts as a whole: pixels about the most frequent relative difference are the untouched ones
     level = np.maximum(gel.working.level, np.float32(settings.darkest))
-    sparse = np.asarray(blurred[::step, ::step], dtype=np.float64)
-    drift = _most_frequent(sparse / level, settings.drift)
+    drift = most_frequent((blurred[::2, ::2] / level[::2, ::2]).reshape(-1, 3), settings.drift, SHIFTS, FEWEST_ALIKE)
     common, own = drift.mean(), drift - drift.mean()
     drift = common + own * float(own @ own / (own @ own + 3.0 * settings.apart**2))
-    smooth: NDArray[np.float32] = np.asarray(sparse - drift * level, dtype=np.float32)
-    size = np.sqrt(((smooth / noise.astype(np.float32)) ** 2).sum(axis=2))
-    counts = np.sqrt((smooth**2).sum(axis=2))
+    smooth, size, counts = np.zeros_like(blurred), *np.zeros((2, *blurred.shape[:2]), dtype=np.float32)
+    judge(blurred, level, drift, noise, smooth, size, counts)
     moved = ((size > settings.sigmas) & (counts > settings.least)).astype(np.uint8)
     gap = max(3, settings.gap // step | 1)
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (gap, gap))
@@ -104,27 +103,14 @@ def moved_skin(image: NDArray[np.uint8], gel: Gel, settings: ColourSettings | No
     return Moved(smooth, noise, inside, _filled(np.asarray(core, dtype=np.uint8), 1.0), edge)
 
 
-def _most_frequent(relative: Array, most: float) -> Array:
-    """(3,) the mode of relative differences (h, w, 3) of all channels together, each up to `most`; 0 if there is none.
-
-    Untouched pixels are alike in all channels; those on a contact may be the most in one, hardly ever in all three.
-    """
-    values = relative[::2, ::2].reshape(-1, 3)
-    inside = values[(np.abs(values) < most).all(axis=1)]
-    if not len(inside):
-        return np.zeros(3)
-    bins = 13
-    width = 2.0 * most / bins
-    cell = np.minimum(((inside + most) / width).astype(np.int64), bins - 1)
-    counts = np.bincount(cell @ [bins * bins, bins, 1], minlength=bins**3)
-    best = np.array(np.unravel_index(int(np.argmax(counts)), (bins, bins, bins)))
-    found = (best + 0.5) * width - most
-    for _ in range(SHIFTS):  # the mean about the fullest bin is finer than the bin (mean shift; Comaniciu, PAMI 2002)
-        near = inside[(np.abs(inside - found) < width).all(axis=1)]
-        if len(near) < FEWEST_ALIKE * len(values):
-            return np.zeros(3)
-        found = near.mean(axis=0)
-    return np.asarray(found, dtype=np.float64)
+def _median_gap(rows: NDArray[np.float32], step: int) -> Array:
+    """(3,) median absolute difference of neighbours in every step-th column of whole counts rows (h, w, 3)."""
+    after = rows[:, 1::step]
+    gaps = np.abs(after - rows[:, :-1:step][:, : after.shape[1]]).astype(np.int64)
+    most, half = 511, 0.5 * (gaps.shape[0] * gaps.shape[1])
+    counted = np.bincount((gaps + most * np.arange(3)).ravel(), minlength=3 * most).reshape(3, most).cumsum(axis=1)
+    # the mean of the two in the middle of an even number
+    return np.array([0.5 * (np.searchsorted(c, half) + np.searchsorted(c, half, side="right")) for c in counted])
 
 
 def _filled(moved: NDArray[np.uint8], smallest: float) -> Mask:

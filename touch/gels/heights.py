@@ -16,11 +16,16 @@ from numpy.typing import NDArray
 
 from scenes.robot.gels import Gel, check_image
 from touch.gels.colour import ColourSettings, Mask, Moved, moved_skin
-from touch.gels.lamps import LampSettings, normals_of
+from touch.gels.kernels import relax
+from touch.gels.lamps import LampSettings, slopes_of
 from touch.gels.photometry import photometry_of, relative
 from touch.gels.surfaces import UNTOUCHED, as_depth, integrate, level, slopes
 
 Array = NDArray[np.float64]
+
+# What is smooth between held values is found from coarse to fine: the coarsest grid's side (cells), the most sweeps of
+# one grid, and the change of a cell, as a share of all, at which it is found: a hundredth of a micrometre.
+COARSEST, SWEEPS, SETTLED = 6, 60, 1e-4
 
 
 @dataclass(frozen=True)
@@ -33,7 +38,8 @@ class HeightSettings:
     share: float = 0.25
     # and than this (m): below, heights are the integration's own drift.
     least: float = 0.00006
-    # Error of a measured indentation: a share of it (gain of the calibration) and a floor (m).
+    # Error of a measured indentation: a share of it (gain of the calibration), in proportion more where it is deeper
+    # than the calibration's own presses, and a floor (m). Of 137 simulated presses the RMS error is 0.9 of it, median.
     gain: float = 0.08
     floor: float = 0.00004
     # Without calibration: the usual indentation as a share of the gel's thickness, its error as a share of itself, and
@@ -43,6 +49,9 @@ class HeightSettings:
     known_error: float = 0.2
     # The cap's slopes that its own colours may leave unexplained, as a share: beyond, the outline alone counts.
     unexplained: float = 0.8
+    # How far (m) beyond what moved for sure heights are integrated: the skin's last slopes are below the noise of a
+    # pixel, not of all together, and 0.04 mm were missing in every height without them. Farther, drift comes in.
+    skirt: float = 0.0006
     # Grid (cells along the longer side) of the membrane's equation: a cap has no finer shape.
     cells: int = 48
 
@@ -84,12 +93,17 @@ def indentation_of(
         if known is not None:
             known = min(known[0] // step, work.width - 1), min(known[1] // step, work.height - 1), known[2]
         return from_outline(moved, work, known, settings)
-    normal = normals_of(moved, work, photometry_of(gel, where), settings.lamps)
-    return from_depth(heights(moved.inside, normal, work, settings.cells), work, settings, moved.inside)
+    wide = widened(moved.inside, work, settings.skirt)
+    photometry = photometry_of(gel, where)
+    fields = slopes_of(moved, wide, work, photometry, settings.lamps)
+    known = max(photometry.depths, default=np.inf)
+    return from_depth(heights(wide, fields, work, settings.cells), work, settings, moved.inside, known)
 
 
-def from_depth(depth: Array, gel: Gel, settings: HeightSettings, moved: Mask | None = None) -> Indentation:
-    """The measured indentation (h, w) m with what of it is touched."""
+def from_depth(
+    depth: Array, gel: Gel, settings: HeightSettings, moved: Mask | None = None, known: float = np.inf
+) -> Indentation:
+    """The measured indentation (h, w) m with what of it is touched; known: how deep (m) calibration has pressed."""
     deepest = float(depth.max(initial=0.0))
     threshold = max(settings.share * deepest, settings.least)
     touched = depth > threshold
@@ -97,27 +111,34 @@ def from_depth(depth: Array, gel: Gel, settings: HeightSettings, moved: Mask | N
         moved = depth > settings.least
     else:
         touched &= moved
-    sigma = np.hypot(settings.gain * np.maximum(depth, 0.0), settings.floor)
+    beyond = np.maximum(depth / max(known, settings.floor), 1.0)
+    sigma = np.hypot(settings.gain * beyond * np.maximum(depth, 0.0), settings.floor)
     return Indentation(gel, np.maximum(depth, 0.0), touched, moved, sigma, True)
 
 
-def heights(inside: Mask, normal: Array, gel: Gel, cells: int = 48) -> Array:
-    """(h, w) m by which the skin is pressed in: normals (m, 3) of its moved pixels, inside (h, w); 0 outside."""
+def widened(inside: Mask, gel: Gel, skirt: float) -> Mask:
+    """The mask (h, w) grown by `skirt` (m) to all sides."""
+    import cv2
+
+    reach = round(skirt / gel.spacing)
+    if reach < 1:
+        return inside
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    return np.asarray(cv2.dilate(inside.astype(np.uint8), disc), dtype=bool)
+
+
+def heights(inside: Mask, fields: NDArray[np.float32], gel: Gel, cells: int = 48) -> Array:
+    """(h, w) m by which the skin is pressed in, 0 outside of `inside` (h, w): slopes fields (2, h, w) less those of the
+    untouched skin, 0 outside.
+    """
     if not inside.any():
         return np.zeros((gel.height, gel.width))
-    index = np.flatnonzero(inside)
-    untouched = gel.untouched_normals.reshape(-1, 3)[index]
-    fields = np.zeros((2, inside.size))
-    for field_, new, old in zip(fields, slopes(normal, gel, index), slopes(untouched, gel, index)):
-        field_[index] = new - old
-    change = integrate(*fields.reshape(2, *inside.shape))
+    change = integrate(fields[0], fields[1])
     change -= level(change, inside)
     if (~inside).mean() > UNTOUCHED:
         # slopes that do not close leave a step at the outline, where the skin is held: taken off as smoothly as can be
-        change -= harmonic(change, inside, cells)
-    depth = as_depth(change, gel)
-    depth[~inside] = 0.0
-    return depth
+        change -= harmonic(change.astype(np.float64), inside, cells).astype(change.dtype, copy=False)
+    return np.where(inside, as_depth(change, gel), 0.0).astype(np.float64)
 
 
 def from_outline(moved: Moved, gel: Gel, known: tuple[int, int, float] | None, settings: HeightSettings) -> Indentation:
@@ -160,7 +181,11 @@ def _own_colours(moved: Moved, gel: Gel, cap: Array, settings: HeightSettings) -
     left = (change - told)[:, :2]
     if not (left**2).sum() < settings.unexplained**2 * (change[:, :2] ** 2).sum():
         return None
-    depth = heights(inside, untouched + told, gel, settings.cells)
+    index, fields = np.flatnonzero(inside), np.zeros((2, inside.size), dtype=np.float32)
+    tilted, level_ = slopes(untouched + told, gel, index), slopes(untouched, gel, index)
+    for field_, new, old in zip(fields, tilted, level_):
+        field_[index] = new - old
+    depth = heights(inside, fields.reshape(2, *inside.shape), gel, settings.cells)
     return depth if depth.max() > 0 else None
 
 
@@ -170,7 +195,7 @@ def membrane(inside: Mask, cells: int = 48) -> Array:
     """
     share = _shrunk(inside.astype(np.float32), cells)
     grid = share > 0.5
-    if not grid.any():
+    if not grid.any() or grid.all():  # nothing holds what covers the whole image
         return inside.astype(np.float64)
     coarse = _relaxed(grid, 1.0, np.zeros(grid.shape))
     fine = _grown(coarse / max(float(coarse.max()), 1e-300), inside.shape)
@@ -209,31 +234,29 @@ def _grown(coarse: Array, shape: tuple[int, ...]) -> Array:
 
 
 def _relaxed(grid: Mask, load: float, held: Array) -> Array:
-    """(h, w) solution of minus Laplace z = load on the grid (h, w), z = held (h, w) on other cells, free at the border;
-    0 off the grid.
+    """(h, w) solution of minus Laplace z = load on the grid (h, w), z = held (h, w) on other cells, of which there is
+    one or more, free at the border. From coarse to fine.
     """
-    from scipy.sparse import coo_matrix, diags
-    from scipy.sparse.linalg import spsolve
+    height, width = grid.shape
+    if min(height, width) <= COARSEST:
+        out = np.where(grid, held[~grid].mean(), held)
+    else:
+        size = (height + 1) // 2, (width + 1) // 2
+        share = _area(~grid, size)
+        half = share < 0.5
+        if half.all():
+            half[np.unravel_index(int(np.argmax(share)), size)] = False
+        coarse = _relaxed(half, 4.0 * load, _area(held * ~grid, size) / np.maximum(share, 1e-6))
+        out = np.where(grid, _grown(coarse, grid.shape), held)
+    # the best factor of an empty rectangle (Young 1954); smaller regions settle sooner
+    factor = 2.0 / (1.0 + np.sin(np.pi / (max(height, width) + 1)))
+    enough = SETTLED * max(float(np.ptp(held[~grid])), load * height * width / 16.0, 1e-300)
+    relax(out, grid, load, factor, SWEEPS, enough)
+    return np.asarray(out)
 
-    number = np.full(grid.shape, -1)
-    count = int(grid.sum())
-    number[grid] = np.arange(count)
-    diagonal, right = np.zeros(count), np.full(count, load)
-    rows, columns = [], []
-    for axis in (0, 1):
-        one = (slice(None, -1), slice(None)) if axis == 0 else (slice(None), slice(None, -1))
-        two = (slice(1, None), slice(None)) if axis == 0 else (slice(None), slice(1, None))
-        for own, other in ((one, two), (two, one)):
-            here, there = number[own].ravel(), number[other].ravel()
-            on = here >= 0
-            np.add.at(diagonal, here[on], 1.0)
-            both, rim = on & (there >= 0), on & (there < 0)
-            np.add.at(right, here[rim], held[other].ravel()[rim])
-            rows.append(here[both])
-            columns.append(there[both])
-    # a piece that nothing holds (the whole image) must not be singular
-    r, c = np.concatenate(rows), np.concatenate(columns)
-    matrix = coo_matrix((-np.ones(len(r)), (r, c)), shape=(count, count)) + diags(diagonal + 1e-6)
-    out = np.zeros(grid.shape)
-    out[grid] = spsolve(matrix.tocsc(), right)
-    return out
+
+def _area(values: Array | Mask, size: tuple[int, int]) -> Array:
+    """The mean of values (h, w) in each cell of a coarser grid of size (h, w)."""
+    import cv2
+
+    return np.asarray(cv2.resize(values.astype(np.float64), size[::-1], interpolation=cv2.INTER_AREA))

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.robot.gels import Gel
-from touch.gels.colour import Moved
-from touch.gels.kernels import face
+from touch.gels.colour import Mask, Moved
+from touch.gels.kernels import equations, face, facing, following, slopes_by_colours
 from touch.gels.photometry import Photometry, relative
-from touch.gels.surfaces import as_depth, facing, integrate, level, slopes
+from touch.gels.surfaces import as_depth, fitted, level, slopes, slopes_of_waves, surface_of
 
 Array = NDArray[np.float64]
 
@@ -35,8 +35,9 @@ class LampSettings:
     """How far lamps may be from the calibration's. Values by judgement."""
 
     # Standard deviation of a colour's own share in what it was calibrated as, and of another colour's share in it (no
-    # unit): light-emitting diodes of one kind scatter so in brightness and in what their light mixes.
-    own: float = 0.2
+    # unit): light-emitting diodes of one kind scatter so in brightness and in what their light mixes; brightness that
+    # the background shares cancels.
+    own: float = 0.15
     mixed: float = 0.25
     # Of the exposure (share): where untouched skin tells it, and where none is left.
     drift_known: float = 0.01
@@ -44,9 +45,10 @@ class LampSettings:
     # Share of the image that must be untouched for that.
     untouched: float = 0.03
     # Share of the changes that no lamps explain (places of the lamps, bridging skin), and places of an image whose
-    # share of that is their own.
+    # share of that is their own: both set on simulated presses of sensors calibrated on one another, whose heights were
+    # 7 % too flat when images were believed more.
     unexplained: float = 0.15
-    places: float = 40.0
+    places: float = 25.0
     # So many times what is usually unexplained counts half.
     outlier: float = 3.0
     # Steps, and the largest of a parameter in its standard deviations.
@@ -71,29 +73,40 @@ class Lit:
     sigma: Array
 
 
-def normals_of(moved: Moved, gel: Gel, photometry: Photometry, settings: LampSettings | None = None) -> Array:
-    """(m, 3) the skin's normals where it moved, sensor frame, of the working pixels in their order."""
-    import cv2
-
+def slopes_of(
+    moved: Moved, inside: Mask, gel: Gel, photometry: Photometry, settings: LampSettings | None = None
+) -> NDArray[np.float32]:
+    """(2, h, w) slopes of the skin along u and v less the untouched skin's (see `surfaces`), on working pixels: by
+    colours where `inside` (h, w), 0 elsewhere.
+    """
     settings = settings or LampSettings()
     seen = relative(moved.difference, gel, photometry.darkest)
     found = lamps_of(seen, moved.inside, gel, photometry, settings)
-    index = np.flatnonzero(moved.inside)
     by_normal, by_depth = photometry.maps(gel)
-    size = (gel.width, gel.height)
-    depth = cv2.resize(found.depth.astype(np.float32), size, interpolation=cv2.INTER_LINEAR).ravel()[index]
-    change = ((1.0 + seen.reshape(-1, 3)[index]) / (1.0 + found.drift) - 1.0) @ np.linalg.inv(found.mixture).T
-    change -= by_depth.reshape(-1, 3)[index] * depth[:, None]
-    rest = gel.untouched_normals.reshape(-1, 3)[index]
-    normal = rest.copy()
-    sensitivity = by_normal.reshape(-1, 3, 3)[index]
-    face(sensitivity, change, rest, settings.pull, settings.steepest, FROM_REST, normal)
-    return normal
+    lines, across = gel.lines
+    out = np.zeros((2, inside.size), dtype=np.float32)
+    slopes_by_colours(
+        seen.reshape(-1, 3),
+        np.linalg.inv(found.mixture),
+        found.drift,
+        by_normal.reshape(-1, 3, 3),
+        by_depth.reshape(-1, 3),
+        _finer(found.depth, gel).ravel(),
+        gel.untouched_normals.reshape(-1, 3),
+        lines.reshape(-1, 3),
+        across,
+        np.flatnonzero(inside),
+        gel.width,
+        settings.pull,
+        settings.steepest,
+        FROM_REST,
+        FROM_NEAR,
+        out,
+    )
+    return out.reshape(2, *inside.shape)
 
 
-def lamps_of(
-    seen: NDArray[np.float32], inside: NDArray[np.bool_], gel: Gel, photometry: Photometry, settings: LampSettings
-) -> Lit:
+def lamps_of(seen: NDArray[np.float32], inside: Mask, gel: Gel, photometry: Photometry, settings: LampSettings) -> Lit:
     """Of relative changes (h, w, 3) of working pixels, moved inside (h, w): the lamps that explain them best."""
     import cv2
 
@@ -111,46 +124,55 @@ def lamps_of(
     by_normal, by_depth = (part.reshape(-1, *part.shape[2:])[index] for part in photometry.maps(coarse))
     q = smooth.reshape(-1, 3)[index]
     rest = coarse.untouched_normals.reshape(-1, 3)[index]
-    base = np.stack(slopes(coarse.untouched_normals.reshape(-1, 3)[index], coarse, index), axis=1)
+    every, across = coarse.lines
+    lines = every.reshape(-1, 3)[index]
+    base = np.stack(slopes(rest, coarse, index))
     size = max(float(np.sqrt((q**2).sum(axis=1).mean())), 1e-6)
-    weight = settings.places * len(index) / within.size / len(index) / (settings.unexplained * size) ** 2
+    missed = settings.unexplained * size
+    weight = settings.places / within.size / missed**2
     normal, depth = rest.copy(), np.zeros(len(index))
+    level_normal, model = np.zeros_like(rest), np.zeros_like(q)
+    told, fields = np.zeros((2, within.size)), np.zeros((2, 10, within.size), dtype=np.float32)
     theta, information = np.zeros(10), np.diag(wide**-2.0)
     for turn in range(settings.rounds + 1):
         mixture, drift = np.eye(3) + theta[:9].reshape(3, 3), float(theta[9])
-        sensitivity, deeper = mixture @ by_normal, by_depth @ mixture.T
         corrected = (1.0 + q) / (1.0 + drift) - 1.0
         steps = FROM_NEAR if turn else FROM_REST
-        face(sensitivity, corrected - deeper * depth[:, None], rest, settings.pull, settings.steepest, steps, normal)
-        told = np.stack(slopes(normal, coarse, index), axis=1)
-        change = _surfaces((told - base)[..., None], index, within)[0]
+        left = corrected - depth[:, None] * (by_depth @ mixture.T)
+        face(mixture, by_normal, left, rest, settings.pull, settings.steepest, steps, normal)
+        told[:, index] = np.stack(slopes(normal, coarse, index)) - base
+        waves = fitted(told.reshape(2, *within.shape))
+        change = surface_of(waves)
         change -= level(change, within)
-        depth = as_depth(change, coarse).ravel()[index]
+        depth = as_depth(change, coarse).ravel()[index].astype(np.float64)
         if turn == settings.rounds:
             break
-        # colours that the surface would have
-        surface = base + np.stack([part.ravel()[index] for part in np.gradient(change)[::-1]], axis=1)
-        level_normal = facing(surface[:, 0], surface[:, 1], coarse, index)
-        model = np.einsum("pci,pi->pc", by_normal, level_normal - rest) + by_depth * depth[:, None]
-        left = corrected - model @ mixture.T
-        ways = np.zeros((len(index), 3, 10))
-        for row in range(3):
-            ways[:, row, 3 * row : 3 * row + 3] = model
-        ways[:, :, 9] = 1.0 + q
-        # slopes follow the lamps (least squares, a pixel each), and the surface follows the slopes
-        own = _by_slope(sensitivity, normal, told, coarse, index)
-        square = np.swapaxes(own, 1, 2) @ own
-        square[:, [0, 1], [0, 1]] += 1e-3 * np.einsum("pii->p", square)[:, None] + 1e-12
-        follow = np.asarray(-np.linalg.solve(square, np.swapaxes(own, 1, 2) @ ways), dtype=np.float64)
-        fields = _surfaces(follow, index, within)
-        bent = np.stack([part.reshape(10, -1)[:, index] for part in np.gradient(fields, axis=(2, 1))], axis=0)
-        by_slope = _by_slope(sensitivity, level_normal, surface, coarse, index)
-        jacobian = -ways - np.einsum("pcs,skp->pck", by_slope, bent)
-        trust = 1.0 / (1.0 + (left**2).sum(axis=1) / (settings.unexplained * size * settings.outlier) ** 2)
-        flat = jacobian.reshape(-1, 10)
-        heavy = weight * (flat * np.repeat(trust, 3)[:, None]).T
-        information = heavy @ flat + np.diag(wide**-2.0)
-        theta = theta - np.linalg.solve(information, heavy @ left.ravel() + theta / wide**2)
+        # colours that the surface would have; slopes follow the lamps (least squares, a pixel each), and the surface
+        # follows the slopes
+        facing(base + slopes_of_waves(waves).reshape(2, -1)[:, index], lines, across, level_normal)
+        following(
+            q, mixture, by_normal, by_depth, depth, rest, normal, level_normal, lines, across, index, model, fields
+        )
+        bent = slopes_of_waves(fitted(fields.reshape(2, 10, *within.shape))).reshape(2, 10, -1)
+        information, gradient = np.zeros((10, 10)), np.zeros(10)
+        equations(
+            q,
+            corrected,
+            mixture,
+            by_normal,
+            level_normal,
+            model,
+            lines,
+            across,
+            index,
+            bent,
+            weight,
+            missed * settings.outlier,
+            information,
+            gradient,
+        )
+        information += np.diag(wide**-2.0)
+        theta = theta - np.linalg.solve(information, gradient + theta / wide**2)
         theta = np.clip(theta, -settings.farthest * wide, settings.farthest * wide)
     sigma = np.sqrt(np.diag(np.linalg.inv(information)))
     out = np.zeros(within.size)
@@ -158,31 +180,18 @@ def lamps_of(
     return Lit(np.eye(3) + theta[:9].reshape(3, 3), float(theta[9]), out.reshape(within.shape), sigma)
 
 
-def _surfaces(along: Array, index: NDArray[np.int64], within: NDArray[np.bool_]) -> Array:
-    """(k, h, w) surfaces by slopes (m, 2, k) at the pixels `index` (m,), 0 at others."""
-    fields = np.zeros((2, along.shape[2], within.size))
-    fields[:, :, index] = along.transpose(1, 2, 0)
-    return integrate(*fields.reshape(2, -1, *within.shape))
+def _finer(coarse: Array, gel: Gel) -> NDArray[np.float32]:
+    """(h, w) of working pixels from the coarse ones, which are every so many-th of them."""
+    import cv2
 
-
-def _by_slope(by_normal: Array, normal: Array, told: Array, gel: Gel, index: NDArray[np.int64]) -> Array:
-    """(m, 3, 2) the colours' change by slopes, of unit normals (m, 3) with slopes told (m, 2), by_normal (m, 3, 3)."""
-    small = 1e-5
-    upright = np.maximum(normal[:, 2], 0.1)
-    turned = np.zeros((len(normal), 2, 2))
-    for axis in range(2):
-        moved = normal.copy()
-        moved[:, axis] += small
-        moved[:, 2] -= small * normal[:, axis] / upright
-        turned[:, :, axis] = (np.stack(slopes(moved, gel, index), axis=1) - told) / small
-    along = by_normal[:, :, :2] - by_normal[:, :, 2:] * (normal[:, :2] / upright[:, None])[:, None]
-    determinant = turned[:, 0, 0] * turned[:, 1, 1] - turned[:, 0, 1] * turned[:, 1, 0]
-    determinant = np.copysign(np.maximum(np.abs(determinant), 1e-300), determinant)
-    inverse = np.stack(
-        [
-            np.stack([turned[:, 1, 1], -turned[:, 0, 1]], axis=1),
-            np.stack([-turned[:, 1, 0], turned[:, 0, 0]], axis=1),
-        ],
-        axis=1,
+    step = float(gel.coarse_step)
+    places = np.array([[1.0 / step, 0.0, 0.0], [0.0, 1.0 / step, 0.0]])
+    return np.asarray(
+        cv2.warpAffine(
+            coarse.astype(np.float32),
+            places,
+            (gel.width, gel.height),
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
     )
-    return np.asarray(along @ inverse / determinant[:, None, None])

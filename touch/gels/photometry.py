@@ -9,7 +9,7 @@ changes over the image, and a skin that is pressed towards them is brighter with
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,7 +37,7 @@ class Photometry:
     """by_normal (3, 3, TERMS): the relative change of channel c by the normal's change along axis i; by_depth (3,
     DEPTH_TERMS): the same by a millimetre of indentation; size (width, height) of the images; darkest (counts): darker
     backgrounds count as that bright; ball (m), presses, misfit (share of the changes that is left) and depths (m) of
-    the presses, if the ball has that radius.
+    the presses, if the ball has that radius; sensors: of how many it is the mean.
     """
 
     by_normal: Array
@@ -48,6 +48,7 @@ class Photometry:
     presses: int = 0
     misfit: float = 0.0
     depths: tuple[float, ...] = ()
+    sensors: int = 1
 
     def maps(self, gel: Gel) -> tuple[Array, Array]:
         """(h, w, 3, 3) relative change of a channel by the normal's, (h, w, 3) by the indentation (m); on the gel's own
@@ -75,6 +76,7 @@ class Photometry:
             "presses": self.presses,
             "misfit": self.misfit,
             "depths_mm": [1e3 * depth for depth in self.depths],
+            "sensors": self.sensors,
         }
 
     @staticmethod
@@ -91,6 +93,7 @@ class Photometry:
             depths = tuple(1e-3 * float(x) for x in entry.get("depths_mm", ()))
             width, height = (int(x) for x in entry["size"])
             values = [float(entry.get(name, 0.0)) for name in ("darkest", "ball_mm", "presses", "misfit")]
+            sensors = int(entry.get("sensors", 1))
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise InputError(f"{where}: expected by_normal, by_depth, size and darkest in the calibration") from error
         for name, found, shape in (
@@ -103,8 +106,36 @@ class Photometry:
             raise InputError(f"{where}: expected finite numbers, got {values} and depths_mm {depths}")
         if values[0] <= 0:
             raise InputError(f"{where}: expected darkest above 0 counts, got {values[0]:g}")
+        if sensors < 1:
+            raise InputError(f"{where}: expected one sensor or more, got {sensors}")
         ball, presses, misfit = 1e-3 * values[1], int(values[2]), values[3]
-        return Photometry(by_normal, by_depth, (width, height), values[0], ball, presses, misfit, depths)
+        return Photometry(by_normal, by_depth, (width, height), values[0], ball, presses, misfit, depths, sensors)
+
+
+def mean_of(found: Sequence[Photometry]) -> Photometry:
+    """The calibration of a kind of sensor: the mean of several sensors', each counted once. Raises InputError for
+    images of different sizes.
+
+    Lamps differ from sensor to sensor, and what one has of its own is wrong for all others; so is the error of its
+    presses.
+    """
+    sizes = {one.size for one in found}
+    if len(sizes) != 1:
+        told = " and ".join(f"{width}x{height}" for width, height in sorted(sizes)) or "none"
+        raise InputError(f"calibration: expected several of one size of image, got {told}")
+    counts = np.array([one.sensors for one in found], dtype=np.float64)
+    share = counts / counts.sum()
+    return Photometry(
+        np.asarray(sum(part * one.by_normal for part, one in zip(share, found))),
+        np.asarray(sum(part * one.by_depth for part, one in zip(share, found))),
+        found[0].size,
+        max(one.darkest for one in found),
+        found[0].ball,
+        sum(one.presses for one in found),
+        float(sum(part * one.misfit for part, one in zip(share, found))),
+        tuple(depth for one in found for depth in one.depths),
+        int(counts.sum()),
+    )
 
 
 _KEPT: WeakKeyDictionary[Gel, Photometry] = WeakKeyDictionary()

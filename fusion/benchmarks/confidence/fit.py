@@ -10,7 +10,7 @@ regression keeps the sign that its feature must have; the penalty is Gaussian, o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +51,7 @@ class Sample:
     @staticmethod
     def of(answers: Sequence[Told], seen: bool) -> Sample:
         """The answers, all of the same kind."""
-        features = tuple(replace(f, sign=f.sign_of(seen)) for f in FEATURES if (f.seen if seen else f.felt))
+        features = tuple(f for f in FEATURES if (f.seen if seen else f.felt))
         names = [f.name for f in features]
         values = np.array([a.values(names) for a in answers], dtype=np.float64).reshape(len(answers), len(names))
         numbers = np.array([(a.add_s, a.mean, a.variance) for a in answers], dtype=np.float64).reshape(-1, 3)

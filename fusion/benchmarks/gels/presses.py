@@ -1,7 +1,7 @@
 """Simulated presses of DIGITs onto objects: what the gel saw, and what a point sensor would have said there.
 
 Each trial is another grasp of up to three presses, far apart; each sensor has lamps, reflectance and a bulge of its
-own, is not quite where it says, and was calibrated on another sensor's ball presses. Metres, radians; object frame
+own, is not quite where it says, and was calibrated on other sensors' ball presses. Metres, radians; object frame
 unless said otherwise.
 """
 
@@ -22,11 +22,14 @@ from scenes.synthesis.gels import LitGel, ball_presses, lit_digit, pressed_by, s
 from touch.gels.calibration import calibrate
 from touch.gels.heights import indentation_of
 from touch.gels.patches import Patch, patch_of
+from touch.gels.photometry import Photometry, mean_of
 
 Array = NDArray[np.float64]
 
 # The ball (m) and its presses that calibrate.
 BALL, BALL_DEPTHS, BALL_PRESSES = 0.004, (0.0005, 0.0009), 12
+# Sensors whose mean calibration all others get, none of them among these: those of one hand with four fingers.
+CALIBRATED = 4
 
 
 @dataclass(frozen=True)
@@ -54,16 +57,22 @@ class Press:
 
 @cache
 def calibration(seed: int = 0) -> dict[str, Any]:
-    """From ball presses on one DIGIT, for all others."""
+    """From ball presses on one DIGIT."""
     rng = np.random.default_rng([seed, 5])
     gel = lit_digit(rng)
     images = [image for depth in BALL_DEPTHS for image in ball_presses(gel, BALL, depth, BALL_PRESSES, rng)]
     return calibrate(images, gel, BALL).to_json()
 
 
-def calibrated_digit(rng: np.random.Generator) -> LitGel:
-    """A DIGIT of its own lamps with the calibration of another."""
-    return replace(lit_digit(rng), calibration=calibration())
+@cache
+def mean_calibration() -> dict[str, Any]:
+    """Of `CALIBRATED` DIGITs, for all others."""
+    return mean_of([Photometry.from_json(calibration(seed), "calibration") for seed in range(CALIBRATED)]).to_json()
+
+
+def calibrated_digit(rng: np.random.Generator, by: int | None = None) -> LitGel:
+    """A DIGIT of its own lamps with the mean calibration of others; of one other where `by` is its number."""
+    return replace(lit_digit(rng), calibration=mean_calibration() if by is None else calibration(by))
 
 
 def presses(

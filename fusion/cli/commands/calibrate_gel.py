@@ -40,6 +40,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a calibration of another such sensor: presses that look like a ball of another radius there are refused",
     )
     parser.add_argument(
+        "--with",
+        dest="others",
+        metavar="FILE",
+        type=Path,
+        action="append",
+        default=[],
+        help="calibrations of more such sensors: what is written is the mean, for any sensor of the kind; repeat",
+    )
+    parser.add_argument(
         "-o", "--out", metavar="FILE", type=Path, default=Path("gel_calibration.json"), help="file to write"
     )
 
@@ -53,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     from scenes.files.whole import replace_file
     from scenes.formats.conversion import located
     from touch.gels.calibration import calibrate
-    from touch.gels.photometry import read_photometry
+    from touch.gels.photometry import mean_of, read_photometry
 
     check_target(args.out)
     paths = _images(args.images)
@@ -74,18 +83,20 @@ def run(args: argparse.Namespace) -> int:
     shown = [located(path, images.read_rgb) for path in presses]
     like = None if args.like is None else read_photometry(args.like)
     found = calibrate(shown, gel, 1e-3 * args.ball, [str(path) for path in presses], like)
-    content = found.to_json()
+    mean = mean_of([found, *(read_photometry(path) for path in args.others)])
+    content = mean.to_json()
     replace_file(args.out, (json.dumps(content) + "\n").encode())
     depths = [round(1e3 * depth, 3) for depth in found.depths]
     write_json(
         args.json,
-        {"calibration": str(args.out), "presses": found.presses, "misfit": found.misfit, "depths_mm": depths},
+        {"calibration": str(args.out), "presses": found.presses, "misfit": found.misfit, "depths_mm": depths}
+        | {"sensors": mean.sensors},
     )
     pressed = f"{found.presses} press{'' if found.presses == 1 else 'es'} of a {args.ball:g} mm ball"
     say(f"{pressed}; {100 * found.misfit:.0f} % of their slopes unexplained")
     told = "" if like is not None else ": colours tell only a radius far too large (--like FILE tells more)"
     say(f"if the ball has that radius, it was pressed {min(depths):.2g} to {max(depths):.2g} mm deep{told}")
-    say(f"wrote {args.out}")
+    say(f"wrote {args.out}" + (f", the mean of {mean.sensors} sensors" if mean.sensors > 1 else ""))
     return 0
 
 

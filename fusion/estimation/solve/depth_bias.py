@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.solve.kernels import mark_near
+from fusion.estimation.solve.kernels import lay_bells, mark_near
 from scenes.geometry.cameras import Camera
 from scenes.recordings.beliefs import DepthModel
 
@@ -62,7 +62,15 @@ class DepthBias:
         if self.camera is None or not len(self) or not len(points):
             return np.zeros((len(points), len(self)))
         uv, _ = self.camera.project(points)
-        return np.asarray(_kernel(uv, self.inducing, self.length) @ self._whitening.T, dtype=np.float64)
+        out = np.zeros((len(points), len(self)))
+        lay_bells(np.ascontiguousarray(uv, np.float64), *self._lines, -0.5 / self.length**2, out)
+        return np.asarray(out @ self._whitening.T, dtype=np.float64)
+
+    @cached_property
+    def _lines(self) -> tuple[Array, NDArray[np.int64], Array, NDArray[np.int64]]:
+        """Columns and rows (px) on which inducing pixels lie, each with which of them is each pixel's (k,)."""
+        (u, column), (v, row) = (np.unique(self.inducing[:, axis], return_inverse=True) for axis in (0, 1))
+        return u, column.ravel(), v, row.ravel()
 
 
 def _is_near(grid: Array, uv: Array, reach: float) -> NDArray[np.bool_]:

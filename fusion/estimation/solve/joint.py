@@ -154,20 +154,14 @@ def marginalised(settled: Settled) -> JointResult:
     """A solution with its covariance, all else marginalised; what of it noise and shared errors make is left out."""
     system, here, unknown, free = settled.system, settled.pose, settled.unknown, settled.free
     problem = system.problem
-    whole = settled.normal + np.diag(system.width)
-    gain = _marginal(whole[:free, :free])
-    covariance = gain
-    if free < system.size:
-        inverse = np.linalg.solve(whole[:free, :free], whole[:free, free:])[:6]
-        covariance = gain + inverse @ inverse.T
     system.terms(here, unknown)
     misfit = system.misfit()
-    unsolved = system.excess_spread(whole[:free, :free], misfit) + mesh_spread(
-        problem.model, system.mesh_variance(), problem.settings
-    )
+    whole = (settled.normal + np.diag(system.width))[:free, :free]
+    mesh = mesh_spread(problem.model, system.mesh_variance(), problem.settings)
+    unsolved = system.excess_spread(whole, misfit) + mesh
     return JointResult(
         here,
-        misfit * covariance + unsolved,
+        misfit * as_believed(settled) + unsolved,
         system.white_xi @ unknown[XI],
         system.centre,
         float(system.white[SCALE] * unknown[SCALE]),
@@ -178,6 +172,17 @@ def marginalised(settled: Settled) -> JointResult:
         as_seen=_as_seen(system, here, unknown),
         unsolved=unsolved,
     )
+
+
+def as_believed(settled: Settled) -> Array:
+    """(6, 6) covariance of a solution's pose, all else marginalised, where noise is as believed."""
+    system, free = settled.system, settled.free
+    whole = settled.normal + np.diag(system.width)
+    gain = _marginal(whole[:free, :free])
+    if free == system.size:
+        return gain
+    inverse = np.linalg.solve(whole[:free, :free], whole[:free, free:])[:6]
+    return np.asarray(gain + inverse @ inverse.T)
 
 
 def mesh_spread(model: ObjectModel, variance: float, settings: JointSettings) -> Array:

@@ -185,3 +185,18 @@ def mark_near(grid, points, reach, out):
             if a * a + b * b < reach * reach:
                 out[k] = True
                 break
+
+
+@numba.njit(cache=True, nogil=True)
+def lay_bells(uv, columns, column, rows, row, sharpness, out):
+    """Fill out (n, k) with exp(sharpness |uv - place|^2) of pixels uv (n, 2) and of k places on a grid's lines: place j
+    is on columns[column[j]] and rows[row[j]]. A bell is the product of those along the axes, of which there are few.
+    """
+    along, across = np.zeros(columns.shape[0]), np.zeros(rows.shape[0])
+    for n in range(uv.shape[0]):
+        for i in range(columns.shape[0]):
+            along[i] = math.exp(sharpness * (uv[n, 0] - columns[i]) ** 2)
+        for i in range(rows.shape[0]):
+            across[i] = math.exp(sharpness * (uv[n, 1] - rows[i]) ** 2)
+        for j in range(out.shape[1]):
+            out[n, j] = along[column[j]] * across[row[j]]

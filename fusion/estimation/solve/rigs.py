@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.solve.joint import JointResult, answered, marginalised, settle, solve
+from fusion.estimation.solve.joint import JointResult, answered, as_believed, settle, solve
 from fusion.estimation.solve.problem import JointProblem
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -34,24 +34,31 @@ def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[Joint
     score = evidence + np.log([rig.share for rig in settings.rigs])
     weights = np.exp(score - score.max())
     weights = weights / weights.sum()
-    shares = tuple(float(share) for share in weights)
     likely = np.flatnonzero(weights >= settings.negligible)
-    # of the others no more than poses and covariances goes into the mean
-    most = int(np.argmax(weights[likely]))
-    answers = [(answered if n == most else marginalised)(tried[k]) for n, k in enumerate(likely)]
-    first = replace(_averaged(problem.model, answers, weights[likely], answers[most]), shares=shares)
-    rig = settings.rigs[likely[most]]
-    return [first, *(solve(one, start, rig.level) for one, start in pairs[1:])]
+    usual = tried[likely[int(np.argmax(weights[likely]))]]
+    best = answered(usual)
+    # how good the pixels are, and how much they disagree, is the frame's and not the rig's: known of the best
+    misfit = usual.system.misfit()
+    wide = [
+        best.covariance if k is usual else misfit * as_believed(k) + best.unsolved for k in (tried[n] for n in likely)
+    ]
+    first = _averaged(problem.model, [tried[n].pose for n in likely], wide, weights[likely], best)
+    first = replace(first, shares=tuple(float(share) for share in weights))
+    return [first, *(solve(one, start, usual.level) for one, start in pairs[1:])]
 
 
-def _averaged(model: ObjectModel, tried: list[JointResult], weights: Array, best: JointResult) -> JointResult:
-    """The rigs' mixture about `best`: those that ended in another minimum do not count."""
-    delta = np.array([se3.difference(t.pose, best.pose, model.centroid) for t in tried])
+def _averaged(
+    model: ObjectModel, poses: list[Array], wide: list[Array], weights: Array, best: JointResult
+) -> JointResult:
+    """The rigs' mixture of poses (4, 4) and covariances (6, 6) about `best`: those that ended in another minimum do not
+    count.
+    """
+    delta = np.array([se3.difference(pose, best.pose, model.centroid) for pose in poses])
     moved = np.linalg.norm(delta[:, :3], axis=1) * model.radius + np.linalg.norm(delta[:, 3:], axis=1)
     weights = np.where(moved < 0.2 * model.radius, weights, 0.0)
     weights = weights / weights.sum()
     mean = weights @ delta
     spread = delta - mean
-    covariance = np.einsum("l,lij->ij", weights, [t.covariance for t in tried])
+    covariance = np.einsum("l,lij->ij", weights, wide)
     covariance += np.einsum("l,li,lj->ij", weights, spread, spread)
     return replace(best, pose=se3.perturb(best.pose, mean, model.centroid), covariance=covariance)

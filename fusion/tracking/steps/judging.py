@@ -126,6 +126,7 @@ def as_followed(
     settings: TrackSettings,
 ) -> TrackedEstimate:
     """The answer of a frame that was followed; predicted: the belief before it."""
+    slips = f"slips in the hand ({watched.by}); " if watched.slip else ""
     return TrackedEstimate(
         frame=frame.index,
         pose=belief.pose,
@@ -138,7 +139,7 @@ def as_followed(
         trace=trace,
         contacts=said.residuals,
         pixel_rms_mm=1e3 * said.rms,
-        notes=(said.why,),
+        notes=(slips + said.why,),
         dropped=sensed.looked.dropped,
         start=predicted.pose,
         confidence=said.confidence,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate, Mode
-from fusion.estimation.confidence import chances
+from fusion.estimation.confidence import as_shown, chances
 from fusion.estimation.moments import moments
 from fusion.estimation.solve.joint import JointResult
 from fusion.estimation.solve.problem import JointProblem
@@ -29,7 +29,7 @@ from scenes.evidence.modes import covariance_of
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
-from scenes.recordings.beliefs import Beliefs, CalibrationModel
+from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
 
 Array = NDArray[np.float64]
@@ -157,7 +157,7 @@ def _solved(
     are allowed, the start, as wide as the two are apart.
     """
     hand = sensed.looked.hand
-    felt = sensed.felt.reported_rows if hand is not None else sensed.felt.rows
+    felt = sensed.felt.rows if sensed.placed else sensed.felt.reported_rows
     how, most_worse = replace(settings.joint, rigs=rigs), settings.first.most_worse
     problem = JointProblem.of(model, frame, seen, felt, prior, hand, beliefs, how)
     solved = solve_modes([problem], [start])[0]
@@ -168,7 +168,7 @@ def _solved(
         return solved
     apart = se3.difference(solved.pose, start, model.centroid)
     scatter = np.outer(apart, apart)
-    xi = np.zeros(6) if hand is None else hand.xi
+    xi = se3.difference(sensed.felt.correction, np.eye(4), solved.centre) if hand is None else hand.xi
     return replace(
         solved, pose=start, as_seen=start, xi=xi, scale=0.0,
         covariance=solved.covariance + scatter, independent=solved.independent + scatter,
@@ -192,20 +192,26 @@ def measurement_of(
     model: ObjectModel,
     solved: JointResult,
     nearest: Array,
-    rows: Evidence,
+    sensed: Sensed,
     blind: bool,
     corrected: bool,
-    calibration: CalibrationModel,
+    beliefs: Beliefs,
     settings: TrackSettings,
 ) -> Measurement:
     """The frame's own answer, the symmetric twin near `nearest` (4, 4), as wide as an estimate's: all of it stays from
-    frame to frame but most of the independent noise. rows: its evidence; where that is no Gaussian about the answer (a
-    handle out of sight may turn as far as it would show), the next frame's is none either. blind: told by the robot
-    alone, whose error it has; corrected: a camera has once said what that is.
+    frame to frame but most of the independent noise. Where its evidence is no Gaussian about the answer (a handle out
+    of sight may turn as far as it would show), or little is seen of an object that nothing tells from what hides it,
+    the next frame's is no better. blind: told by the robot alone, whose error it has; corrected: a camera has once said
+    what that is.
     """
-    s, shared = settings, solved.shared + solved.unsolved
-    whole = solved.independent + shared
-    shared = shared + moments(model, rows, solved.pose, whole, 0, None, s.first.moments).covariance - whole
+    s, calibration = settings, beliefs.calibration
+    gaussian = solved.independent + solved.shared + solved.unsolved
+    rows = tables.stack(sensed.seen, sensed.felt.rows)
+    wide = moments(model, rows, solved.pose, gaussian, 0, None, s.first.moments).covariance
+    if sensed.pool is not None and not sensed.told_apart:
+        picture = sensed.pool.predictor.predict(solved.as_seen[None], s.side)
+        wide = as_shown(Mode(solved.pose, 1.0, 0.0, wide), picture, None, s.first.confidence).covariance
+    shared = wide - solved.independent
     pose = model.symmetries.nearest(solved.pose, nearest)
     if blind:
         angle = s.left_angle if corrected else calibration.rotation_sigma

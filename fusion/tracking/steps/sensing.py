@@ -37,7 +37,8 @@ MOST_AROUND = 2000
 class Sensed:
     """One frame. viewed: with what the camera may tell; looked, seen: its pixels near the predicted pose, and their
     rows; felt: what the fingers say; pool: what the predicted picture and touch say of poses, None without an image;
-    things: what was learned to go with the object without being it, and how.
+    things: what was learned to go with the object without being it, and how; placed: what the fingers report is where
+    an earlier frame's hand has put it, or nothing in this one could put it better.
     """
 
     viewed: Frame
@@ -47,6 +48,7 @@ class Sensed:
     pool: Pool | None
     things: Occluders = field(default_factory=Occluders)
     how: OccluderSettings = field(default_factory=OccluderSettings)
+    placed: bool = False
 
     @property
     def told_apart(self) -> bool:

@@ -80,6 +80,8 @@ def convert(path: Path, out: Path, topics: TopicMap, model: ObjectModel | None =
     dropped = Dropped()
     missing: Counter[str] = Counter()
     with open_bag(path, topics.definitions) as bag:
+        there = tuple(t for t in topics.topics if t.name in bag.types or not t.options.get("optional", False))
+        topics = replace(topics, topics=there)
         _check_topics(bag, topics)
         recording = _read(bag, topics, dropped)
         plans = _plan(path, topics, recording, dropped, missing)
@@ -150,7 +152,7 @@ def _read(bag: Bag, topics: TopicMap, dropped: Dropped) -> _Recording:
             recording.sizes[name] = int(getattr(message, "width", 0)), int(getattr(message, "height", 0))
             counts[name] += 1
         else:
-            recording.streams[name].add(stamp, _value(topic, message, hand))
+            recording.streams[name].add(stamp, _value(topic, message, hand, dropped))
     for stream in recording.streams.values():
         stream.sort()
     return recording
@@ -163,7 +165,7 @@ def _check_sensor(topics: TopicMap, topic: Topic, hand: Hand | None) -> None:
         raise CaptureError(f"{topics.path}: {topic.name}: expected a sensor of the hand ({known}), got {sensor}")
 
 
-def _value(topic: Topic, message: Any, hand: Hand | None) -> Any:
+def _value(topic: Topic, message: Any, hand: Hand | None, dropped: Dropped) -> Any:
     if topic.role == "camera_info":
         return _intrinsics(topic, message)
     if topic.role == "wrench":
@@ -173,7 +175,7 @@ def _value(topic: Topic, message: Any, hand: Hand | None) -> Any:
         return pressures_of(topic, message, None if taxels is None else len(taxels))
     if topic.role == "marker":
         return marker_of(topic, message)
-    return contacts_of(topic, message)
+    return contacts_of(topic, message, dropped)
 
 
 def _intrinsics(topic: Topic, message: Any) -> tuple[Array, int, int]:

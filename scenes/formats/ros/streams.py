@@ -154,9 +154,9 @@ def pressures_of(topic: Topic, message: Any, taxels: int | None) -> Array:
     return values
 
 
-def contacts_of(topic: Topic, message: Any) -> list[tuple[str, Contacts]]:
+def contacts_of(topic: Topic, message: Any, dropped: Dropped) -> list[tuple[str, Contacts]]:
     """The contacts of a message by the TF frame they are in, at least one entry; raises CaptureError for fields that do
-    not fit together.
+    not fit together. Those at zero are dropped and counted where the map says that it stands for no known place.
     """
     options, where = topic.options, topic.name
     points = vectors(pick(message, options["points"], where), where)
@@ -178,11 +178,19 @@ def contacts_of(topic: Topic, message: Any) -> list[tuple[str, Contacts]]:
         felt = Contacts(points, normals, *sigmas, names, parts["forces"])
     except PalpateError as error:
         raise CaptureError(f"{where}: {error}") from error
+    somewhere = np.ones(len(felt), dtype=np.bool_)
+    if options.get("zero_unknown", False):
+        somewhere = np.asarray(points.any(axis=1), dtype=np.bool_)
+    if not somewhere.all():
+        dropped.add(where, "contacts at 0 0 0, which stands for no known place", int((~somewhere).sum()))
     if "frame_field" not in options or not len(felt):
-        return [(options.get("frame", "").lstrip("/") or frame_id(message), felt)]
+        return [(options.get("frame", "").lstrip("/") or frame_id(message), felt.take(somewhere))]
     frames = [str(name).lstrip("/") for name in pick(message, options["frame_field"], where)]
     if len(frames) != len(felt):
         raise CaptureError(f"{where}: expected a frame for each of {len(felt)} contacts, got {len(frames)}")
+    felt, frames = felt.take(somewhere), [name for name, kept in zip(frames, somewhere) if kept]
+    if not frames:
+        return [(frame_id(message), felt)]
     return [(frame, felt.take([name == frame for name in frames])) for frame in dict.fromkeys(frames)]
 
 

@@ -47,12 +47,13 @@ ROLES: dict[str, tuple[str, ...]] = {
         "frame",
         "frame_field",
         "flip_normals",
+        "zero_unknown",
         "sigma_point",
         "sigma_normal",
     ),
     "marker": ("index", "field"),
     "tf": (),
-    "tf_static": (),
+    "tf_static": ("optional",),
 }
 SINGLE = ("depth", "camera_info", "rgb", "mask", "marker")
 REQUIRABLE = ("rgb", "mask", "joints", "wrench", "tactile", "contacts", "hand", "object", "prior")
@@ -182,7 +183,7 @@ def _topic(name: str, entry: Any, demand: Demand) -> Topic:
     known = [key.rstrip("!") for key in ROLES[str(role)]]
     for key, value in options.items():
         demand(key in known, f"{name}: keys for the role {role} of {', '.join(known) or 'none'}", key)
-        if key in ("rectified", "registered", "flip_normals"):
+        if key in ("rectified", "registered", "flip_normals", "zero_unknown", "optional"):
             demand(isinstance(value, bool), f"{name}: {key} true or false", value)
         elif key in ("depth_scale", "scale", "sigma_point", "sigma_normal"):
             good = isinstance(value, int | float) and math.isfinite(value) and value > 0

@@ -45,6 +45,24 @@ def test_a_gel_is_calibrated(presses, tmp_path, capsys):
     np.testing.assert_allclose(json.loads(again.read_text())["by_normal"], content["by_normal"], rtol=0.1, atol=0.05)
 
 
+def test_sensors_of_a_kind_are_calibrated_together(presses, tmp_path, capsys):
+    """The mean of two files counts each sensor once; files of other images are refused."""
+    folder, _ = presses
+    one, two, three = (tmp_path / f"{name}.json" for name in ("one", "two", "three"))
+    assert run("calibrate-gel", folder, "--ball", "4", "--digit", "-o", one) == 0
+    first = Photometry.from_json(json.loads(one.read_text()), "one")
+    other = replace(first, by_normal=first.by_normal + 0.3, presses=7, sensors=2)
+    two.write_text(json.dumps(other.to_json()))
+    assert run("calibrate-gel", folder, "--ball", "4", "--digit", "--with", two, "-o", three) == 0
+    assert "the mean of 3 sensors" in capsys.readouterr().out
+    mean = Photometry.from_json(json.loads(three.read_text()), "three")
+    np.testing.assert_allclose(mean.by_normal, first.by_normal + 0.2, atol=1e-9)
+    assert (mean.sensors, mean.presses) == (3, 11)
+    two.write_text(json.dumps(replace(other, size=(24, 32)).to_json()))
+    line = refused(capsys, "calibrate-gel", folder, "--ball", "4", "--digit", "--with", two, "-o", three)
+    assert "expected several of one size of image, got 24x32 and 240x320" in line
+
+
 def test_what_cannot_be_calibrated_is_one_line(presses, tmp_path, capsys):
     folder, _ = presses
     rest = ("--digit", "-o", tmp_path / "c.json")
@@ -130,7 +148,7 @@ def test_the_benchmark_fills_its_tables(monkeypatch):
     report = Report("gel", "t", "one", 1)
     bench.add_presses(report, BenchSettings(trials=1, seed=1), 1)
     bench.add_calibration(report, BenchSettings(trials=2, seed=1))
-    assert [len(table.rows) for table in report.tables] == [3, 3, 1]
+    assert [len(table.rows) for table in report.tables] == [3, 3, 2]
     assert all(np.isfinite(claim.value) for claim in report.claims)
 
 

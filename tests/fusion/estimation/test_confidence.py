@@ -161,9 +161,9 @@ def test_every_factor_of_the_regression_is_a_feature_with_its_sign(box):
     names = [feature.name for feature in FEATURES]
     assert sorted(names) == sorted({field.name for field in fields(Regression)} - {"nearest"})
     for feature in FEATURES:
-        for seen, fitted in ((True, feature.seen), (False, feature.felt)):
-            value = getattr(ConfidenceSettings().seen if seen else ConfidenceSettings().felt, feature.name)
-            assert feature.sign_of(seen) * value >= 0.0
+        for factors, fitted in ((ConfidenceSettings().seen, feature.seen), (ConfidenceSettings().felt, feature.felt)):
+            value = getattr(factors, feature.name)
+            assert feature.sign * value >= 0.0
             assert fitted or value == 0.0
 
 
@@ -208,5 +208,25 @@ def test_touch_alone_is_less_sure_of_what_blunt_fingertips_say(box):
         return chances(box, (mode,), None, felt, 5.0)[0]
 
     fine, usual, blunt, blunter = (right(sigma) for sigma in (0.2, 0.9, 1.3, 3.0))
-    assert fine == usual > blunt > blunter == right(1.6)
-    assert right(float("nan")) == usual
+    assert fine == pytest.approx(usual, rel=1e-12)
+    assert usual > blunt > blunter == right(1.6)
+    assert right(float("nan")) == pytest.approx(usual, rel=1e-12)
+
+
+def test_touch_alone_is_likelier_near_than_a_wide_spread_has_it(box):
+    """ADD-S of a pose far off is less than its spread: what the second factor makes too little of the first makes up
+    for, from a spread of a tenth of the radius on; what does not belong speaks against an answer.
+    """
+    pose = np.eye(4)
+    pose[2, 3] = 0.6
+
+    def right(sigma, outlier=False):
+        mode = Mode(pose, 0.99, 0.0, np.diag(np.repeat([sigma / box.radius, sigma], 3) ** 2))
+        felt = tuple(ContactResidual(f"tip {i}", 0.3, 2.0, outlier and i == 0, 0.9) for i in range(5))
+        return chances(box, (mode,), None, felt, 5.0)
+
+    narrow, usual, wide, wider = (right(share * box.radius) for share in (0.005, 0.03, 0.2, 0.4))
+    assert narrow[0] == usual[0] < wide[0] < wider[0]
+    stated = [right * near for right, near in (narrow, usual, wide, wider)]
+    assert stated == sorted(stated, reverse=True)
+    assert right(0.001, outlier=True)[0] < 0.8 * narrow[0]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from fusion.estimation.solve import newton_kernels as kernels
+from fusion.estimation.solve.kernels import lay_bells
 
 
 def positive(rng, size):
@@ -54,3 +55,13 @@ def test_leaving_groups_out_is_a_step_of_the_rest(rng, free):
         mine = rows[group == g] * information[group == g, None]
         step = np.linalg.solve(whole - share * mine.T @ rows[group == g], mine.T @ residuals[group == g])
         np.testing.assert_allclose(moved[g], step[:6], atol=1e-9)
+
+
+def test_bells_along_lines_are_those_of_distances(rng):
+    columns, rows = np.array([10.0, 40.0, 70.0]), np.array([5.0, 35.0])
+    places = np.array([[u, v] for v in rows for u in columns])[[0, 1, 2, 4]]
+    uv, out = rng.uniform(-20.0, 100.0, (50, 2)), np.zeros((50, 4))
+    (u, column), (v, row) = (np.unique(places[:, axis], return_inverse=True) for axis in (0, 1))
+    lay_bells(uv, u, column, v, row, -0.5 / 30.0**2, out)
+    square = np.square(uv[:, None] - places).sum(axis=-1)
+    np.testing.assert_allclose(out, np.exp(-0.5 * square / 30.0**2), rtol=1e-12)

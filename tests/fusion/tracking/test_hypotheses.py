@@ -82,6 +82,16 @@ def test_a_search_votes_for_what_it_finds_and_adds_what_is_new(mug):
     assert any(np.array_equal(h.pose, turned(-1.0)) for h in full)
 
 
+def test_a_doubt_takes_from_the_leader_alone():
+    settings = HypothesisSettings()
+    leader, other = pair()
+    once = several.doubted((replace(leader, votes=1.0), replace(other, votes=0.3)), settings)
+    assert [h.votes for h in once] == [1.0 - settings.doubted, 0.3]
+    assert several.doubted(once, replace(settings, doubted=5.0))[0].votes == 0.0
+    # one start that was just sure enough is not believed any more, one that a search has found is
+    assert 0.81 - settings.doubted < settings.believed < settings.most_votes - settings.doubted
+
+
 def test_searches_become_rare_while_they_agree_and_frequent_when_not():
     s, renewal = RenewalSettings(), Renewal()
     renewal.restart(10, s)

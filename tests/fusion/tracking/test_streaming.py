@@ -159,8 +159,11 @@ def test_a_frame_that_cannot_be_used_at_all_is_left_out(capture, tmp_path, capsy
     assert code == 0
     content = json.loads((tmp_path / "out" / "result.json").read_text())
     answered = {f["frame"]: f for f in content["frames"]}
-    # where it is ok, the hand and its contacts have it, and are right
-    assert 5 not in answered or answered[5]["verdict"] != "ok" or answered[5]["errors"]["add_s_mm"] < 5.0, said.err
+    # the hand and its contacts may have it, and be right; the picture is not looked at, and that is said
+    assert any("its image is not looked at: focal lengths of 14000" in note for note in answered[5]["notes"]), said.err
+    assert not any(stage["rows"] for stage in answered[5]["trace"] if stage["stage"] == "look")
+    assert answered[5]["verdict"] != "ok" or answered[5]["errors"]["add_s_mm"] < 5.0
+    assert not any("focal" in note for index, f in answered.items() if index != 5 for note in f["notes"])
 
 
 def test_times_are_apart_and_a_short_track_has_them_in_its_result(whole):

@@ -242,6 +242,21 @@ def test_without_a_hand_the_last_velocity_leads(mug, carried):
         assert not answer.slip
 
 
+def test_what_the_robot_is_off_by_is_learned_where_no_hand_is_seen(mug, carried):
+    """Fingers that are all reported 5 mm beside where they are contradict no pose for long."""
+    off = poses.make_pose(poses.exp_rotation(np.array([0.004, 0.0, 0.0])), [0.004, -0.003, 0.0])
+    tracker = Tracker(mug)
+    answers = [tracker.step(replace(frame, contacts=frame.contacts.moved(off))) for frame in carried]
+    assert [a.how for a in answers[1:]] == ["tracked"] * (len(carried) - 1)
+    assert all(error(a, f, mug)[1] < 2.0 for a, f in zip(answers, carried))
+    correction = tracker._state.correction
+    assert correction is not None
+    reported = carried[-1].contacts.moved(off).moved(poses.inverse(carried[-1].camera_from_object_truth))
+    before = np.abs(mug.field.distance(reported.points)).mean()
+    moved = carried[-1].contacts.moved(correction @ off).moved(poses.inverse(carried[-1].camera_from_object_truth))
+    assert np.abs(mug.field.distance(moved.points)).mean() < 0.6 * before
+
+
 def test_bad_senses_are_refused(mug):
     with pytest.raises(InputError, match="vision, touch or both"):
         Tracker(mug, use="smell")

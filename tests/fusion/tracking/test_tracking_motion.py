@@ -15,6 +15,7 @@ from fusion.tracking.motion import (
     carried_by_contacts,
     grasp_transpose,
 )
+from fusion.tracking.spans import SpanTest
 from fusion.tracking.steps.refining import mean_rig, rig_of
 from scenes.geometry import poses
 from scenes.recordings.beliefs import CalibrationModel
@@ -211,6 +212,43 @@ def test_slips_sudden_and_slow_are_told_from_noise(mug, slow):
             alarms.append(index)
     assert alarms
     assert 60 <= alarms[0] <= (66 if slow else 60)
+
+
+@pytest.mark.parametrize("slips", [False, True])
+def test_a_small_step_is_told_from_a_drift_that_is_as_large(mug, slips):
+    """A step in six frames, of which one frame tells half a millimetre; or a drift in forty while the hand moves."""
+    rng = np.random.default_rng(5)
+    own = np.diag(np.repeat([0.006, 0.0005], 3) ** 2)
+    hand = poses.make_pose(poses.exp_rotation(np.array([0.0, 0.01, 0.0])), [0.001, 0.0, 0.0])
+    said = []
+    for _ in range(12):
+        test, begun, held = SpanTest(mug, 40.0), poses.make_pose(None, [0.0, 0.0, 0.5]), []
+        for index in range(40):
+            far = np.clip((index - 20) / 6, 0, 1) if slips else index / 40
+            test.predict(hand, np.zeros(6), 1e-10 * np.eye(6), np.zeros(6))
+            begun = hand @ begun
+            step = np.r_[0.2, 0, 0, 0, 0.0016, 0] * far if slips else np.r_[0, 0, 0, 0, 0.0006, 0] * far
+            noisy = poses.perturb(begun, step + np.sqrt(np.diag(own)) * rng.normal(size=6), mug.centroid)
+            held.append(test.add(noisy, own, 0 * own, 0 * own, None)[0])
+        assert held[:10] == [0.0] * 10
+        said.append(max(held[:30]) > test.settings.limit)
+    assert np.mean(said) > 0.9 if slips else np.mean(said) < 0.3
+
+
+def test_spans_go_with_the_hand_and_the_fingers(mug):
+    """Whatever hand and fingers do, an object that does the same has not moved; one that stays has."""
+    rng = np.random.default_rng(6)
+    own = 1e-6 * np.eye(6)
+    for stays in (False, True):
+        test, pose, found = SpanTest(mug, 40.0), poses.make_pose(None, [0.0, 0.0, 0.5]), 0.0
+        for _ in range(20):
+            motion, delta = poses.exp(0.01 * rng.normal(size=6)), 0.002 * rng.normal(size=6)
+            test.predict(motion, delta, 1e-12 * np.eye(6), np.zeros(6))
+            pose = pose if stays else poses.perturb(motion @ pose, delta, mug.centroid)
+            found, step = test.add(pose, own, 0 * own, 0 * own, np.array([10.0, 10.0]))
+        assert (found > 100.0) == stays
+        if not stays:
+            np.testing.assert_allclose(step, 0.0, atol=1e-12)
 
 
 def test_fingertips_that_no_rigid_motion_explains_slide(mug):

@@ -319,14 +319,18 @@ def pose_yaml(pose) -> str:
     return place + f"  orientation:\n    x: {x}\n    y: {y}\n    z: {z}\n    w: {w}\n"
 
 
-@pytest.fixture
-def bag(tmp_path, rng):
-    """Two images of an object with a marker, and two contacts in two fingertips' frames."""
+@pytest.fixture(params=["with a header", "without"])
+def bag(tmp_path, rng, request):
+    """Two images of an object with a marker, and two contacts in two fingertips' frames, beside one without a place and
+    an arm's joints; the array's own header is empty, or there is none.
+    """
     from rosbags.typesys import get_types_from_msg
 
     out = Messages("ros1")
     found = {}
+    bare = request.param == "without"
     for name, text in CONTACT_TYPES.items():
+        text = text.removeprefix("std_msgs/Header header\n") if bare and name.endswith("Array") else text
         found.update(get_types_from_msg(text, name))
     out.store.register(found)
     truth = {
@@ -340,6 +344,7 @@ def bag(tmp_path, rng):
         colours = np.full((HEIGHT, WIDTH, 3), 80, np.uint8)
         out.image("/camera/color/image_raw", stamp, colours, "bgr8", frame=frame)
         out.joints("/joint_states", stamp, {"rh_FFJ1": 0.1})
+        out.joints("/joint_states", stamp + MS, {"r_elbow_flex_joint": -1.0})
         w, x, y, z = (float(v) for v in poses.to_quaternion(truth["marker"][:3, :3]))
         marker = out.make(
             "geometry_msgs/msg/Pose",
@@ -353,13 +358,14 @@ def bag(tmp_path, rng):
             out.make(
                 "tams_biotac/msg/Contact",
                 header=out.header(stamp, f"rh_{finger}_biotac_link"),
-                position=out.vector([0.001, 0.002, 0.003], "Point"),
+                position=out.vector(np.zeros(3) if finger == "rf" else [0.001, 0.002, 0.003], "Point"),
                 wrench=nothing,
             )
-            for finger in ("th", "ff")
+            for finger in ("th", "rf", "ff")
         ]
         name = "tams_biotac/msg/ContactArray"
-        out.add("/hand/rh/contacts", name, stamp, out.make(name, header=out.header(stamp), contacts=touched))
+        own = {} if bare else {"header": out.header(0)}
+        out.add("/hand/rh/contacts", name, stamp, out.make(name, **own, contacts=touched))
         for finger in ("th", "ff"):
             out.transform("/tf", stamp, "base_footprint", f"rh_{finger}_biotac_link", truth[finger])
     (tmp_path / "cup").mkdir()
@@ -377,9 +383,11 @@ def bag(tmp_path, rng):
 ARGUMENTS = ("--topics", "object-in-hand", "--object", "box", "--intrinsics", "80,80,32,24")
 
 
-def test_object_in_hand_converts_by_its_ready_map(bag, tmp_path):
+def test_object_in_hand_converts_by_its_ready_map(bag, tmp_path, capsys):
     path, truth, _ = bag
     assert run("convert", path, tmp_path / "c", *ARGUMENTS) == 0
+    said = capsys.readouterr().out
+    assert "dropped 2 of /hand/rh/contacts: contacts at 0 0 0, which stands for no known place" in said
     frame = read_capture(tmp_path / "c")[0]
     assert frame.camera.fx == 80.0
     np.testing.assert_allclose(frame.depth, 0.6, atol=1e-4)

@@ -9,50 +9,12 @@ import pytest
 from pressed_gels import BALL, ball_depth, flat_gel
 
 from scenes.errors import InputError
-from scenes.robot.digit import digit_gel
 from scenes.synthesis.gels import ball_presses, bridged, lit, lit_digit, photograph_gel
 from touch.gels.calibration import calibrate
 from touch.gels.colour import Moved
 from touch.gels.heights import heights, indentation_of
-from touch.gels.kernels import face
-from touch.gels.lamps import LampSettings, lamps_of, normals_of
+from touch.gels.lamps import LampSettings, lamps_of, slopes_of
 from touch.gels.photometry import Photometry
-from touch.gels.surfaces import facing, slopes
-
-
-@pytest.mark.parametrize("gel", [digit_gel((60, 80)), flat_gel(60, 2e-4)], ids=["curved, pinhole", "flat, parallel"])
-def test_normals_have_their_slopes(gel):
-    rng = np.random.default_rng(0)
-    index = rng.choice(gel.width * gel.height, 50, replace=False)
-    normal = np.concatenate([rng.uniform(-0.5, 0.5, size=(50, 2)), np.ones((50, 1))], axis=1)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    np.testing.assert_allclose(facing(*slopes(normal, gel, index), gel, index), normal, atol=1e-12)
-
-
-def test_normals_by_colours_are_the_nearest_of_unit_length():
-    from scipy.optimize import least_squares
-
-    rng = np.random.default_rng(4)
-    by_normal = np.eye(3) * 0.8 + 0.1 * rng.normal(size=(20, 3, 3))
-    rest = np.tile([0.0, 0.0, 1.0], (20, 1))
-    true = np.concatenate([rng.uniform(-0.4, 0.4, size=(20, 2)), np.ones((20, 1))], axis=1)
-    true /= np.linalg.norm(true, axis=1, keepdims=True)
-    change = np.einsum("kci,ki->kc", by_normal, true - rest) + 0.02 * rng.normal(size=(20, 3))
-    found = rest.copy()
-    face(by_normal, change, rest, 1e-3, 0.97, 30, found)
-    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0)
-
-    # the plain twin, in angles
-    def left(angles, k):
-        tilt, about = angles
-        normal = np.array([np.sin(tilt) * np.cos(about), np.sin(tilt) * np.sin(about), np.cos(tilt)])
-        return [*(by_normal[k] @ (normal - rest[k]) - change[k]), *(np.sqrt(1e-3) * normal[:2])]
-
-    for k in range(20):
-        start = np.arccos(found[k, 2]) + 0.05, np.arctan2(found[k, 1], found[k, 0]) + 0.1
-        tilt, about = least_squares(left, start, args=(k,)).x
-        twin = np.sin(tilt) * np.array([np.cos(about), np.sin(about)])
-        np.testing.assert_allclose(found[k, :2], twin, atol=1e-3)
 
 
 def test_an_image_tells_how_its_lamps_mix(digit):
@@ -72,9 +34,9 @@ def test_an_image_tells_how_its_lamps_mix(digit):
     difference = (seen * np.maximum(work.level, photometry.darkest)).astype(np.float32)
     moved, left = Moved(difference, np.ones(3), inside, inside, 1.0), []
     for rounds in (0, settings.rounds):
-        normal = normals_of(moved, work, photometry, replace(settings, rounds=rounds))
-        left.append(np.sqrt(np.mean((heights(inside, normal, work) - depth)[inside] ** 2)))
-    assert left[1] < 0.7 * left[0]
+        fields = slopes_of(moved, inside, work, photometry, replace(settings, rounds=rounds))
+        left.append(np.sqrt(np.mean((heights(inside, fields, work) - depth)[inside] ** 2)))
+    assert left[1] < 0.75 * left[0]
     assert (found.sigma[:9] < settings.mixed).all()
     # nothing moved: nothing is learnt
     nothing = lamps_of(np.zeros_like(seen, dtype=np.float32), np.zeros_like(inside), work, photometry, settings)

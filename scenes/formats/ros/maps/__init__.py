@@ -3,7 +3,9 @@
 Object-in-Hand (PoseFusion, Tu et al., IROS 2023): `OBJECT/NAME.bag` with `OBJECT/config/`. The bag has no camera_info
 (`--intrinsics`), and TF does not know the camera: `config/basefootprint_camera.yaml` of the recordings' tools does. The
 object's truth is the tracked marker's: camera_from_tracker (`camera_transmitter.yaml`) times the marker's pose times
-`sensor1_object_NAME.yaml`. The 19 electrodes of each BioTac are impedances without a scale to pascal: left out.
+`sensor1_object_NAME.yaml`. Each contact has its own frame, a fingertip's; where no electrode tells its
+place, the publisher leaves it at zero. One topic has the joints of the hand (24) and of the arm in turn. The 19
+electrodes of each BioTac are impedances without a scale to pascal: left out.
 """
 
 from __future__ import annotations
