@@ -324,11 +324,11 @@ def test_contrasts_agree_with_their_twin(rng, channels):
 
 
 def test_counts_agree_with_their_twins(rng):
-    bins, weight, sides = rng.integers(0, 9, (7, 35)), rng.uniform(size=(3, 7)), np.zeros((2, 3, 9))
-    kernels.tally(bins, weight, 16, 19, sides)
+    bins, weight, sides = rng.integers(0, 9, (7, 35)), rng.uniform(size=(3, 7)), np.zeros((2, 9, 3))
+    kernels.tally(bins, np.ascontiguousarray(weight.T), 16, 19, sides)
     for side, own in enumerate((bins[:, :16], bins[:, 19:])):
         each = np.array([np.bincount(row, minlength=9) for row in own])
-        np.testing.assert_allclose(sides[side], weight @ each)
+        np.testing.assert_allclose(sides[side].T, weight @ each)
     places = rng.uniform(0.0, 20.0, (30, 2))
     count, found = np.zeros(30), np.zeros((30, 4))
     kernels.neighbours(places, 6.0, count)
@@ -359,3 +359,57 @@ def test_misfit_agrees_with_its_twin(rng):
         found, information = np.zeros(3), np.zeros(12)
         kernels.misfit(off, used, share, alone, block, 12, found, information)
         np.testing.assert_allclose(found, [by_line if used is weight else 1.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_counts_are_smoothed_along_every_axis_of_colour(rng, channels):
+    levels, counts = 4, rng.uniform(size=(2, 4**channels, 5))
+    grid = counts.reshape(2, *[levels] * channels, 5)
+    for axis in range(1, channels + 1):
+        padded = np.concatenate([np.take(grid, [0], axis), grid, np.take(grid, [-1], axis)], axis=axis)
+        lower, upper = np.take(padded, range(levels), axis), np.take(padded, range(2, levels + 2), axis)
+        grid = (lower + 2.0 * grid + upper) / 4.0
+    kernels.smooth(counts, levels, np.zeros_like(counts))
+    assert np.array_equal(counts, grid.reshape(counts.shape))
+
+
+def test_a_border_is_bracketed_and_halved(rng):
+    hit, u, v = rng.random((6, 9)) < 0.5, np.arange(9) * 2.0 + 1.0, np.arange(6) * 3.0
+    grid = np.stack(np.meshgrid(u, v), axis=-1)
+    pairs = []
+    for first, second, here, there in (
+        (hit[:-1], hit[1:], grid[:-1], grid[1:]),
+        (hit[:, :-1], hit[:, 1:], grid[:, :-1], grid[:, 1:]),
+    ):
+        out, back = first & ~second, second & ~first
+        pairs += [(here[out], there[out]), (there[back], here[back])]
+    inner, outer = kernels.brackets(hit, u, v)
+    assert np.array_equal(inner, np.concatenate([a for a, _ in pairs]))
+    assert np.array_equal(outer, np.concatenate([b for _, b in pairs]))
+    z = np.where(rng.random(len(inner)) < 0.5, np.inf, rng.random(len(inner)))
+    depth, inside, middle = rng.random(len(inner)), np.isfinite(z), 0.5 * (inner + outer)
+    expected = np.where(inside, z, depth)
+    ends = np.where(inside[:, None], middle, inner), np.where(inside[:, None], outer, middle)
+    kernels.narrow(inner, outer, middle, z, depth)
+    assert np.array_equal(depth, expected)
+    assert np.array_equal(inner, ends[0])
+    assert np.array_equal(outer, ends[1])
+
+
+def test_lines_are_weighed_and_summed_as_by_numpy(rng):
+    log_p = rng.normal(size=(30, 26))
+    log_p -= np.log(np.exp(log_p).sum(axis=1, keepdims=True))
+    rows, moved, share = rng.normal(size=(30, 9)), 0.5 * rng.normal(size=9), rng.uniform(0.1, 1.0, 30)
+    expected, mean, precision = rows @ moved, np.zeros(30), np.zeros(30)
+    kernels.sites(log_p, -12.5, expected, 2.5, mean, precision)
+    variance = 1.0 / np.maximum(precision, 1e-6) + 0.25**2
+    off = mean - expected
+    odds = 0.01 * np.sqrt(2.0 * np.pi * variance) * np.exp(np.minimum(0.5 * off**2 / variance, 50.0))
+    left, weight = np.zeros(30), np.zeros(30)
+    kernels.weigh(log_p, -12.5, rows, moved, (2.5, 0.25, 0.01), share, left, weight)
+    np.testing.assert_allclose(left, rows[:, :6] @ moved[:6] - mean, atol=1e-9)
+    np.testing.assert_allclose(weight, np.where(precision > 0, share / variance / (1.0 + odds), 0.0), rtol=1e-9)
+    whole, pull = np.zeros((9, 9)), np.zeros(9)
+    kernels.sum_up(rows, weight, left, whole, pull)
+    np.testing.assert_allclose(whole, (rows * weight[:, None]).T @ rows, atol=1e-12)
+    np.testing.assert_allclose(pull, rows.T @ (weight * left), atol=1e-9)

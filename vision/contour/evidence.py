@@ -18,6 +18,7 @@ from scenes.recordings.frames import Frame
 from vision.contour import kernels
 from vision.contour.lines import Lines, LineSettings, lines_across
 from vision.contour.outline import Outline, OutlineSettings, inner_depths, outline_of
+from vision.look.pixels import median
 from vision.predicted import Predictor
 
 Array = NDArray[np.float64]
@@ -119,7 +120,8 @@ class ContourEvidence:
         centre = pose[:3, :3] @ model.centroid + pose[:3, 3]
         self.jacobian = np.concatenate([se3.cross(place - centre, slope), slope], axis=1)
         self.common = np.concatenate([normal, np.ones((len(place), 1))], axis=1)
-        self._scale = float(np.median(camera.fx / z))
+        self._rows = np.concatenate([self.jacobian, self.common], axis=1)
+        self._scale = float(median(camera.fx / z))
         self._mesh = mesh_sigma * self._scale
         fatter = np.hypot(s.fatter, self._mesh)
         self.shift = s.shift if self.lines.grey else s.shift_colour
@@ -158,13 +160,21 @@ class ContourEvidence:
             before = self.share
             self._temper(left, weight)
             weight = weight * self.share / before
-        shared = (self.common * weight[:, None]).T @ self.common + self.common_information
-        cross = (self.jacobian * weight[:, None]).T @ self.common
-        pull = self.common.T @ (weight * left)
-        self._common = -np.linalg.solve(shared, pull)
-        gradient = self.jacobian.T @ (weight * left) + cross @ self._common
-        hessian = (self.jacobian * weight[:, None]).T @ self.jacobian - cross @ np.linalg.solve(shared, cross.T)
+        whole, pull = self._summed(left, weight)
+        shared, cross = whole[6:, 6:] + self.common_information, whole[:6, 6:]
+        solved = np.linalg.solve(shared, np.concatenate([pull[6:, None], cross.T], axis=1))
+        self._common = -solved[:, 0]
+        gradient = pull[:6] + cross @ self._common
+        hessian = whole[:6, :6] - cross @ solved[:, 1:]
         return gradient, 0.5 * (hessian + hessian.T)
+
+    def _summed(self, left: Array, weight: Array) -> tuple[Array, Array]:
+        """Gauss-Newton matrix (9, 9) and gradient (9,) of lines that are off by left (n,) px with weight (n,), by a
+        pose's move and what all lines share.
+        """
+        whole, pull = np.zeros((9, 9)), np.zeros(9)
+        kernels.sum_up(self._rows, weight, left, whole, pull)
+        return whole, pull
 
     def _temper(self, left: Array, weight: Array) -> None:
         """Make all lines less sure by as much as their pulls scatter more than they should, by the median of the lines;
@@ -188,9 +198,7 @@ class ContourEvidence:
         assert self.lines is not None
         if self.lines.grey:
             return
-        everything = np.concatenate([self.jacobian, self.common], axis=1)
-        hessian = (everything * weight[:, None]).T @ everything
-        pull = everything.T @ (weight * left)
+        hessian, pull = self._summed(left, weight)
         hessian[:6, :6] += information
         pull[:6] += gradient
         hessian[6:, 6:] += UNTIED * np.diag(1.0 / self.believed)
@@ -205,17 +213,12 @@ class ContourEvidence:
         """
         assert self.lines is not None
         s = self.settings
-        count = len(self.lines)
-        moved = self.jacobian @ delta
-        expected = moved + self.common @ self._common
-        mean, precision = np.zeros(count), np.zeros(count)
-        kernels.sites(self.lines.log_p, self.lines.lowest, expected, s.window, mean, precision)
-        variance = 1.0 / np.maximum(precision, 1e-6) + s.floor**2
-        off = mean - expected
-        wrong = s.outliers / (1.0 - s.outliers) * np.sqrt(2.0 * np.pi * variance) / self.lines.log_p.shape[1]
-        weight = self.share / variance / (1.0 + wrong * np.exp(np.minimum(0.5 * off**2 / variance, 50.0)))
-        weight = np.where(precision > 0.0, weight, 0.0)
-        return moved - mean, weight
+        left, weight = np.zeros(len(self.lines)), np.zeros(len(self.lines))
+        wrong = s.outliers / (1.0 - s.outliers) / self.lines.log_p.shape[1]
+        widths = s.window, s.floor, wrong
+        given = self.lines.log_p, self.lines.lowest, self._rows, np.concatenate([delta, self._common])
+        kernels.weigh(*given, widths, self.share, left, weight)
+        return left, weight
 
     def uncertain(self, covariance: Array) -> str:
         """Why a pose with this covariance (6, 6) about the centroid is known too little for the lines to be read where

@@ -75,6 +75,49 @@ def sites(log_p, lowest, expected, window, mean, precision):
 
 
 @numba.njit(cache=True, nogil=True)
+def weigh(log_p, lowest, rows, moved, widths, share, left, weight):
+    """Fill left (n,): how far (px) each place is from what its line says (see `sites`), what all lines share left in,
+    and weight (n,) of each line.
+
+    rows (n, 9): how a place's offset changes with a pose's move and with what all lines share, and moved (9,) by how
+    much these do. widths: of the Gaussian within which a line is read (px); of a line beyond what its colours say (px,
+    standard deviation); odds that it is wrong, times its density there. share (n,): of each line.
+    """
+    window, floor, wrong = widths
+    n = len(log_p)
+    expected, mean, precision = np.zeros(n), np.zeros(n), np.zeros(n)
+    for i in range(n):
+        for k in range(6):
+            left[i] += rows[i, k] * moved[k]
+        expected[i] = left[i]
+        for k in range(6, 9):
+            expected[i] += rows[i, k] * moved[k]
+    sites(log_p, lowest, expected, window, mean, precision)
+    for i in range(n):
+        left[i] -= mean[i]
+        if precision[i] > 0.0:
+            variance = 1.0 / max(precision[i], 1e-6) + floor * floor
+            off = mean[i] - expected[i]
+            odds = wrong * np.sqrt(2.0 * np.pi * variance) * np.exp(min(0.5 * off * off / variance, 50.0))
+            weight[i] = share[i] / variance / (1.0 + odds)
+
+
+@numba.njit(cache=True, nogil=True)
+def sum_up(rows, weight, left, whole, pull):
+    """Add to whole (m, m) and pull (m,) the matrix and the gradient of rows (n, m) with weight (n,) and left (n,)."""
+    n, m = rows.shape
+    for i in range(n):
+        for a in range(m):
+            scaled = weight[i] * rows[i, a]
+            pull[a] += scaled * left[i]
+            for b in range(a + 1):
+                whole[a, b] += scaled * rows[i, b]
+    for a in range(m):
+        for b in range(a):
+            whole[b, a] = whole[a, b]
+
+
+@numba.njit(cache=True, nogil=True)
 def shift_scores(table, lowest, normals, most, unknown, scores):
     """Fill scores (2 most + 1, 2 most + 1): mean over the lines of table (n, m), over offsets lowest, lowest + 1, ...
     (px), where a shift of the whole outline by (dv, du) px, rows first, moves each; unknown: outside its table.
@@ -143,17 +186,76 @@ def contrasts(colours, first, brightest, height, slope, change):
 
 @numba.njit(cache=True, nogil=True)
 def tally(bins, weight, inner, outer, sides):
-    """Fill sides (2, g, b): how often each colour is among the first `inner` samples and from sample `outer` on of all
-    lines' bins (n, k), where line i counts weight[g, i] for group g.
+    """Fill sides (2, b, g): how often each colour is among the first `inner` samples and from sample `outer` on of all
+    lines' bins (n, k), where line i counts weight[i, g] for group g.
     """
     n, k = bins.shape
-    for g in range(weight.shape[0]):
-        for i in range(n):
-            share = weight[g, i]
-            for j in range(inner):
-                sides[0, g, bins[i, j]] += share
-            for j in range(outer, k):
-                sides[1, g, bins[i, j]] += share
+    for i in range(n):
+        for j in range(inner):
+            for g in range(weight.shape[1]):
+                sides[0, bins[i, j], g] += weight[i, g]
+        for j in range(outer, k):
+            for g in range(weight.shape[1]):
+                sides[1, bins[i, j], g] += weight[i, g]
+
+
+@numba.njit(cache=True, nogil=True)
+def smooth(counts, levels, room):
+    """Give half of each bin's counts (2, levels^c, g) to its neighbours along every axis of colour, the outermost bins'
+    own outer neighbours included. room: as counts, for working in.
+    """
+    sides, bins, groups = counts.shape
+    stride = bins // levels
+    while stride > 0:
+        room[:] = counts
+        for side in range(sides):
+            for b in range(bins):
+                level = b // stride % levels
+                lower, upper = b - stride if level > 0 else b, b + stride if level < levels - 1 else b
+                for g in range(groups):
+                    own = room[side, lower, g] + 2.0 * room[side, b, g] + room[side, upper, g]
+                    counts[side, b, g] = own / 4.0
+        stride //= levels
+
+
+@numba.njit(cache=True, nogil=True)
+def brackets(hit, u, v):
+    """Places (n, 2) of a grid of columns u (w,) and rows v (h,) that hit the object, hit (h, w), and that do not, of
+    all neighbours of which one does: down and up, then to the right and to the left.
+    """
+    height, width = hit.shape
+    count = 0
+    for i in range(height):
+        for j in range(width):
+            count += i + 1 < height and hit[i, j] != hit[i + 1, j]
+            count += j + 1 < width and hit[i, j] != hit[i, j + 1]
+    inner, outer = np.zeros((count, 2)), np.zeros((count, 2))
+    n = 0
+    for down, right in ((1, 0), (0, 1)):
+        for first in (True, False):
+            for i in range(height - down):
+                for j in range(width - right):
+                    if hit[i, j] == first and hit[i + down, j + right] != first:
+                        a, b = (i, j), (i + down, j + right)
+                        if not first:
+                            a, b = b, a
+                        inner[n, 0], inner[n, 1] = u[a[1]], v[a[0]]
+                        outer[n, 0], outer[n, 1] = u[b[1]], v[b[0]]
+                        n += 1
+    return inner, outer
+
+
+@numba.njit(cache=True, nogil=True)
+def narrow(inner, outer, middle, z, depth):
+    """Halve brackets inner, outer (n, 2) of a border in place: at middle (n, 2) the object has depth z (n,), inf where
+    it is not; depth (n,) is that at the inner ends.
+    """
+    for n in range(len(z)):
+        if np.isfinite(z[n]):
+            depth[n] = z[n]
+            inner[n] = middle[n]
+        else:
+            outer[n] = middle[n]
 
 
 @numba.njit(cache=True, nogil=True)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from vision.contour import kernels
 from vision.contour.outline import Outline
+from vision.look.pixels import median
 
 Array = NDArray[np.float64]
 
@@ -144,8 +145,8 @@ def _looked_over(colours: NDArray[np.uint8], settings: LineSettings) -> tuple[st
         return f"the image is overexposed: {over:.0%} of what surrounds the outline", edges
     if high - low < s.contrast:
         return f"the image has no contrast: {high - low:.0f} levels of 255 around the outline", edges
-    clear = height >= np.median(height)
-    width = float(np.median(height[clear] / (np.sqrt(2.0 * np.pi) * np.maximum(slope[clear], 0.5))))
+    clear = height >= median(height)
+    width = float(median(height[clear] / (np.sqrt(2.0 * np.pi) * np.maximum(slope[clear], 0.5))))
     if width > s.blurred:
         return f"the image is blurred: edges around the outline are {width:.0f} px wide", edges
     return "", edges
@@ -181,22 +182,10 @@ def _ratios(
     apart = np.square(u[anchors, None] - u) + np.square(v[anchors, None] - v)
     width = s.spread * float(np.ptp(outline.places, axis=0).max()) + 2.0
     weight = np.exp(-0.5 * apart / width**2) + s.everywhere
-    sides = np.zeros((2, len(anchors), count))
+    sides = np.zeros((2, count, len(anchors)))
     inner, outer = int((offsets < -s.gap).sum()), int((offsets <= s.gap).sum())
-    kernels.tally(bins, weight, inner, outer, sides)
-    seen = _smoothed(sides.reshape(-1, count), s.greys if grey else s.levels).reshape(sides.shape)
+    kernels.tally(bins, np.ascontiguousarray(weight.T), inner, outer, sides)
+    kernels.smooth(sides, s.greys if grey else s.levels, np.zeros_like(sides))
+    seen = np.ascontiguousarray(sides.swapaxes(1, 2))
     shares = seen / np.maximum(seen.sum(axis=2, keepdims=True), 1e-9) + s.unknown
     return np.log(shares[0] / shares[1]), np.argmin(apart, axis=0)
-
-
-def _smoothed(counts: Array, levels: int) -> Array:
-    """Counts (g, levels^c) with half of each bin's given to its neighbours along every axis of colour."""
-    shape = counts.shape
-    channels = round(np.log(shape[1]) / np.log(levels))
-    grid = counts.reshape(shape[0], *[levels] * channels)
-    for axis in range(1, channels + 1):
-        padded = np.concatenate([np.take(grid, [0], axis), grid, np.take(grid, [-1], axis)], axis=axis)
-        lower = np.take(padded, range(levels), axis)
-        upper = np.take(padded, range(2, levels + 2), axis)
-        grid = (lower + 2.0 * grid + upper) / 4.0
-    return np.asarray(grid.reshape(shape))

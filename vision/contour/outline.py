@@ -64,26 +64,16 @@ def outline_of(model: ObjectModel, camera: Camera, pose: Array, settings: Outlin
     step = max(float((high - low).max()) / s.side, s.finest)
     low, high = low - 1.5 * step, high + 1.5 * step
     u, v = np.arange(low[0], high[0], step), np.arange(low[1], high[1], step)
-    grid = np.stack(np.meshgrid(u, v), axis=-1)
     caster = Caster(model, camera, pose)
-    hit = np.isfinite(caster.depth(grid.reshape(-1, 2))).reshape(grid.shape[:2])
-    pairs = []
-    for axis in (0, 1):
-        first, second = (hit[:-1], hit[1:]) if axis == 0 else (hit[:, :-1], hit[:, 1:])
-        here, there = (grid[:-1], grid[1:]) if axis == 0 else (grid[:, :-1], grid[:, 1:])
-        out, back = first & ~second, second & ~first
-        pairs += [(here[out], there[out]), (there[back], here[back])]
-    inner, outer = np.concatenate([a for a, _ in pairs]), np.concatenate([b for _, b in pairs])
+    hit = np.isfinite(caster.depth(np.stack([np.tile(u, len(v)), np.repeat(v, len(u))], axis=1)))
+    inner, outer = kernels.brackets(hit.reshape(len(v), len(u)), u, v)
     if not len(inner):
         return none
     away = outer - inner
     depth = caster.depth(inner)
     for _ in range(s.halvings):
         middle = 0.5 * (inner + outer)
-        z = caster.depth(middle)
-        inside = np.isfinite(z)
-        depth = np.where(inside, z, depth)
-        inner, outer = np.where(inside[:, None], middle, inner), np.where(inside[:, None], outer, middle)
+        kernels.narrow(inner, outer, middle, caster.depth(middle), depth)
     places = 0.5 * (inner + outer)
     within = (places >= 0.0).all(axis=1) & (places[:, 0] <= camera.width - 1) & (places[:, 1] <= camera.height - 1)
     within &= np.isfinite(depth)
