@@ -58,8 +58,8 @@ class PatchSlipSettings:
     # other seeds never had two in a row beyond 1.8.
     alone: float = 2.8
     together: float = 2.4
-    # Share of those limits for heights that both images measure: held still, 300 frames of another seed never had two in
-    # a row beyond 1.4 sigmas, and slides of shapes that say little have 2.2 to 3.
+    # Share of those limits for heights that both images measure: held still, 300 frames of another seed never had two
+    # in a row beyond 1.4 sigmas, and slides of shapes that say little have 2.2 to 3.
     measured: float = 0.8
     # Frames ago that a patch is compared with: a slip lasts a tenth of a second and more, soft skin creeps in minutes.
     memory: int = 4

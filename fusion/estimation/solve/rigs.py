@@ -55,8 +55,8 @@ def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[Joint
 def _averaged(
     model: ObjectModel, poses: list[Array], wide: list[Array], weights: Array, best: JointResult
 ) -> JointResult:
-    """The rigs' mixture of poses (4, 4) and covariances (6, 6) about `best`: the mean of those that ended beside it, and
-    as wide as all that ended nearer than another side of the object. Turns about the object's own axes are no way
+    """The rigs' mixture of poses (4, 4) and covariances (6, 6) about `best`: the mean of those that ended beside it,
+    and as wide as all that ended nearer than another side of the object. Turns about the object's own axes are no way
     apart.
     """
     ended = model.symmetries.nearest(np.array(poses), best.pose)

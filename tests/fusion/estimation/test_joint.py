@@ -301,8 +301,8 @@ def test_rigs_that_end_apart_widen_the_answer_and_move_it_only_near_by(drill):
     share, weights = 0.5 * drill.radius, np.array([0.75, 0.25])
 
     def averaged(model, step):
-        other = replace(best, pose=poses.perturb(best.pose, step, model.centroid))
-        return _averaged(model, [best, other], weights, best)
+        other = poses.perturb(best.pose, step, model.centroid)
+        return _averaged(model, [best.pose, other], [best.covariance] * 2, weights, best)
 
     near = averaged(drill, np.array([0, 0, 0, 0.1 * share, 0, 0]))
     assert near.pose[0, 3] == pytest.approx(best.pose[0, 3] + 0.025 * share)
