@@ -96,8 +96,8 @@ def indentation_of(
     wide = widened(moved.inside, work, settings.skirt)
     photometry = photometry_of(gel, where)
     fields = slopes_of(moved, wide, work, photometry, settings.lamps)
-    known = max(photometry.depths, default=np.inf)
-    return from_depth(heights(wide, fields, work, settings.cells), work, settings, moved.inside, known)
+    deepest = max(photometry.depths, default=np.inf)
+    return from_depth(heights(wide, fields, work, settings.cells), work, settings, moved.inside, deepest)
 
 
 def from_depth(
