@@ -61,6 +61,17 @@ class PatchSlipSettings:
     # Share of those limits for heights that both images measure: held still, 300 frames of another seed never had two
     # in a row beyond 1.4 sigmas, and slides of shapes that say little have 2.2 to 3.
     measured: float = 0.8
+    # A gel's own past, of so many frames before those that are compared, tells how it flickers: this quantile of its
+    # sigmas (no unit) is the usual one, and limits go with it, down to `quiet` for what outlines tell (measured heights
+    # have theirs above) and up to `restless`: a patch at a gel's rim that comes and goes has 3 sigmas each third
+    # frame. `fresh`: until there are `few` frames of it.
+    past: int = 16
+    quantile: float = 0.9
+    usual: float = 1.5
+    quiet: float = 0.7
+    restless: float = 2.0
+    fresh: float = 1.3
+    few: int = 3
     # Frames ago that a patch is compared with: a slip lasts a tenth of a second and more, soft skin creeps in minutes.
     memory: int = 4
 
@@ -98,11 +109,12 @@ class PatchWatch:
         """Cheap."""
         self.settings = settings or PatchSlipSettings()
         self._before: dict[str, deque[Patch]] = {}
+        self._history: dict[str, deque[float]] = {}
         self._last = 0.0
 
     def restart(self) -> None:
         """Forget what the patches were."""
-        self._before, self._last = {}, 0.0
+        self._before, self._history, self._last = {}, {}, 0.0
 
     def step(self, patches: Sequence[Patch]) -> PatchChange:
         """The patches of the next frame, in a frame that goes with the palm."""
@@ -119,9 +131,13 @@ class PatchWatch:
                 past = deque(maxlen=s.memory)  # another grip
             elif motion is not None:
                 sigmas[patch.sensor] = sigmas_off(motion, carried(past[0], patch), s)
-                limits[patch.sensor] = s.measured if motion.measured else 1.0
+                limits[patch.sensor] = self._limit(patch.sensor, motion.measured)
             past.append(patch)
             kept[patch.sensor] = past
+        self._history = {name: self._history.get(name, deque(maxlen=s.past)) for name in kept}
+        for name, off in sigmas.items():
+            if name in kept:
+                self._history[name].append(off)
         second, first = sorted([0.0, 0.0, *(off / limits[name] for name, off in sigmas.items())])[-2:]
         now = max(first / s.alone, second / s.together)
         # one image that is odd is no slip: two in a row must say so
@@ -130,6 +146,15 @@ class PatchWatch:
             kept = {name: deque([past[-1]], maxlen=s.memory) for name, past in kept.items()}
         self._before = kept
         return PatchChange(statistic > 1.0, statistic, sigmas)
+
+    def _limit(self, sensor: str, measured: bool) -> float:
+        """The share of the settings' limits that counts for one gel: by how its heights are known, and its own past."""
+        s = self.settings
+        before = list(self._history.get(sensor, ()))[: -s.memory]
+        known, least = (s.measured, 1.0) if measured else (1.0, s.quiet)
+        if len(before) < s.few:
+            return known * s.fresh
+        return known * float(np.clip(np.quantile(before, s.quantile) / s.usual, least, s.restless))
 
 
 def in_palm(frame: Frame, patches: Sequence[Patch]) -> list[Patch]:

@@ -88,6 +88,18 @@ def test_a_slide_is_said_and_a_held_object_is_not():
     assert not any(rest[2:])
 
 
+def test_a_gel_that_always_flickers_has_to_say_more():
+    """The same slide after a quiet past and after one in which the patch jumped back and forth every third frame."""
+
+    def most(jumps):
+        watch = PatchWatch()
+        for i in range(14):
+            watch.step([patch(x=0.0005 if jumps and i % 3 == 0 else 0.0)])
+        return max(watch.step([patch(x=0.0002 * i)]).statistic for i in range(1, 4))
+
+    assert most(jumps=True) < 0.9 * most(jumps=False)
+
+
 def test_made_and_broken_contacts_are_no_slip():
     watch = PatchWatch()
     nothing = patch_of("g", indentation_of(np.zeros((SIDE, SIDE), dtype=np.uint16), GEL))
