@@ -11,6 +11,7 @@ is inferred from their residuals.
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,9 @@ from touch.polish import polish
 from touch.thinning import Whole, cells_of, informative
 
 Array = NDArray[np.float64]
+
+# Contacts alone are searched in the lattice as it is.
+FINELY = AlignSettings(coarsely=False)
 
 
 def contact_starts(model: ObjectModel, contacts: Contacts, count: int, rng: np.random.Generator) -> Array:
@@ -101,14 +105,14 @@ def find_candidates(
             delta = rng.normal(size=(settings.draws, 6)) @ np.linalg.cholesky(covariance).T
             delta[0] = 0.0
             starts = se3.perturb(prior.pose, delta, model.centroid)
-            return search(model, rows, starts, _passes(model, settings.draw_passes), prior)
+            return search(model, rows, starts, _passes(model, settings.draw_passes), prior, FINELY)
     if int(contacts.has_normal.sum()) >= settings.least_normals:
         count = int(np.clip(settings.budget_rank // len(contacts), 1000, settings.hypotheses))
         rotations, origins = pair_table(model).hypotheses(contacts, count)
         if len(rotations):
             starts = se3.make_poses(rotations, origins)
             blur, blur_normal = settings.rank_blur
-            rough = AlignSettings(blur=blur * model.radius, blur_normal=blur_normal)
+            rough = replace(FINELY, blur=blur * model.radius, blur_normal=blur_normal)
             merits = costs(model, rows.take(np.arange(len(contacts))), starts, prior, rough)
             keep = int(np.clip(settings.budget_ranked // (8 * len(rows)), 60, settings.ranked))
             starts = starts[np.argsort(merits, kind="stable")[:keep]]
@@ -116,9 +120,9 @@ def find_candidates(
             starts = se3.perturb(starts, widths * rng.normal(size=(len(starts), 6)), model.centroid)
             if prior is not None:
                 starts = np.concatenate([starts, prior.pose[None]])
-            return search(model, rows, starts, _passes(model, (settings.pair_pass,)), prior)
+            return search(model, rows, starts, _passes(model, (settings.pair_pass,)), prior, FINELY)
     count, stages = contact_stages(model, len(rows), settings)
-    return search(model, rows, contact_starts(model, contacts, count, rng), stages, prior)
+    return search(model, rows, contact_starts(model, contacts, count, rng), stages, prior, FINELY)
 
 
 def _passes(model: ObjectModel, passes: tuple[tuple[float, float, int, int], ...]) -> tuple[SearchStage, ...]:
@@ -131,7 +135,8 @@ def refine_contacts(
 ) -> Alignment:
     """Local refinement by distance and normal of every start (b, 4, 4): wide blur, then the contacts' own noise."""
     rows = tables.from_contacts(contacts, use_normals=use_normals)
-    result = align(model, rows, starts, prior, AlignSettings(blur=0.1 * model.radius, blur_normal=0.4, iterations=12))
+    rough = replace(FINELY, blur=0.1 * model.radius, blur_normal=0.4, iterations=12)
+    result = align(model, rows, starts, prior, rough)
     return align(model, rows, result.poses, prior, AlignSettings())
 
 

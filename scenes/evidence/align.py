@@ -29,6 +29,9 @@ class AlignSettings:
     blur_normal: float = 0.0
     # Residuals beyond this many sigmas count linearly instead of by the rows' gates; 0 = the gates decide.
     huber: float = 0.0
+    # Whether blurred costs may be looked up in the coarser lattice (no unit). Contacts alone decide between poses by
+    # normals near edges, which it rounds.
+    coarsely: bool = True
     # Share of a point's sigma by which its normal may have been felt elsewhere on a bent surface; 0 = normals are those
     # exactly at the point.
     bend: float = 1.0
@@ -125,7 +128,7 @@ def _scene(model: ObjectModel, evidence: Evidence, prior: Prior | None, settings
     if rows.ndim != 2 or rows.shape[1] != COLUMNS or not np.isfinite(rows).all():
         raise InputError(f"alignment: expected finite evidence of {COLUMNS} columns, got shape {rows.shape}")
     stage = float(settings.blur), float(settings.blur_normal), float(settings.huber), float(settings.bend)
-    return lattice_of(model, settings.blur), rows, stage, prior_of(model, prior)
+    return lattice_of(model, settings.blur if settings.coarsely else 0.0), rows, stage, prior_of(model, prior)
 
 
 def align(
