@@ -14,14 +14,6 @@ LENS = 110.0, 120.0, 41.2, 28.9
 BOX = 7, 3, 64, 51
 
 
-@pytest.fixture
-def depth(rng):
-    z = rng.uniform(0.3, 0.9, size=(60, 80)).astype(np.float32)
-    for bad in (0.0, -1.0, np.nan, np.inf, 2e3):
-        z[rng.integers(60, size=40), rng.integers(80, size=40)] = bad
-    return z
-
-
 def points_of(z, corner):
     fx, fy, cx, cy = LENS
     u, v = np.arange(z.shape[1]) + corner[0], np.arange(z.shape[0]) + corner[1]

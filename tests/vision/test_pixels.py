@@ -13,14 +13,6 @@ CAMERA = Camera(110.0, 120.0, 41.2, 28.9, 80, 60)
 BOXES = [(0, 0, 80, 60), (7, 3, 64, 51), (5, 5, 5, 9)]
 
 
-@pytest.fixture
-def depth(rng):
-    z = rng.uniform(0.3, 0.9, size=(60, 80)).astype(np.float32)
-    for bad in (0.0, -1.0, np.nan, np.inf, 2e3):
-        z[rng.integers(60, size=40), rng.integers(80, size=40)] = bad
-    return z
-
-
 def by_numpy(depth, box, stride, mask):
     u, v = (x.ravel() for x in np.meshgrid(np.arange(box[0], box[2], stride), np.arange(box[1], box[3], stride)))
     z = depth[v, u]
