@@ -1,6 +1,7 @@
-"""A gel's colours to slopes, compiled: each pixel's normal, the equations of its lamps, and what is smooth between held
-values. Pixels are flat, (n,); r (n, 3) are their lines and a (2, 3) how those move from column to column and row to row
-(`Gel.lines`), so that slopes are -(normal . a) / (normal . r) for a pinhole camera and for parallel lines alike.
+"""A gel's colours to slopes, compiled: each pixel's normal, the equations of its lamps, what is smooth between held
+values; and which points of a patch tell the most of its pose. Pixels are flat, (n,); r (n, 3) are their lines and a
+(2, 3) how those move from column to column and row to row (`Gel.lines`), so that slopes are -(normal . a) /
+(normal . r) for a pinhole camera and for parallel lines alike.
 """
 
 from __future__ import annotations
@@ -256,3 +257,46 @@ def relax(values, free, load, factor, sweeps, enough):
                     most = max(most, abs(change))
         if most < enough:
             break
+
+
+@numba.njit(cache=True, nogil=True)
+def most_telling(jac, inverse, chosen, fixed):
+    """Fills chosen (k,) from its place `fixed` on with indices of jac (n, 6) whose rows add most to a determinant.
+
+    Greedy D-optimal design (Fedorov 1972): the determinant of A grows by 1 + j^T A^-1 j with row j, and A^-1 follows by
+    Sherman and Morrison. inverse (6, 6) is A^-1 of the first `fixed` of chosen, and is used up. Needs len(chosen) <= n.
+    """
+    total, size = jac.shape
+    gain = np.zeros(total)
+    for n in range(total):
+        value = 0.0
+        for i in range(size):
+            inner = 0.0
+            for k in range(size):
+                inner += inverse[i, k] * jac[n, k]
+            value += jac[n, i] * inner
+        gain[n] = value
+    for k in range(fixed):
+        gain[chosen[k]] = -np.inf
+    half = np.zeros(size)
+    for place in range(fixed, len(chosen)):
+        best = 0
+        for n in range(total):
+            if gain[n] > gain[best]:
+                best = n
+        chosen[place] = best
+        for i in range(size):
+            inner = 0.0
+            for k in range(size):
+                inner += inverse[i, k] * jac[best, k]
+            half[i] = inner
+        over = 1.0 / (1.0 + gain[best])
+        for i in range(size):
+            for k in range(size):
+                inverse[i, k] -= over * half[i] * half[k]
+        gain[best] = -np.inf
+        for n in range(total):
+            along = 0.0
+            for i in range(size):
+                along += half[i] * jac[n, i]
+            gain[n] -= over * along * along

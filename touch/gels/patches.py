@@ -17,6 +17,7 @@ from scenes.geometry import poses as se3
 from scenes.recordings.frames import Frame
 from scenes.robot.gels import Gel
 from touch.gels.heights import HeightSettings, Indentation, indentation_of
+from touch.gels.kernels import most_telling
 
 Array = NDArray[np.float64]
 
@@ -224,15 +225,7 @@ def _thinned(points: Array, normals: Array, count: int) -> NDArray[np.int64]:
     # a point on the surface constrains the pose along its normal (T1 eq. 3.3's Jacobian), lengths in patch sizes
     jac = np.concatenate([np.cross((points - middle) / scale, normals), normals], axis=1)
     inverse = np.linalg.inv(jac[even].T @ jac[even] + 1e-3 * np.eye(6))
-    free = np.ones(total, dtype=bool)
-    free[even] = False
-    chosen = list(even)
-    while len(chosen) < count:
-        # the determinant grows by 1 + j^T A^-1 j
-        gain = np.where(free, np.einsum("ni,ij,nj->n", jac, inverse, jac), -1.0)
-        best = int(np.argmax(gain))
-        chosen.append(best)
-        free[best] = False
-        half = inverse @ jac[best]
-        inverse -= np.outer(half, half) / (1.0 + float(jac[best] @ half))
-    return np.sort(np.array(chosen, dtype=np.int64))
+    chosen = np.zeros(count, dtype=np.int64)
+    chosen[: len(even)] = even
+    most_telling(jac, inverse, chosen, len(even))
+    return np.sort(chosen)

@@ -9,7 +9,7 @@ from pressed_gels import flat_gel
 from scenes.robot.digit import digit_gel
 from touch.gels.colour import _median_gap
 from touch.gels.colour_kernels import judge, most_frequent
-from touch.gels.kernels import _by_slope, equations, face, facing, following, relax, slopes_by_colours
+from touch.gels.kernels import _by_slope, equations, face, facing, following, most_telling, relax, slopes_by_colours
 from touch.gels.surfaces import fitted, slopes, slopes_of_waves, surface_of
 
 
@@ -209,3 +209,20 @@ def test_differences_are_judged_by_their_noise():
         after = rows[:, 1::step]
         twin = np.median(np.abs(after - rows[:, :-1:step][:, : after.shape[1]]).reshape(-1, 3), axis=0)
         np.testing.assert_allclose(_median_gap(rows, step), twin)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_most_telling_rows_are_those_by_which_the_determinant_grows_most(seed):
+    rng = np.random.default_rng(seed)
+    jac = rng.normal(size=(60, 6)) * [1.0, 1.0, 0.2, 0.1, 1.0, 1.0]
+    start = np.array([3, 20, 41])
+    information = jac[start].T @ jac[start] + 1e-3 * np.eye(6)
+    chosen = np.concatenate([start, np.zeros(9, dtype=np.int64)])
+    most_telling(jac, np.linalg.inv(information), chosen, len(start))
+    assert len(set(chosen.tolist())) == len(chosen)
+
+    for place in range(len(start), len(chosen)):  # the plain twin, by determinants
+        free = np.setdiff1d(np.arange(60), chosen[:place])
+        grown = [np.linalg.slogdet(information + np.outer(jac[n], jac[n]))[1] for n in free]
+        assert chosen[place] == free[int(np.argmax(grown))]
+        information += np.outer(jac[chosen[place]], jac[chosen[place]])
