@@ -37,7 +37,8 @@ class Photometry:
     """by_normal (3, 3, TERMS): the relative change of channel c by the normal's change along axis i; by_depth (3,
     DEPTH_TERMS): the same by a millimetre of indentation; size (width, height) of the images; darkest (counts): darker
     backgrounds count as that bright; ball (m), presses, misfit (share of the changes that is left) and depths (m) of
-    the presses, if the ball has that radius; sensors: of how many it is the mean.
+    the presses, if the ball has that radius; sensors: of how many it is the mean; light (no unit): the lamps' share of
+    the light on the untouched skin, if the ball has that radius (0: not known).
     """
 
     by_normal: Array
@@ -49,6 +50,7 @@ class Photometry:
     misfit: float = 0.0
     depths: tuple[float, ...] = ()
     sensors: int = 1
+    light: float = 0.0
 
     def maps(self, gel: Gel) -> tuple[Array, Array]:
         """(h, w, 3, 3) relative change of a channel by the normal's, (h, w, 3) by the indentation (m); on the gel's own
@@ -77,6 +79,7 @@ class Photometry:
             "misfit": self.misfit,
             "depths_mm": [1e3 * depth for depth in self.depths],
             "sensors": self.sensors,
+            "light": self.light,
         }
 
     @staticmethod
@@ -92,7 +95,7 @@ class Photometry:
             by_depth = np.array(entry["by_depth"], dtype=np.float64)
             depths = tuple(1e-3 * float(x) for x in entry.get("depths_mm", ()))
             width, height = (int(x) for x in entry["size"])
-            values = [float(entry.get(name, 0.0)) for name in ("darkest", "ball_mm", "presses", "misfit")]
+            values = [float(entry.get(name, 0.0)) for name in ("darkest", "ball_mm", "presses", "misfit", "light")]
             sensors = int(entry.get("sensors", 1))
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise InputError(f"{where}: expected by_normal, by_depth, size and darkest in the calibration") from error
@@ -109,7 +112,9 @@ class Photometry:
         if sensors < 1:
             raise InputError(f"{where}: expected one sensor or more, got {sensors}")
         ball, presses, misfit = 1e-3 * values[1], int(values[2]), values[3]
-        return Photometry(by_normal, by_depth, (width, height), values[0], ball, presses, misfit, depths, sensors)
+        return Photometry(
+            by_normal, by_depth, (width, height), values[0], ball, presses, misfit, depths, sensors, values[4]
+        )
 
 
 def mean_of(found: Sequence[Photometry]) -> Photometry:
@@ -135,6 +140,7 @@ def mean_of(found: Sequence[Photometry]) -> Photometry:
         float(sum(part * one.misfit for part, one in zip(share, found))),
         tuple(depth for one in found for depth in one.depths),
         int(counts.sum()),
+        float(sum(part * one.light for part, one in zip(share, found))) if all(one.light for one in found) else 0.0,
     )
 
 

@@ -57,11 +57,13 @@ def run(args: argparse.Namespace) -> int:
     """Write the calibration; named under "calibration" of the gel in sensors.json it is used."""
     from dataclasses import replace
 
+    import numpy as np
+
     from scenes.errors import InputError
     from scenes.files import images
     from scenes.files.whole import replace_file
     from scenes.formats.conversion import located
-    from touch.gels.calibration import calibrate
+    from touch.gels.calibration import DOUBTED, calibrate, largest_ball
     from touch.gels.photometry import mean_of, read_photometry
 
     check_target(args.out)
@@ -87,15 +89,23 @@ def run(args: argparse.Namespace) -> int:
     content = mean.to_json()
     replace_file(args.out, (json.dumps(content) + "\n").encode())
     depths = [round(1e3 * depth, 3) for depth in found.depths]
+    most = largest_ball(found)
     write_json(
         args.json,
         {"calibration": str(args.out), "presses": found.presses, "misfit": found.misfit, "depths_mm": depths}
-        | {"sensors": mean.sensors},
+        | {"sensors": mean.sensors, "light": found.light, "largest_ball_mm": 1e3 * most if np.isfinite(most) else None},
     )
     pressed = f"{found.presses} press{'' if found.presses == 1 else 'es'} of a {args.ball:g} mm ball"
     say(f"{pressed}; {100 * found.misfit:.0f} % of their slopes unexplained")
-    told = "" if like is not None else ": colours tell only a radius far too large (--like FILE tells more)"
+    told = "" if like is not None else " (--like FILE, another finger's calibration, tells more)"
     say(f"if the ball has that radius, it was pressed {min(depths):.2g} to {max(depths):.2g} mm deep{told}")
+    said = f"by its brightness the ball's radius is {1e3 * most:.2g} mm or less"
+    if not np.isfinite(most):
+        say("its brightness says nothing of the ball's radius")
+    elif found.light > DOUBTED:
+        say(f"{said}: {args.ball:g} mm is right only if no light but the lamps' reaches the skin")
+    else:
+        say(f"{said}: lamps then have {100 * found.light:.0f} % of the light on the skin")
     say(f"wrote {args.out}" + (f", the mean of {mean.sensors} sensors" if mean.sensors > 1 else ""))
     return 0
 

@@ -91,7 +91,12 @@ def test_a_wrong_radius_is_noticed_beside_another_calibration(presses, tmp_path,
         images.write_rgb(tmp_path / "other" / f"{number}.png", image)
     like = tmp_path / "like.json"
     assert run("calibrate-gel", folder, "--ball", "4", "--digit", "-o", like) == 0
-    assert "colours tell only a radius far too large (--like FILE tells more)" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "(--like FILE, another finger's calibration, tells more)" in said
+    assert "by its brightness the ball's radius is 4." in said
+    assert "lamps then have 7" in said
+    assert run("calibrate-gel", folder, "--ball", "5", "--digit", "-o", tmp_path / "doubted.json") == 0
+    assert "5 mm is right only if no light but the lamps' reaches the skin" in capsys.readouterr().out
     rest = ("--digit", "--like", like, "-o", tmp_path / "c.json")
     line = refused(capsys, "calibrate-gel", tmp_path / "other", "--ball", "8", *rest)
     assert "expected presses of a 8 mm ball, got ones of" in line

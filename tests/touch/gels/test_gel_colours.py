@@ -10,7 +10,7 @@ from pressed_gels import BALL, ball_depth, flat_gel
 
 from scenes.errors import InputError
 from scenes.synthesis.gels import ball_presses, bridged, lit, lit_digit, photograph_gel
-from touch.gels.calibration import calibrate
+from touch.gels.calibration import DOUBTED, calibrate, largest_ball
 from touch.gels.colour import Moved
 from touch.gels.heights import heights, indentation_of
 from touch.gels.lamps import LampSettings, lamps_of, slopes_of
@@ -62,7 +62,7 @@ def test_a_wrong_ball_is_refused():
 
 def test_a_wrong_radius_is_told_by_brightness_or_by_another_calibration(digit):
     """A ball larger with slopes as much less explains how colours change just as well; but the square of that of the
-    light would have to shine straight onto the skin. A quarter more is too little to be seen alone.
+    light would have to shine straight onto the skin. A quarter more is too little to be refused, and doubted.
     """
     rng = np.random.default_rng(50)
     other = lit_digit(rng)
@@ -71,6 +71,10 @@ def test_a_wrong_radius_is_told_by_brightness_or_by_another_calibration(digit):
     right, larger = calibrate(images, other, BALL), calibrate(images, other, 1.15 * BALL)
     assert abs(right.misfit - larger.misfit) < 0.02
     assert calibrate(images, other, BALL, like=like).misfit == right.misfit
+    assert right.light < DOUBTED < calibrate(images, other, 1.25 * BALL).light
+    assert BALL < largest_ball(right) < 1.25 * BALL
+    assert largest_ball(larger) == pytest.approx(largest_ball(right), rel=0.05)  # it does not depend on what is said
+    assert largest_ball(replace(right, light=0.0)) == np.inf
     for wrong in (1.5, 2.0, 3.0):
         with pytest.raises(InputError, match=r"expected a ball of .* mm or less by the presses' brightness"):
             calibrate(images, other, wrong * BALL)
