@@ -25,6 +25,10 @@ from vision.tracking.by_vision import VelocitySettings
 
 Array = NDArray[np.float64]
 
+# Why an object is where the hand has carried it.
+NOTHING_SENSED = "nothing sensed in this frame"
+OUT_OF_SIGHT = "out of sight, and what is felt contradicts every pose near where it was"
+
 
 @dataclass(frozen=True)
 class TrackSettings:
@@ -132,14 +136,15 @@ def as_carried(
     trace: tuple[Stage, ...],
     held: bool,
     by_hand: bool,
+    because: str,
     settings: TrackSettings,
 ) -> TrackedEstimate:
-    """The answer of a frame in which nothing was sensed: where the prediction has the object.
+    """The answer of a frame that tells nothing of the object, because ...: where the prediction has it.
 
     held: it may still be believed; by_hand: the hand has carried it there, otherwise its last velocity.
     """
     covariance = predicted.covariance
-    why = "nothing sensed in this frame: " + ("moved with the hand" if by_hand else "at its last velocity")
+    why = f"{because}: " + ("moved with the hand" if by_hand else "at its last velocity")
     return TrackedEstimate(
         frame=frame.index,
         pose=predicted.pose,

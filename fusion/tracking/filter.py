@@ -25,37 +25,42 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Belief:
-    """pose (4, 4) camera_from_object; own (6, 6): covariance that frames average out; shared (6, 6): what stays."""
+    """pose (4, 4) camera_from_object; own (6, 6): covariance that frames average out; shared (6, 6): what stays; hidden
+    (6, 6): what stays, too, of directions of which no frame tells (fusion.tracking.untold).
+    """
 
     pose: Array
     own: Array
     shared: Array
+    hidden: Array = field(default_factory=lambda: np.zeros((6, 6)))
 
     @property
     def covariance(self) -> Array:
-        """(6, 6) of both together."""
-        return self.own + self.shared
+        """(6, 6) of all together."""
+        return self.own + self.shared + self.hidden
 
     def moved(self, camera_from_camera: Array) -> Belief:
         """The same after a rigid motion (4, 4) of hand and object together."""
         turn = block(camera_from_camera[:3, :3])
-        return Belief(camera_from_camera @ self.pose, turn @ self.own @ turn.T, turn @ self.shared @ turn.T)
+        parts = (turn @ one @ turn.T for one in (self.own, self.shared, self.hidden))
+        return Belief(camera_from_camera @ self.pose, *parts)
 
     def shifted(self, delta: Array, noise: Array, centre: Array) -> Belief:
         """The same after a motion (6,) of the object alone, known with covariance noise (6, 6)."""
-        return Belief(se3.perturb(self.pose, delta, centre), self.own + noise, self.shared)
+        return replace(self, pose=se3.perturb(self.pose, delta, centre), own=self.own + noise)
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """One frame's own answer, without the prediction: pose (4, 4); own and shared as in a Belief; biased (6, 6): what
-    of the latter comes of the depth bias, and is otherwise elsewhere in the image.
+    """One frame's own answer, without the prediction: pose (4, 4); own, shared and hidden as in a Belief; biased
+    (6, 6): what of `shared` comes of the depth bias, and is otherwise elsewhere in the image.
     """
 
     pose: Array
     own: Array
     shared: Array
     biased: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    hidden: Array = field(default_factory=lambda: np.zeros((6, 6)))
 
     @staticmethod
     def of(pose: Array, independent: Array, shared: Array, biased: Array, noise: float) -> Measurement:
@@ -103,7 +108,8 @@ def update(model: ObjectModel, predicted: Belief, measured: Measurement) -> Beli
 
     The gain weighs the prediction's own covariance against the frame's, plus by how much the frame's shared error is
     larger than the belief's (a frame of touch alone must not drag a seen object to where the calibration has it).
-    Shared errors are taken as one and the same source: A A^T with A = (I - K) S_predicted^1/2 + K S_measured^1/2.
+    Shared errors are taken as one and the same source: A A^T with A = (I - K) S_predicted^1/2 + K S_measured^1/2. What
+    no frame tells is as the measurement has it, which has learned it from all of them.
     """
     scale = scales(model)
     three = np.array([measured.shared - predicted.shared, predicted.shared, measured.shared])
@@ -116,7 +122,7 @@ def update(model: ObjectModel, predicted: Belief, measured: Measurement) -> Beli
     mixed = (np.eye(6) - unitless) @ before + unitless @ now
     shared = mixed @ mixed.T * scale * scale[:, None]
     pose = se3.perturb(predicted.pose, gain @ innovation, model.centroid)
-    return Belief(pose, 0.5 * (own + own.T), 0.5 * (shared + shared.T))
+    return Belief(pose, 0.5 * (own + own.T), 0.5 * (shared + shared.T), measured.hidden)
 
 
 @dataclass(frozen=True)
@@ -203,11 +209,13 @@ class SlipTest:
         s, centre = self.settings, self.model.centroid
         changed = 2.0 * (1.0 - self._correlation(pixel)) * measured.biased
         floor = np.diag(np.repeat([s.floor_angle, s.floor_distance], 3) ** 2)
-        noise = measured.own + changed + floor
+        # a handle out of sight may be anywhere, and what is said of it tells of no motion
+        noise = measured.own + changed + measured.hidden + floor
         innovation = se3.difference(measured.pose, self._held.pose, centre)
         square = float(innovation @ np.linalg.solve(self._held.own + noise, innovation))
         self._sum = max(0.0, self._sum + square - s.allowance)
-        squared, step = self._spans.add(measured.pose, measured.own, measured.biased, measured.shared, pixel)
+        stays = measured.shared + measured.hidden / self.settings.spans.changing
+        squared, step = self._spans.add(measured.pose, measured.own, measured.biased, stays, pixel)
         held = min(max(square / s.alarm, self._sum / s.limit), self._moved(innovation))
         self.statistic = max(held, min(squared / s.spans.limit, self._moved(step)), self._slid / s.sliding)
         if self.statistic > 1.0:

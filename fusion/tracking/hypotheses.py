@@ -59,6 +59,9 @@ class HypothesisSettings:
     # A search speaks for every hypothesis that puts the surface where it does, within this (m, on average: half of what
     # an answer may be off), whichever way a handle out of sight points.
     surface: float = 0.0025
+    # and against those alone that put it this far elsewhere (m, on average), which is what it is sure of: a hammer's
+    # head turned over is 2 mm off, and a search that has it the wrong way round is as sure as another.
+    elsewhere: float = 0.005
     # Nats of a frame in which something may hide the object that neither a mask nor a hand's model tells of: this share
     # of what its predicted picture and its contacts cost, and this many for a unit of log odds that the pose is right
     # (fusion.estimation.confidence). Unknown fingers are covered gladly by a wrong pose, and tell on it by running on
@@ -212,10 +215,11 @@ def voted(
             at = len(out) - 1
         if rank == 0:
             first = at
-    near = [k == first or surface_apart(model, h.pose, modes[0].pose) < settings.surface for k, h in enumerate(out)]
+    off = [0.0 if k == first else surface_apart(model, h.pose, modes[0].pose) for k, h in enumerate(out)]
+    near = [apart < s.surface for apart in off]
     if vote > 0.0:
         for k, h in enumerate(out):
-            change = vote if near[k] else -vote * against
+            change = vote if near[k] else -vote * (against and off[k] >= s.elsewhere)
             out[k] = replace(h, votes=float(np.clip(h.votes + change, 0.0, settings.most_votes)))
     elif first < len(hypotheses) and out[first].age > 0:
         more = max(out[first].votes, min(out[first].votes + s.repeated, s.most_repeated))

@@ -17,6 +17,7 @@ from fusion.tracking.filter import Belief, Measurement, block
 from fusion.tracking.hypotheses import Hypotheses
 from fusion.tracking.motion import HandState
 from fusion.tracking.occluders import Occluders
+from fusion.tracking.untold import Untold
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 
@@ -57,9 +58,9 @@ class Known:
     """What the last look in full has found out.
 
     index: of its frame; pose (4, 4) as solved; offset (6,): from a fit of the rows alone to that, camera axes; own,
-    shared, biased (6, 6): covariances of a measurement; correction (4, 4) camera_from_camera of what the robot reports;
-    share, sight, felt: how pixels, image (nats) and contacts (mm, root mean square) agreed with such a fit; verdict,
-    why, right, visible, unobservable: how it was judged.
+    shared, biased, hidden (6, 6): covariances of a measurement; correction (4, 4) camera_from_camera of what the robot
+    reports; share, sight, felt: how pixels, image (nats) and contacts (mm, root mean square) agreed with such a fit;
+    verdict, why, right, visible, unobservable: how it was judged.
     """
 
     index: int
@@ -68,6 +69,7 @@ class Known:
     own: Array
     shared: Array
     biased: Array
+    hidden: Array
     correction: Array
     share: float
     sight: float
@@ -82,7 +84,7 @@ class Known:
         """What a fit (4, 4) of a later frame's rows measures; nearest (4, 4): of symmetric twins the one near this."""
         pose = model.symmetries.nearest(se3.perturb(fit, self.offset, model.centroid), nearest)
         turn = block(pose[:3, :3] @ self.pose[:3, :3].T)
-        return Measurement(pose, *(turn @ one @ turn.T for one in (self.own, self.shared, self.biased)))
+        return Measurement(pose, *(turn @ one @ turn.T for one in (self.own, self.shared, self.biased, self.hidden)))
 
 
 @dataclass(frozen=True)
@@ -144,12 +146,12 @@ class TrackState:
 
     belief: of the leading hypothesis, None before a start; hypotheses: the leader first; hand: at the last frame;
     index: of that; unseen: frames without evidence; lost_for: frames; usual: share of pixels that the pose explains,
-    usually; things: what goes with the object and is not it; rigs: of each of the first frames, the mean square of how
-    large its shared errors may be (levels); right: chance that the leader is the right one, as last judged; sure:
-    whether the last answer was ok; known: from the last look in full, None when the next frame must be looked at so;
-    correction (4, 4) camera_from_camera of what the robot reports, as the last joint solution has it where no pixels of
-    the hand tell: a calibration stays; None before; lens (4,): focal lengths (px, and shares of the image) of the last
-    image looked at, and lens_for: images since, which had others.
+    usually; things: what goes with the object and is not it; untold: what no frame tells of it; rigs: of each of the
+    first frames, the mean square of how large its shared errors may be (levels); right: chance that the leader is the
+    right one, as last judged; sure: whether the last answer was ok; known: from the last look in full, None when the
+    next frame must be looked at so; correction (4, 4) camera_from_camera of what the robot reports, as the last joint
+    solution has it where no pixels of the hand tell: a calibration stays; None before; lens (4,): focal lengths (px,
+    and shares of the image) of the last image looked at, and lens_for: images since, which had others.
     """
 
     belief: Belief | None = None
@@ -160,6 +162,7 @@ class TrackState:
     lost_for: int = 0
     usual: float | None = None
     things: Occluders = field(default_factory=Occluders)
+    untold: Untold = field(default_factory=Untold)
     rigs: list[float] = field(default_factory=list)
     renewal: Renewal = field(default_factory=Renewal)
     right: float = 0.0

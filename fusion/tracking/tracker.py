@@ -26,7 +26,7 @@ from fusion.estimation.confidence import whole_covariance, within
 from fusion.estimation.estimate import estimate
 from fusion.estimation.trace import Trace
 from fusion.tracking import hypotheses as several
-from fusion.tracking.answer import TrackedEstimate, TrackSettings, as_carried, as_tracked
+from fusion.tracking.answer import NOTHING_SENSED, OUT_OF_SIGHT, TrackedEstimate, TrackSettings, as_carried, as_tracked
 from fusion.tracking.filter import Belief, Measurement, update
 from fusion.tracking.hypotheses import Hypotheses, Hypothesis
 from fusion.tracking.motion import HandMotion, HandState
@@ -40,6 +40,7 @@ from fusion.tracking.steps.predicting import predict
 from fusion.tracking.steps.printed import as_before, as_printed
 from fusion.tracking.steps.refining import loose, measurement_of, prefers, refine, shift, solve_leader
 from fusion.tracking.steps.sensing import Sensed, pool_near
+from fusion.tracking.untold import Untold
 from scenes.errors import CaptureError
 from scenes.evidence.align import Prior
 from scenes.geometry import poses as se3
@@ -152,7 +153,7 @@ class Tracker:
             answer.modes, several.vote_of(answer.verdict, several.sure_of(answer), s.hypotheses), s.hypotheses
         )
         state.index, state.unseen, state.lost_for, state.usual, state.known = frame.index, 0, 0, None, None
-        state.things = Occluders()
+        state.things, state.untold = Occluders(), Untold()
         state.renewal.restart(frame.index, s.renewal)
         near = self._near(answer.modes[0])
         state.right = min(1.0, several.sure_of(answer) / near) if near > 1e-9 else 0.0
@@ -264,53 +265,51 @@ class Tracker:
     # --- one frame
 
     def _follow(self, frame: Frame, belief: Belief) -> TrackedEstimate:
-        trace, s = Trace(), self.settings
+        trace, s, state, model = Trace(), self.settings, self._state, self.model
+        first, beliefs = s.first, self._beliefs
         with trace.stage("predict", True, "") as stage:
-            ahead = predict(
-                self.model, frame, belief, self._state, self._velocity, self._hand_motion, self._watch,
-                self._beliefs.calibration,
-            )  # fmt: skip
+            moving = self._velocity, self._hand_motion, self._watch
+            ahead = predict(model, frame, belief, state, *moving, beliefs.calibration)
             predicted, carried = ahead.belief, ahead.hypotheses
             stage.note(0, ahead.why)
         viewed = frame if "vision" in self._senses else frame.without_vision()
-        if may_glance(viewed, self._state, carried, s):
+        if may_glance(viewed, state, carried, s):
             glanced = self._glance(frame, viewed, predicted, carried, trace)
             if glanced is not None:
                 return glanced
         with trace.stage("look", "vision" in self._senses, "vision not asked for") as stage:
             looked = self._looker.look(viewed, predicted.pose)
-            seen = looked.rows(self._beliefs.depth, self._looker.first.rows)
+            seen = looked.rows(beliefs.depth, self._looker.first.rows)
             stage.note(len(seen), f"{len(looked.pixels)} object pixels, {len(looked.of_hand)} of the hand")
         with trace.stage("feel", "touch" in self._senses, "touch not asked for") as stage:
             felt = self._feel(frame, looked)
             contacts, felt_rows = len(felt.reported_contacts), len(felt.reported_rows)
             stage.note(felt_rows, f"{counted(contacts, 'contact')}, {counted(felt_rows - contacts, 'empty point')}")
         if not len(seen) and not contacts:
-            return self._carry(frame, predicted, carried, trace, felt)
+            return self._carry(frame, predicted, carried, trace, felt, NOTHING_SENSED)
         with trace.stage("picture", viewed.depth is not None, "no depth image") as stage:
             asked = np.array([h.pose for h in carried])
-            first, beliefs = s.first, self._beliefs
-            pool = pool_near(viewed, self.model, asked, looked, felt, beliefs, first, s.room)
+            pool = pool_near(viewed, model, asked, looked, felt, beliefs, first, s.room)
             unsolved = viewed.depth is None or not len(looked.pixels)
             placed = looked.hand is None and (unsolved or self._looker.correction is not None)
-            sensed = Sensed(viewed, looked, seen, felt, pool, self._state.things, s.occluders, placed)
-            self._sensed = sensed
+            self._sensed = sensed = Sensed(viewed, looked, seen, felt, pool, state.things, s.occluders, placed)
         with trace.stage("align", True, "") as stage:
             prior = loose(predicted.pose, predicted.own, s)
-            found = refine(self.model, carried, prior, sensed, s)
+            found = refine(model, carried, prior, sensed, s)
             of = f"{len(carried)} hypotheses" if len(carried) > 1 else "a few steps from the prediction"
             stage.note(len(found.seen) + felt_rows, "another hypothesis leads" if found.switched else of)
         with trace.stage("solve together", True, "") as stage:
             leader = found.hypotheses[0].pose
             if found.switched:
                 prior = replace(prior, pose=leader)
-            learned = len(self._state.rigs)
-            solved = solve_leader(self.model, frame, leader, prior, found, sensed, self._state.rigs, self._beliefs, s)
-            blind = self._state.hand is not None and not len(looked.pixels)
-            told = self._looker.correction is not None or self._state.correction is not None
+            learned = len(state.rigs)
+            solved = solve_leader(model, frame, leader, prior, found, sensed, state.rigs, beliefs, s)
+            blind = state.hand is not None and not len(looked.pixels)
+            told = self._looker.correction is not None or state.correction is not None
             shown = replace(sensed, seen=found.seen)
-            measured = measurement_of(self.model, solved, predicted.pose, shown, blind, told, self._beliefs, s)
-            if len(self._state.rigs) > learned:  # of what all frames share the first was told no more than this one
+            untold, nearest = state.untold, predicted.pose
+            measured, untold = measurement_of(model, solved, nearest, shown, blind, told, untold, beliefs, s)
+            if len(state.rigs) > learned:  # of what all frames share the first was told no more than this one
                 predicted = replace(predicted, shared=measured.shared)
             if felt_rows and not placed:
                 felt = felt.corrected(solved.correct())
@@ -318,20 +317,23 @@ class Tracker:
             stage.note(len(found.seen) + felt_rows, f"calibration off by {off:.1f} mm")
         with trace.stage("judge", True, "") as stage:
             belief, watched = self._updated(frame, predicted, measured, found.switched, felt)
-            leap = se3.difference(measured.pose, predicted.pose, self.model.centroid)
+            leap = se3.difference(measured.pose, predicted.pose, model.centroid)
             said = judge(
-                self.model, found.hypotheses, belief, replace(sensed, felt=felt, seen=found.seen), self._state.usual,
-                np.zeros(6) if found.switched else leap, self._beliefs, s,
+                model, found.hypotheses, belief, replace(sensed, felt=felt, seen=found.seen), state.usual,
+                np.zeros(6) if found.switched else leap, beliefs, s,
             )  # fmt: skip
             stage.note(len(found.seen) + felt_rows, said.why)
+        if said.verdict == "lost" and blind:  # touch alone does not prove that a hand has lost what it held
+            self._watch.restart()
+            return self._carry(frame, predicted, carried, trace, felt, OUT_OF_SIGHT)
         if said.verdict != "lost":
             self._accept(frame, felt, belief, found.hypotheses, said.share)
-            self._state.right = said.right
+            state.right, state.untold = said.right, untold
             if felt_rows and not placed and looked.hand is None:
-                self._state.correction = felt.correction
+                state.correction = felt.correction
             now = replace(sensed, felt=felt, seen=found.seen)
-            settled = not found.switched and frame.index == self._state.index
-            self._state.known = known_of(self.model, prior, now, measured, said, self._beliefs, s) if settled else None
+            settled = not found.switched and frame.index == state.index
+            state.known = known_of(model, prior, now, measured, said, beliefs, s) if settled else None
             self._learn(sensed, belief.pose, found.switched)
         answer = as_followed(frame, belief, predicted, said, watched, replace(sensed, felt=felt), trace.stages, s)
         return self._believed(answer) if answer.how == "tracked" else answer
@@ -388,7 +390,7 @@ class Tracker:
         model, state = self.model, self._state
         pixel = None if frame.camera is None else frame.camera.project(self._middle(measured.pose)[None])[0][0]
         pixel = pixel if pixel is not None and np.isfinite(pixel).all() else None  # behind the camera
-        alone = Belief(measured.pose, measured.own, measured.shared)
+        alone = Belief(measured.pose, measured.own, measured.shared, measured.hidden)
         belief = alone if switched else update(model, predicted, measured)
         late = frame.index < state.index
         watched = Watched() if late else self._skins(frame, felt)
@@ -430,8 +432,10 @@ class Tracker:
             things, how = self._state.things, self.settings.occluders
             self._state.things = things.learned(self.model, pose, sensed.around(), how)
 
-    def _carry(self, frame: Frame, predicted: Belief, carried: Hypotheses, trace: Trace, felt: Felt) -> TrackedEstimate:
-        """Nothing was sensed: the object is where the hand has carried it, for a while."""
+    def _carry(
+        self, frame: Frame, predicted: Belief, carried: Hypotheses, trace: Trace, felt: Felt, because: str
+    ) -> TrackedEstimate:
+        """The frame tells nothing of the object: it is where the hand has carried it, for a while."""
         s, state = self.settings, self._state
         if frame.index > state.index:
             state.unseen += frame.index - state.index
@@ -439,7 +443,7 @@ class Tracker:
             state.hand = HandState.of(frame, felt.reported_contacts)
             self._velocity.coast(frame.index)
         held = state.hand is not None and state.unseen <= s.coast
-        answer = as_carried(self.model, frame, predicted, trace.stages, held, state.hand is not None, s)
+        answer = as_carried(self.model, frame, predicted, trace.stages, held, state.hand is not None, because, s)
         how = s.first.confidence
         sure = state.right * self._near(answer.modes[0]) if held else 0.0
         wide = whole_covariance(self.model, answer.modes, state.right if held else 0.0, None, how)

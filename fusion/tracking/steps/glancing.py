@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import ContactResidual, Mode
-from fusion.estimation.confidence import told_covariance, within
+from fusion.estimation.confidence import within
 from fusion.estimation.verdict import contact_residuals, pixel_agreement
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Belief, Measurement
 from fusion.tracking.hypotheses import Hypotheses, weights
 from fusion.tracking.occluders import Occluders
 from fusion.tracking.state import GlanceSettings, Known, TrackState
-from fusion.tracking.steps.judging import Judged
+from fusion.tracking.steps.judging import Judged, as_open
 from fusion.tracking.steps.refining import loose
 from fusion.tracking.steps.sensing import Sensed, pool_near
 from scenes.evidence import table as tables
@@ -158,7 +158,7 @@ def as_judged(
     word, why, sure = known.verdict, known.why, known.right * near
     if word == "ok" and sure < confident.sure:
         word, why = "ambiguous", f"only {sure:.0%} sure to be within {1e3 * confident.tolerance:.3g} mm"
-    covariance = told_covariance(model, modes, word, known.right, None, confident)
+    covariance = as_open(model, modes, word, known.right, settings)
     return Judged(
         word, why, covariance, known.right, sure, modes, glanced.residuals, glanced.share, glanced.rms,
         known.visible, known.unobservable,
@@ -186,8 +186,8 @@ def known_of(
     sight = float(Sight(frame, model, beliefs.depth, first.sight).costs(fit[None])[0])
     off = _apart(contact_residuals(model, felt.contacts, fit, first.verdict))
     return Known(
-        frame.index, measured.pose, offset, measured.own, measured.shared, measured.biased, felt.correction, share,
-        sight, off,
+        frame.index, measured.pose, offset, measured.own, measured.shared, measured.biased, measured.hidden,
+        felt.correction, share, sight, off,
         said.verdict, said.why, said.right, said.visible, said.unobservable,
     )  # fmt: skip
 

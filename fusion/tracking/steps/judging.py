@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import ContactResidual, Mode, Stage
-from fusion.estimation.confidence import told_covariance
+from fusion.estimation.confidence import told_covariance, whole_covariance
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
 from fusion.tracking.filter import Belief
 from fusion.tracking.hypotheses import Hypotheses, weights
@@ -79,11 +79,18 @@ def judge(
         word, why = "lost", f"{share:.0%} of the pixels explained, {usual:.0%} before"
     if word != "lost" and settings.leaps(leap):
         word, why = "lost", f"{1e3 * np.linalg.norm(leap[3:]):.0f} mm from the prediction"
-    covariance = told_covariance(model, modes, word, right, None, first.confidence, same=same)
+    covariance = as_open(model, modes, word, right, settings)
     unknown = posterior.unobservable(model, pose, belief.covariance, first.verdict)
     # what is lost is not to be trusted at all
     sure = 0.0 if word == "lost" else sure
     return Judged(word, why, covariance, right, sure, modes, residuals, share, rms, seeing.visible, unknown)
+
+
+def as_open(model: ObjectModel, modes: tuple[Mode, ...], word: str, right: float, settings: TrackSettings) -> Array:
+    """(6, 6) covariance of an answer with that verdict. As long as another hypothesis is followed nothing is decided:
+    that of an `ok` one holds all of them by their weights.
+    """
+    return whole_covariance(model, modes, 1.0 if word == "ok" else right, None, settings.first.confidence)
 
 
 def as_believed(

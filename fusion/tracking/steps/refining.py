@@ -23,6 +23,7 @@ from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Measurement
 from fusion.tracking.hypotheses import Hypotheses, weighed
 from fusion.tracking.steps.sensing import Sensed
+from fusion.tracking.untold import Untold
 from scenes.evidence import table as tables
 from scenes.evidence.align import AlignSettings, Prior, align
 from scenes.evidence.modes import covariance_of
@@ -195,23 +196,27 @@ def measurement_of(
     sensed: Sensed,
     blind: bool,
     corrected: bool,
+    untold: Untold,
     beliefs: Beliefs,
     settings: TrackSettings,
-) -> Measurement:
+) -> tuple[Measurement, Untold]:
     """The frame's own answer, the symmetric twin near `nearest` (4, 4), as wide as an estimate's: all of it stays from
-    frame to frame but most of the independent noise. Where its evidence is no Gaussian about the answer (a handle out
-    of sight may turn as far as it would show), or little is seen of an object that nothing tells from what hides it,
-    the next frame's is no better. blind: told by the robot alone, whose error it has; corrected: a camera has once said
-    what that is.
+    frame to frame but most of the independent noise. Where little is seen of an object that nothing tells from what
+    hides it, the next frame's is no better. blind: told by the robot alone, whose error it has; corrected: a camera has
+    once said what that is. untold: what frames before it did not tell, and then this one: where evidence is no Gaussian
+    about the answer (a handle out of sight may turn as far as it would show).
     """
     s, calibration = settings, beliefs.calibration
     gaussian = solved.independent + solved.shared + solved.unsolved
-    rows = tables.stack(sensed.seen, sensed.felt.rows)
-    wide = moments(model, rows, solved.pose, gaussian, 0, None, s.first.moments).covariance
+    rows, how = tables.stack(sensed.seen, sensed.felt.rows), s.first.moments
+    spread = moments(model, rows, solved.pose, gaussian, 0, None, how)
+    told = not blind and (not spread.effective or spread.effective >= how.effective)
+    untold = untold.learned(model, solved.pose, spread.covariance - gaussian if told else None)
     if sensed.pool is not None and not sensed.told_apart:
         picture = sensed.pool.predictor.predict(solved.as_seen[None], s.side)
-        wide = as_shown(Mode(solved.pose, 1.0, 0.0, wide), picture, None, s.first.confidence).covariance
-    shared = wide - solved.independent
+        mode, beside = Mode(solved.pose, 1.0, 0.0, gaussian), (solved.beside, 0.0)
+        gaussian = as_shown(mode, picture, None, s.first.confidence, beside).covariance
+    shared = gaussian - solved.independent
     pose = model.symmetries.nearest(solved.pose, nearest)
     if blind:
         angle = s.left_angle if corrected else calibration.rotation_sigma
@@ -219,7 +224,8 @@ def measurement_of(
         distance = float(np.hypot(calibration.translation_sigma, calibration.rotation_sigma * lever))
         distance = s.left_distance if corrected else distance
         shared = shared + np.diag(np.repeat([angle, distance], 3) ** 2)
-    return Measurement.of(pose, solved.independent, shared, solved.biased, s.noise)
+    measured = Measurement.of(pose, solved.independent, shared, solved.biased, s.noise)
+    return replace(measured, hidden=untold.at(model, solved.pose)), untold
 
 
 def shift(correction: Array, point: Array) -> float:

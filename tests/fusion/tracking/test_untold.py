@@ -1,0 +1,104 @@
+"""What no frame tells is carried beside what frames tell; an answer holds what is still open; touch that lies."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fusion.estimation.answer import Mode
+from fusion.tracking import hypotheses as several
+from fusion.tracking.answer import TrackSettings
+from fusion.tracking.filter import Belief, Measurement, SlipTest, update
+from fusion.tracking.hypotheses import Hypothesis, HypothesisSettings
+from fusion.tracking.steps.judging import as_open
+from fusion.tracking.tracker import Tracker
+from fusion.tracking.untold import LOOKS, Untold
+from scenes.geometry import poses
+from scenes.synthesis import library
+from tests.fusion.tracking.test_tracking import error, recording
+
+NARROW = 1e-6 * np.eye(6)
+# A handle that may turn by 0.3 rad about the object's own z.
+HANDLE = np.diag([0.0, 0.0, 0.09, 0.0, 0.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def mug():
+    return library.make("mug")
+
+
+def test_looks_are_averaged_by_their_standard_deviations_and_go_with_the_object(mug):
+    turn = poses.make_pose(poses.exp_rotation([0.4, -0.3, 0.8]))
+    block = np.kron(np.eye(2), turn[:3, :3])
+    untold = Untold().learned(mug, turn, block @ HANDLE @ block.T)
+    np.testing.assert_allclose(untold.at(mug, np.eye(4)), HANDLE, atol=1e-12)
+    assert untold.learned(mug, turn, None) is untold  # a look that could not tell
+    half = untold.learned(mug, np.eye(4), np.zeros((6, 6)))
+    np.testing.assert_allclose(half.at(mug, turn), block @ (HANDLE / 4) @ block.T, atol=1e-12)
+    for _ in range(6 * LOOKS):
+        half = half.learned(mug, np.eye(4), np.zeros((6, 6)))
+    assert np.trace(half.at(mug, turn)) < 1e-4 * np.trace(HANDLE)  # what has come into view is told
+
+
+def test_no_number_of_frames_averages_it_out(mug):
+    belief = Belief(np.eye(4), NARROW, NARROW)
+    for _ in range(50):
+        belief = update(mug, belief, Measurement(np.eye(4), NARROW, NARROW, hidden=HANDLE))
+    np.testing.assert_allclose(belief.hidden, HANDLE)
+    assert belief.covariance[2, 2] > HANDLE[2, 2]
+    turn = poses.make_pose(poses.exp_rotation([0.5 * np.pi, 0.0, 0.0]))
+    assert belief.moved(turn).hidden[1, 1] == pytest.approx(HANDLE[2, 2])
+
+
+def test_a_turn_of_what_nobody_sees_is_no_slip(mug):
+    """The answers of a mug whose handle is hidden wander about its axis."""
+    rng = np.random.default_rng(0)
+    said = {}
+    for hidden in (HANDLE, 0 * HANDLE):
+        test = SlipTest(mug, 40.0)
+        belief, alarms = Belief(np.eye(4), NARROW, NARROW), 0
+        for _ in range(40):
+            pose = poses.perturb(np.eye(4), [0.0, 0.0, 0.05 * rng.normal(), 0.0, 0.0, 0.0], mug.centroid)
+            test.predict(np.eye(4), np.zeros(6), 1e-9 * np.eye(6))
+            alarms += test.step(Measurement(pose, NARROW, NARROW, hidden=hidden), belief, None)
+        said[hidden.any()] = alarms
+    assert said[True] == 0
+    assert said[False] > 0
+
+
+def test_an_ok_answer_holds_what_is_not_yet_decided(mug):
+    over = Mode(poses.make_pose(poses.exp_rotation([0.0, np.pi - 1e-6, 0.0])), 0.02, 0.0, NARROW)
+    modes = (Mode(np.eye(4), 0.98, 0.0, NARROW), over)
+    covariance = as_open(mug, modes, "ok", 1.0, TrackSettings())
+    assert np.trace(covariance[:3, :3]) == pytest.approx(0.02 * np.pi**2, rel=0.01)
+    alone = as_open(mug, (replace(modes[0], weight=1.0),), "ok", 1.0, TrackSettings())
+    np.testing.assert_allclose(alone, NARROW)
+
+
+def test_a_search_speaks_against_what_is_surely_elsewhere_alone():
+    """A hammer turned about its shaft keeps its surface within millimetres: a search may have either."""
+    model, s = library.make("hammer"), HypothesisSettings()
+    axis = np.linalg.svd(model.vertices - model.vertices.mean(axis=0), full_matrices=False)[2][0]
+    for angle, against in ((np.pi, False), (0.0, True)):
+        moved = poses.perturb(np.eye(4), np.r_[angle * axis, np.zeros(3)], model.centroid)
+        if against:
+            moved = poses.perturb(np.eye(4), np.r_[0.0, 0.0, 0.0, 0.03, 0.03, 0.03], model.centroid)
+        lead = (Hypothesis(np.eye(4), NARROW, 0.0, votes=2.0),)
+        assert (several.surface_apart(model, np.eye(4), moved) > s.elsewhere) == against
+        after, _ = several.voted(model, lead, [Mode(moved, 1.0, 0.0, NARROW)], 1.0, True, s)
+        assert after[0].votes == (1.0 if against else 2.0)
+
+
+def test_touch_that_contradicts_an_object_out_of_sight_does_not_move_it(mug):
+    frames = recording(mug, 10)
+    dark = {5, 6}
+    for i in dark:
+        wrong = frames[i].contacts.moved(poses.make_pose(np.eye(3), [0.03, -0.03, 0.04]))
+        frames[i] = replace(frames[i], depth=np.zeros_like(frames[i].depth), contacts=wrong)
+    tracker = Tracker(mug)
+    for frame in frames:
+        answer = tracker.step(frame)
+        _, millimetres = error(answer, frame, mug)
+        assert millimetres < 5.0
+        assert answer.how in (("carried",) if frame.index in dark else ("started", "tracked"))
+        assert frame.index not in dark or "contradicts" in answer.notes[0]
