@@ -17,6 +17,8 @@ import numpy as np
 _INSIDE = 1e-4
 # A gradient shorter than this has no direction.
 _SHORTEST = 1e-12
+# Nodes are found by unsigned numbers, which need no test for counting from the end.
+_NEXT = np.uint64(1)
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
@@ -41,15 +43,17 @@ def distance_at(values, origin, spacing, x, y, z):
     a = cu - i
     b = cv - j
     c = cw - k
+    i, j, k = np.uint64(i), np.uint64(j), np.uint64(k)
+    il, jl, kl = i + _NEXT, j + _NEXT, k + _NEXT
     # differences of single-precision nodes are taken in double precision
     d000 = np.float64(values[i, j, k])
-    d001 = np.float64(values[i, j, k + 1])
-    d010 = np.float64(values[i, j + 1, k])
-    d011 = np.float64(values[i, j + 1, k + 1])
-    d100 = np.float64(values[i + 1, j, k])
-    d101 = np.float64(values[i + 1, j, k + 1])
-    d110 = np.float64(values[i + 1, j + 1, k])
-    d111 = np.float64(values[i + 1, j + 1, k + 1])
+    d001 = np.float64(values[i, j, kl])
+    d010 = np.float64(values[i, jl, k])
+    d011 = np.float64(values[i, jl, kl])
+    d100 = np.float64(values[il, j, k])
+    d101 = np.float64(values[il, j, kl])
+    d110 = np.float64(values[il, jl, k])
+    d111 = np.float64(values[il, jl, kl])
     c00 = d000 + (d001 - d000) * c
     c01 = d010 + (d011 - d010) * c
     c10 = d100 + (d101 - d100) * c
@@ -94,10 +98,12 @@ def value_at(values, origin, spacing, x, y, z):
     a = cu - i
     b = cv - j
     c = cw - k
-    c00 = (1.0 - c) * values[i, j, k] + c * values[i, j, k + 1]
-    c01 = (1.0 - c) * values[i, j + 1, k] + c * values[i, j + 1, k + 1]
-    c10 = (1.0 - c) * values[i + 1, j, k] + c * values[i + 1, j, k + 1]
-    c11 = (1.0 - c) * values[i + 1, j + 1, k] + c * values[i + 1, j + 1, k + 1]
+    i, j, k = np.uint64(i), np.uint64(j), np.uint64(k)
+    il, jl, kl = i + _NEXT, j + _NEXT, k + _NEXT
+    c00 = (1.0 - c) * values[i, j, k] + c * values[i, j, kl]
+    c01 = (1.0 - c) * values[i, jl, k] + c * values[i, jl, kl]
+    c10 = (1.0 - c) * values[il, j, k] + c * values[il, j, kl]
+    c11 = (1.0 - c) * values[il, jl, k] + c * values[il, jl, kl]
     c0 = c00 + (c01 - c00) * b
     c1 = c10 + (c11 - c10) * b
     d = c0 + (c1 - c0) * a
