@@ -176,10 +176,13 @@ class Predictor:
         self._planes = np.zeros((0, 6)) if planes is None else np.ascontiguousarray(planes)
         self._pieces = pieces
         self.settings = settings or PredictionSettings()
-        self._whole: NDArray[np.int64] = np.zeros(1, dtype=np.int64)
+        self._whole: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
         self._sizes: Array = np.zeros(0)
+        if pieces is not None:
+            # none of them, and each piece: its own surface, or that of which it is a part
+            self._whole = np.arange(int(pieces.max(initial=-1)) + 2)
         if pieces is not None and parts and whole is not None:
-            self._whole = np.concatenate([self._whole, whole + 1])
+            self._whole = np.concatenate([np.zeros(1, dtype=np.int64), whole + 1])
             self._sizes = np.asarray(np.bincount(pieces[pieces >= 0])[:parts] * float(self.settings.piece_step**2))
         self._mask = None if frame.mask is None else widened(frame.mask, self.settings.mask_margin)
         self.model = model
@@ -275,28 +278,12 @@ class Predictor:
         """(n,) share seen, of each piece no more than what bounds its word; and how much of that is of pieces of one
         colour that go on beyond the outline.
         """
-        s, poses = self.settings, len(view.u)
-        count = int(pieces.max(initial=-1)) + 2
-        row = np.clip(view.v // s.piece_step, 0, pieces.shape[0] - 1)
-        column = np.clip(view.u // s.piece_step, 0, pieces.shape[1] - 1)
-        label = (pieces[row[:, :, None], column[:, None, :]] + 1 + count * np.arange(poses)[:, None, None]).ravel()
-        each = np.bincount(label, view.fade.ravel(), minlength=count * poses).reshape(-1, count) / total[:, None]
-        sums, bound, parts = each, s.most_of_piece / (s.cells * s.seen), len(self._sizes)
-        if parts:
-            sums = np.zeros((poses, int(self._whole.max(initial=0)) + 1))
-            np.add.at(sums.T, self._whole, each.T)
-        seen = np.asarray(np.minimum(sums, bound).sum(axis=1))
-        if not parts:
-            return seen, np.zeros(poses)
-        earned = (each * np.minimum(1.0, bound / np.maximum(sums, 1e-9))[:, self._whole])[:, 1 : parts + 1]
-        met = np.bincount(label, view.has(kernels.HIT).ravel(), minlength=count * poses).reshape(-1, count)
-        # pixels that each ray stands for, and how much of each part is beyond what the outline holds, in cells
-        area = np.ptp(view.u, axis=1) * np.ptp(view.v, axis=1) / max(view.side - 1, 1) ** 2
-        held = met[:, 1 : parts + 1] * area[:, None]
-        cell = np.maximum(total * area, 1.0) / s.cells
-        outside = np.maximum((1.0 - s.beside) * self._sizes - held, 0.0) / cell[:, None]
-        lost = np.minimum(s.beyond / (s.cells * s.seen) * outside, earned)
-        return seen, np.asarray(lost.sum(axis=1))
+        s = self.settings
+        limits = s.most_of_piece / (s.cells * s.seen), s.beside, s.beyond / (s.cells * s.seen), s.cells
+        seen, lost = np.zeros((2, len(view.u)))
+        rays = view.u, view.v, view.fade.ravel(), view.state.ravel(), total
+        kernels.bound_pieces(pieces, s.piece_step, self._whole, self._sizes, *rays, limits, seen, lost)
+        return seen, lost
 
     def view(self, candidates: Array, side: int) -> View:
         """The predicted pixels of poses (n, 4, 4), side^2 rays each, and what each of them is."""

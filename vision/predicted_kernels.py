@@ -219,6 +219,46 @@ def sum_up(u, v, image, camera, noise, limits, seen, state, past, fade, out):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def bound_pieces(pieces, step, whole, sizes, u, v, fade, state, total, limits, seen, lost):
+    """Fill seen (n,): share of the rays that are seen, of each whole surface no more than bounds its word; and lost
+    (n,): how much of that is of pieces of one colour that go on beyond the outline.
+
+    pieces (h, w) at every `step` pixels, -1 for none. whole (k + 1,): of none and of each of k pieces, which surface it
+    is of; sizes (m,): pixels of the first m, those of one colour. u, v (n, side), fade, state (n side^2,): as of
+    compare_pixels. total (n,): rays of which shares are taken. limits: the bound, as a share; the share of a piece that
+    may be beside the outline; what one cell beyond it costs, as a share; and cells of a whole outline.
+    """
+    bound, beside, dear, cells = limits
+    side = u.shape[1]
+    each, met, sums = np.zeros(whole.shape[0]), np.zeros(whole.shape[0]), np.zeros(whole.max() + 1)
+    column = np.zeros(side, dtype=np.int64)
+    for n in range(u.shape[0]):
+        each[:], met[:], sums[:] = 0.0, 0.0, 0.0
+        for i in range(side):
+            column[i] = min(max(u[n, i] // step, 0), pieces.shape[1] - 1)
+        for j in range(side):
+            row = min(max(v[n, j] // step, 0), pieces.shape[0] - 1)
+            for i in range(side):
+                k = (n * side + j) * side + i
+                label = pieces[row, column[i]] + 1
+                each[label] += fade[k]
+                met[label] += state[k] & HIT
+        for label in range(whole.shape[0]):
+            each[label] /= total[n]
+            sums[whole[label]] += each[label]
+        for surface in range(sums.shape[0]):
+            seen[n] += min(sums[surface], bound)
+        # pixels that each ray stands for, and how much of each part is beyond what the outline holds, in cells
+        across = float((u[n].max() - u[n].min()) * (v[n].max() - v[n].min())) if sizes.shape[0] else 0.0
+        area = across / max(side - 1, 1) ** 2
+        cell = max(total[n] * area, 1.0) / cells
+        for label in range(1, sizes.shape[0] + 1):
+            earned = each[label] * min(1.0, bound / max(sums[whole[label]], 1e-9))
+            outside = max((1.0 - beside) * sizes[label - 1] - met[label] * area, 0.0) / cell
+            lost[n] += min(dear * outside, earned)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _leads_to(image, camera, noise, column, row, lead, room, plane_margin, plane_sigmas):
     """Whether a pixel is read within `room` (m) of depth `lead` (m), and may be of the object."""
     depth, mask, _, _, planes = image

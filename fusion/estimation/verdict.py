@@ -109,19 +109,18 @@ def contributions(
     if prior is not None:
         parts["prior"] = (0, alignment.terms(model, empty(), pose, prior)[2])
     whole = np.sum([information for _, information in parts.values()], axis=0)
-    by_rows = covariance_of(model, whole)
-
-    def worst(wide: Array) -> tuple[float, float]:
-        turn, move = (float(np.sqrt(max(np.linalg.eigvalsh(wide[k : k + 3, k : k + 3])[-1], 0.0))) for k in (0, 3))
-        return move, turn
-
-    out = []
-    for name, (count, information) in parts.items():
-        if count or name == "prior":
-            less = covariance + covariance_of(model, whole - information) - by_rows
-            (position, rotation), (position_less, rotation_less) = worst(covariance), worst(less)
-            out.append(Contribution(name, count, position, position_less, rotation, rotation_less))
-    return tuple(out)
+    # without each of those that say something, beside all of them
+    said = [name for name, (count, _) in parts.items() if count or name == "prior"]
+    by_rows = covariance_of(model, np.array([whole, *(whole - parts[name][1] for name in said)]))
+    wide = np.concatenate([covariance[None], covariance + by_rows[1:] - by_rows[0]])
+    # the widest turn and the widest move of each
+    blocks = np.stack([wide[:, :3, :3], wide[:, 3:, 3:]], axis=1)
+    widest = np.sqrt(np.maximum(np.linalg.eigvalsh(blocks)[..., -1], 0.0)).tolist()
+    rotation, position = widest[0]
+    return tuple(
+        Contribution(name, parts[name][0], position, move, rotation, turn)
+        for name, (turn, move) in zip(said, widest[1:])
+    )
 
 
 def open_directions(

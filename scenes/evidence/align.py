@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scenes.errors import InputError
 from scenes.evidence import kernels, solver_kernels
 from scenes.evidence.table import COLUMNS, Evidence
-from scenes.geometry import poses as se3
+from scenes.geometry import pose_kernels
 from scenes.geometry.objects import ObjectModel
 from scenes.threads import run_chunks
 
@@ -86,18 +86,11 @@ class Alignment:
 
 
 def _split(model: ObjectModel, poses: Array) -> tuple[Array, Array]:
-    poses = np.asarray(poses, dtype=np.float64).reshape(-1, 4, 4)
-    if not np.isfinite(poses).all():
+    poses = np.ascontiguousarray(poses, dtype=np.float64).reshape(-1, 4, 4)
+    rotations, middles = np.zeros((len(poses), 3, 3)), np.zeros((len(poses), 3))
+    if not pose_kernels.split(poses, model.centroid, rotations, middles):
         raise InputError("alignment: expected finite poses")
-    return np.ascontiguousarray(poses[:, :3, :3]), poses[:, :3, :3] @ model.centroid + poses[:, :3, 3]
-
-
-def _join(model: ObjectModel, rotations: Array, middles: Array) -> Array:
-    out = np.zeros((len(rotations), 4, 4))
-    out[:, :3, :3] = rotations
-    out[:, :3, 3] = middles - rotations @ model.centroid
-    out[:, 3, 3] = 1.0
-    return out
+    return rotations, middles
 
 
 def lattice_of(model: ObjectModel, blur: float = 0.0) -> tuple:
@@ -163,8 +156,9 @@ def align(
         )
 
     run_chunks(work, count, smallest=max(1, 4000 // (len(evidence) * settings.iterations + 1)))
-    rotations = se3.straightened(rotations)
-    return Alignment(_join(model, rotations, middles), out_costs, hessians, used)
+    poses = np.zeros((count, 4, 4))
+    pose_kernels.joined(rotations, middles, model.centroid, poses)
+    return Alignment(poses, out_costs, hessians, used)
 
 
 def costs(

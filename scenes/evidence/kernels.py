@@ -19,7 +19,7 @@ import math
 import numba
 import numpy as np
 
-from scenes._numba import spare_blas
+from scenes._numba import FUSED, spare_blas
 from scenes.evidence.prior_kernels import prior_terms
 from scenes.evidence.row_kernels import (
     FLOOR_ABOVE,
@@ -41,7 +41,7 @@ spare_blas()
 SHORTEST_GRADIENT = 0.15
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, fastmath=FUSED)
 def cost_terms(lattice, rows, huber, bend, rotation, middle, prior, need, hessian, gradient, scratch):
     """Cost (negative log posterior up to a constant) at a pose; fills hessian (6, 6) and gradient (6,) when `need`.
 

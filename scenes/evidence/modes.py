@@ -52,14 +52,14 @@ class ModeSettings:
 
 
 def covariance_of(model: ObjectModel, hessian: Array, settings: ModeSettings | None = None) -> Array:
-    """(6, 6) inverse of a Gauss-Newton Hessian regularised by the widest prior; finite for any Hessian."""
+    """(..., 6, 6) inverses of Gauss-Newton Hessians regularised by the widest prior; finite for any Hessian."""
     settings = settings or ModeSettings()
     weak = np.array([settings.widest_angle] * 3 + [settings.widest_share * model.radius] * 3)
     # scaled by the widths, the matrix is at least the identity: its inverse never fails
     scaled = hessian * weak * weak[:, None] + np.eye(6)
-    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
-    inverse = (vectors / np.maximum(values, 1.0)) @ vectors.T
-    return inverse * weak * weak[:, None]
+    values, vectors = np.linalg.eigh(0.5 * (scaled + np.swapaxes(scaled, -1, -2)))
+    inverse = (vectors / np.maximum(values, 1.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+    return np.asarray(inverse * weak * weak[:, None])
 
 
 def distinct_modes(model: ObjectModel, alignment: Alignment, settings: ModeSettings | None = None) -> tuple[Mode, ...]:
@@ -88,8 +88,8 @@ def distinct_modes(model: ObjectModel, alignment: Alignment, settings: ModeSetti
         mahalanobis = np.einsum("ni,ij,nj->n", delta, alignment.hessians[lead], delta)
         same = (moved < settings.merge_share * model.radius) | (mahalanobis < settings.merge_sigmas**2)
         pending = rest[~same]
-    covariances = [covariance_of(model, alignment.hessians[i], settings) for i in kept]
-    log_weights = np.array([-alignment.costs[i] + 0.5 * np.linalg.slogdet(c)[1] for i, c in zip(kept, covariances)])
+    covariances = covariance_of(model, alignment.hessians[kept], settings)
+    log_weights = -alignment.costs[kept] + 0.5 * np.linalg.slogdet(covariances)[1]
     weights = np.exp(log_weights - log_weights.max())
     weights /= weights.sum()
     return tuple(

@@ -11,6 +11,7 @@ import math
 import numba
 import numpy as np
 
+from scenes._numba import FUSED
 from scenes.evidence.table import (
     COLUMNS,
     FACING,
@@ -34,7 +35,7 @@ def loss_floor(gate):
     return 2.0 * math.log1p(math.exp(-0.5 * gate * gate))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FUSED)
 def robust(s, gate, floor, huber):
     """Loss rho(s) and its derivative, the probability that the row is the object's (see scenes.evidence.table).
 
@@ -97,7 +98,7 @@ def silent_last(prepared):
     return out, speaking
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, fastmath=FUSED)
 def near_rows(lattice, rows, speaking, rotation, middle, reach, active):
     """Fill active after its first `speaking` rows with the one-sided rows (from there on, as in silent_last) that a
     pose, or one near it, may have within the surface or nearer to it than reach (m); returns how many rows are active,

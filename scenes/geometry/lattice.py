@@ -13,6 +13,8 @@ import math
 import numba
 import numpy as np
 
+from scenes._numba import FUSED
+
 # Nodes are addressed by the lower corner of their cell; the last cell ends this little before the last node.
 _INSIDE = 1e-4
 # A gradient shorter than this has no direction.
@@ -26,7 +28,7 @@ def _clamp(value, upper):
     return min(max(value, 0.0), upper)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, fastmath=FUSED)
 def distance_at(values, origin, spacing, x, y, z):
     """Signed distance and its gradient at one point: (d, gx, gy, gz)."""
     nx, ny, nz = values.shape
@@ -81,7 +83,7 @@ def distance_at(values, origin, spacing, x, y, z):
     return d, gx, gy, gz
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, fastmath=FUSED)
 def value_at(values, origin, spacing, x, y, z):
     """Signed distance alone, for searches that only rank."""
     nx, ny, nz = values.shape
@@ -126,7 +128,7 @@ def beyond_box(values, origin, spacing, x, y, z):
     return math.sqrt(a * a + b * b + c * c)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, fastmath=FUSED)
 def normal_at(values, origin, spacing, x, y, z, gradient, hessian):
     """Smooth gradient g and its Jacobian, for normals: fills gradient (3,) and hessian (3, 3).
 
@@ -218,7 +220,7 @@ _FARTHEST = 1e100
 _STEPS = 4
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, fastmath=FUSED)
 def seen_distance_at(values, origin, spacing, step, x, y, z, vx, vy, vz):
     """Signed distance of a seen point to the surface that faces the camera, and its gradient: (d, gx, gy, gz).
 
@@ -233,7 +235,7 @@ def seen_distance_at(values, origin, spacing, step, x, y, z, vx, vy, vz):
     return led_back_at(values, origin, spacing, step, x, y, z, vx, vy, vz)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, fastmath=FUSED)
 def led_back_at(values, origin, spacing, step, x, y, z, vx, vy, vz):
     """seen_distance_at of a point whose nearest surface is known to look away from the camera."""
     for _ in range(_STEPS):

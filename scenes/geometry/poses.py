@@ -274,24 +274,32 @@ def perturb(pose: Array, delta: ArrayLike, centre: ArrayLike) -> Array:
     pose (..., 4, 4) target_from_object, delta (..., 6): rotation vector and displacement of the
     centre, both in target axes. Inverse of `difference`.
     """
+    from scenes.geometry.pose_kernels import perturbed
+
     pose, delta = np.asarray(pose, dtype=np.float64), np.asarray(delta, dtype=np.float64)
-    centre = np.asarray(centre, dtype=np.float64)
-    turn = exp_rotation(delta[..., :3])
-    rotation = turn @ pose[..., :3, :3]
-    middle = (pose[..., :3, :3] @ centre[..., None])[..., 0] + pose[..., :3, 3] + delta[..., 3:]
-    out = np.zeros((*np.broadcast_shapes(pose.shape[:-2], delta.shape[:-1]), 4, 4))
-    out[..., :3, :3] = rotation
-    out[..., :3, 3] = middle - (rotation @ centre[..., None])[..., 0]
-    out[..., 3, 3] = 1.0
+    if pose.ndim > 2 and pose.shape[:-2] != delta.shape[:-1]:
+        shape = np.broadcast_shapes(pose.shape[:-2], delta.shape[:-1])
+        pose, delta = np.broadcast_to(pose, (*shape, 4, 4)), np.broadcast_to(delta, (*shape, 6))
+    out = np.zeros((*delta.shape[:-1], 4, 4))
+    perturbed(_rows(pose, 4, 4), _rows(delta, 6), _rows(centre), out.reshape(-1, 4, 4))
     return out
 
 
 def difference(pose: Array, reference: Array, centre: ArrayLike) -> Array:
     """The (..., 6) delta with perturb(reference, delta, centre) == pose."""
-    centre = np.asarray(centre, dtype=np.float64)
-    rotation = log_rotation(pose[..., :3, :3] @ np.swapaxes(reference[..., :3, :3], -1, -2))
-    moved = ((pose[..., :3, :3] - reference[..., :3, :3]) @ centre[..., None])[..., 0]
-    return np.concatenate([rotation, moved + pose[..., :3, 3] - reference[..., :3, 3]], axis=-1)
+    from scenes.geometry.pose_kernels import differences
+
+    pose, reference = np.asarray(pose, dtype=np.float64), np.asarray(reference, dtype=np.float64)
+    if reference.ndim > 2 and pose.shape != reference.shape:
+        pose, reference = np.broadcast_arrays(pose, reference)
+    out = np.zeros((*pose.shape[:-2], 6))
+    differences(_rows(pose, 4, 4), _rows(reference, 4, 4), _rows(centre), out.reshape(-1, 6))
+    return out
+
+
+def _rows(values: ArrayLike, *shape: int) -> Array:
+    """(n, *shape) of numbers that lie one after the other, as kernels take them."""
+    return np.ascontiguousarray(values, dtype=np.float64).reshape(-1, *shape)
 
 
 def random_rotations(count: int, rng: np.random.Generator) -> Array:

@@ -48,8 +48,8 @@ def vision(system, pose, unknown):
     jac[:, 3:6] = -g
     jac[:, SCALE] = -np.sum(g * p, axis=1) * system.white[SCALE]
     jac[:, FIXED:] = -np.sum(g * ray, axis=1)[:, None] * problem.seen_basis * system.white[FIXED:]
-    weighted = jac * (system.weight * belongs / sigma**2)[:, None]
-    return 0.5 * float(system.weight @ loss), weighted.T @ distance, weighted.T @ jac
+    weighted = jac * (system.problem.weight * belongs / sigma**2)[:, None]
+    return 0.5 * float(system.problem.weight @ loss), weighted.T @ distance, weighted.T @ jac
 
 
 def touch(system, pose, unknown):

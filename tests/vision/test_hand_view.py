@@ -8,7 +8,7 @@ import pytest
 from scenes.geometry import poses
 from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import Beliefs, CalibrationModel
-from vision.look.hand import camera_from_hand, prior_information, view_hand
+from vision.look.hand import camera_from_hand, prior_information, prior_spread, view_hand
 from vision.look.hand_kernels import pulls
 from vision.look.pixels import read_pixels
 
@@ -74,6 +74,10 @@ def test_an_error_made_at_the_camera_is_larger_at_the_hand():
     twist = rng.normal(size=(20_000, 6)) * ([calibration.rotation_sigma] * 3 + [calibration.translation_sigma] * 3)
     moved = poses.difference(poses.perturb(np.eye(4), twist, np.zeros(3)), np.eye(4), np.array([0.0, 0.0, 0.6]))
     assert np.allclose(np.cov(moved.T), far, atol=0.03 * far.max())
+    spread = prior_spread(calibration, np.array([0.1, -0.2, 0.6]))
+    information = prior_information(calibration, np.array([0.1, -0.2, 0.6]))
+    assert np.array_equal(spread, np.tril(spread))
+    assert np.allclose(spread @ spread.T @ information, np.eye(6), atol=1e-10)
 
 
 @pytest.mark.parametrize("box", [FULL, (200, 100, 480, 300), (0, 0, 5, 5)])

@@ -198,3 +198,30 @@ def test_an_empty_image_neither_sees_nor_contradicts():
     empty = replace(frame, depth=np.zeros_like(frame.depth))
     shares = predictor(empty, model).predict(frame.camera_from_object_truth[None])
     assert shares.agree[0] == shares.past[0] == shares.hidden[0] == 0.0
+
+
+@pytest.mark.parametrize("parts", [0, 3])
+def test_what_pieces_earn_is_what_plain_arrays_say(rng, parts):
+    poses_n, side, step, labels = 4, 6, 3, 5
+    pieces = rng.integers(-1, labels, size=(20, 30))
+    whole = np.concatenate([[0], rng.integers(0, 3, size=labels) + 1]) if parts else np.arange(labels + 1)
+    sizes = rng.uniform(0.0, 4000.0, size=parts)
+    u, v = np.sort(rng.integers(-5, 95, size=(2, poses_n, side)), axis=2)
+    fade, total = rng.random(poses_n * side**2), rng.uniform(5.0, 40.0, size=poses_n)
+    state = rng.integers(0, 4, size=poses_n * side**2).astype(np.uint8)
+    limits = bound, beside, dear, cells = 0.3, 0.15, 0.01, 50.0
+    seen, lost = np.zeros((2, poses_n))
+    predicted_kernels.bound_pieces(pieces, step, whole, sizes, u, v, fade, state, total, limits, seen, lost)
+    row, column = np.clip(v // step, 0, 19), np.clip(u // step, 0, 29)
+    label = (pieces[row[:, :, None], column[:, None, :]] + 1).reshape(poses_n, -1)
+    for n in range(poses_n):
+        rays = slice(n * side**2, (n + 1) * side**2)
+        each = np.bincount(label[n], fade[rays], minlength=labels + 1) / total[n]
+        met = np.bincount(label[n], state[rays] & predicted_kernels.HIT, minlength=labels + 1)
+        sums = np.bincount(whole, each)
+        assert seen[n] == pytest.approx(np.minimum(sums, bound).sum(), abs=1e-12)
+        earned = (each * np.minimum(1.0, bound / np.maximum(sums, 1e-9))[whole])[1 : parts + 1]
+        area = np.ptp(u[n]) * np.ptp(v[n]) / (side - 1) ** 2
+        cell = max(total[n] * area, 1.0) / cells
+        outside = np.maximum((1.0 - beside) * sizes - met[1 : parts + 1] * area, 0.0) / cell
+        assert lost[n] == pytest.approx(np.minimum(dear * outside, earned).sum(), abs=1e-12)

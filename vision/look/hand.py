@@ -87,11 +87,27 @@ def camera_from_hand(frame: Frame) -> Array | None:
 
 def prior_information(calibration: CalibrationModel, centre: Array) -> Array:
     """(6, 6) information about a correction at `centre` (camera frame) from errors made at the camera."""
-    covariance = np.diag([calibration.rotation_sigma**2] * 3 + [calibration.translation_sigma**2] * 3)
+    # (L D L^T)^-1 of the lever L below; it turns back by changing its sign
+    turn, move = calibration.rotation_sigma**-2.0, calibration.translation_sigma**-2.0
+    lever = se3.skew(centre)
+    out = np.zeros((6, 6))
+    out[:3, :3] = turn * np.eye(3) + move * (lever.T @ lever)
+    out[3:, :3] = move * lever
+    out[:3, 3:] = move * lever.T
+    out[3:, 3:] = move * np.eye(3)
+    return out
+
+
+def prior_spread(calibration: CalibrationModel, centre: Array) -> Array:
+    """(6, 6) lower triangular: turns a vector of unit normal numbers into a correction at `centre` (camera frame) from
+    errors made at the camera; times its transpose it is the inverse of `prior_information`.
+    """
+    out = np.zeros((6, 6))
+    out[:3, :3] = calibration.rotation_sigma * np.eye(3)
     # a turn about the camera moves the centre by turn x centre
-    lever = np.eye(6)
-    lever[3:, :3] = -se3.skew(centre)
-    return np.asarray(np.linalg.inv(lever @ covariance @ lever.T), dtype=np.float64)
+    out[3:, :3] = -calibration.rotation_sigma * se3.skew(centre)
+    out[3:, 3:] = calibration.translation_sigma * np.eye(3)
+    return out
 
 
 def view_hand(

@@ -12,6 +12,7 @@ import math
 import numba
 import numpy as np
 
+from scenes._numba import FUSED
 from scenes.evidence.kernels import cost_terms
 from scenes.evidence.prior_kernels import prior_terms
 from scenes.evidence.row_kernels import robust
@@ -23,7 +24,7 @@ from scenes.geometry.rotation_kernels import exp_times
 LEAST_WEIGHT = 1e-9
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, fastmath=FUSED)
 def vision_rows(
     lattice,
     rows,

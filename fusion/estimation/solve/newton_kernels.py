@@ -12,6 +12,7 @@ import numba
 import numpy as np
 
 from fusion.estimation.solve.kernels import prior_row, touch_rows, vision_rows
+from scenes._numba import FUSED
 from scenes.geometry.rotation_kernels import exp_times
 
 # Unknowns before the scale: pose and calibration; what pixels tell of the pose, and of pose and scale.
@@ -53,7 +54,7 @@ def solved(u, n, x):
         x[i] = total / u[i, i]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, fastmath=FUSED)
 def add_products(design, information, residuals, count, normal, gradient):
     """Add design^T diag(information) design to the lower triangle of normal, and its product with residuals to
     gradient, over the first `count` rows.

@@ -14,7 +14,7 @@ from fusion.estimation.solve.depth_bias import DepthBias
 from fusion.estimation.solve.settings import JointSettings
 from scenes.evidence import row_kernels
 from scenes.evidence.align import Prior, lattice_of, prior_of
-from scenes.evidence.table import FACING, GATE_ABOVE, SIGMA, Evidence
+from scenes.evidence.table import FACING, GATE_ABOVE, SIGMA, WEIGHT, Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
@@ -85,6 +85,10 @@ class JointProblem:
         if self.camera is not None:
             independent = depth.independent_sigma(rows[:, 2])
             self.sigma = np.where(self.on, np.hypot(independent, self.beliefs.mesh_sigma), self.sigma)
+        # a cloud keeps the weights of its rows
+        self.weight = rows[:, WEIGHT].copy()
+        if self.camera is not None:
+            self.weight[self.on] = self.settings.pixel_weight
         self._lay_hand(hand_points)
         count = len(rows)
         self.lattice = lattice_of(self.model)

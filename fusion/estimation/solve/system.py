@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from fusion.estimation.solve import newton_kernels as kernels
 from fusion.estimation.solve.kernels import prior_row
 from fusion.estimation.solve.problem import JointProblem
-from scenes.evidence.table import FACING, NORMAL, WEIGHT
+from scenes.evidence.table import FACING, NORMAL
 from scenes.geometry import poses as se3
-from vision.look.hand import prior_information
+from vision.look.hand import prior_spread
 
 Array = NDArray[np.float64]
 
@@ -31,18 +31,14 @@ class System:
         """
         self.problem = problem
         self.size = FIXED + len(problem.bias)
-        # a cloud keeps the weights of its rows
-        rows, weight = problem.seen.rows, problem.settings.pixel_weight
-        self.weight = np.where(problem.on, weight, rows[:, WEIGHT]) if problem.camera is not None else rows[:, WEIGHT]
-        self.weight = np.ascontiguousarray(self.weight)
         middle = pose[:3, :3] @ problem.model.centroid + pose[:3, 3]
         self.centre = problem.hand.centre if problem.hand is not None else middle
         # whitening: unknown = scale * whitened, prior of the whitened is the identity
         self.white = np.ones(self.size)
         # a cloud has no camera to turn about: the calibration is wrong where the hand is
         lever = self.centre if problem.camera is not None else np.zeros(3)
-        covariance_xi = np.linalg.inv(prior_information(problem.beliefs.calibration, lever)) * level**2
-        self.white_xi = np.linalg.cholesky(covariance_xi) if problem.has_robot else 1e-9 * np.eye(6)
+        spread = prior_spread(problem.beliefs.calibration, lever)
+        self.white_xi = level * spread if problem.has_robot else 1e-9 * np.eye(6)
         told = len(problem.seen) and problem.camera is not None
         self.white[SCALE] = level * problem.beliefs.depth.scale_sigma if told else 1e-9
         self.white[FIXED:] = level * problem.beliefs.depth.bias_sigma
@@ -53,8 +49,9 @@ class System:
         self.normals: Array
         self.slope: Array
         self.normals, self.slope = self._facing(pose) if facing is None else (facing.normals, facing.slope)
-        # where `terms` last was: what the vision rows cost, and how many count
+        # where `terms` last was: what the vision rows cost, how many count, and what blocks of the image are off by
         self.seen_cost, self._used = 0.0, 0
+        self._off: tuple[Array, Array] | None = None
 
     def start(self) -> Array:
         """The unknowns (size,) as first guessed: the calibration as the hand is seen."""
@@ -68,7 +65,7 @@ class System:
         """The system as the kernels take it: see newton_kernels.terms."""
         p, nothing = self.problem, (0.0, np.zeros(0), np.zeros((0, 0)))
         scene = p.lattice, p.prior_parts, p.no_prior, p.settings.least_cosine, p.camera is not None, p.settings.bend
-        rows = p.seen.rows, p.floors, p.is_pixel, p.sigma, self.weight, self.normals, self.slope
+        rows = p.seen.rows, p.floors, p.is_pixel, p.sigma, p.weight, self.normals, self.slope
         touch = p.felt_rows, self.white_xi, self.centre
         hand = nothing if self._hand_white is None else self._hand_white
         return scene, (*rows, self.seen_white, float(self.white[SCALE])), touch, hand, p.room
@@ -83,6 +80,7 @@ class System:
         cost, self.seen_cost, self._used = kernels.terms(  # type: ignore[call-arg]
             *self._arguments, *self._place(pose), unknown, normal, gradient
         )
+        self._off = None
         return cost, gradient, normal
 
     def descend(self, pose: Array, unknown: Array, free: int) -> tuple[Array, Array, float, Array, float]:
@@ -172,6 +170,12 @@ class System:
         """How far (b,) m blocks of the image are off on average, where `terms` last was, and their weights (b,) 1/m^2;
         none where no pixel tells.
         """
+        if self._off is None:
+            self._off = self._blocks_off()
+        return self._off
+
+    def _blocks_off(self) -> tuple[Array, Array]:
+        """`_block_means`, worked out."""
         problem, k = self.problem, self._used
         nothing = np.zeros(0), np.zeros(0)
         if problem.camera is None or not k:

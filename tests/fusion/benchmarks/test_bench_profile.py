@@ -17,15 +17,22 @@ def test_stages_and_icp_of_one_frame(monkeypatch):
     for table in report.tables:
         times = {row[0]: row[-1] for row in table.rows}
         assert {"look", "solve together", "judge", profile.BETWEEN} <= set(times)
-        whole, others = times.pop(profile.WHOLE), ("ICP", "of ICP")
+        whole, others = times.pop(profile.WHOLE), ("ICP", "of ICP", profile.BY_CLOCK)
         assert whole == pytest.approx(sum(ms for name, ms in times.items() if name not in others))
         assert times["ICP"] > 0
+        assert times[profile.BY_CLOCK] > 0
     assert {claim.target for claim in report.claims} == {25.0, 15.0, 0.5}
 
 
-def test_the_quickest_run_counts():
-    runs = iter([1, 2, 3, 4])
-    spent, wall, result = profile._quickest(lambda: sum(range(100_000 * (5 - next(runs)))))
-    assert result == sum(range(100_000))
-    assert spent > 0
-    assert wall > 0
+def test_the_quickest_run_of_each_counts_and_they_take_turns():
+    done = []
+
+    def work(name, times):
+        done.append(name)
+        return sum(range(100_000 * next(times)))
+
+    slow, quick = iter([4, 3, 2, 1]), iter([1, 1, 1, 1])
+    found = profile._quickest([lambda: work("slow", slow), lambda: work("quick", quick)])
+    assert found[0][2] in [sum(range(100_000 * k)) for k in (1, 2, 3)]
+    assert done == ["slow", "quick"] * 4
+    assert all(spent > 0 and clock > 0 for spent, clock, _ in found)

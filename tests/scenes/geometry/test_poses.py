@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pytransform3d.batch_rotations import matrices_from_quaternions
 
 from scenes.errors import InputError
-from scenes.geometry import poses
+from scenes.geometry import pose_kernels, poses
 
 unit = st.floats(-1.0, 1.0, allow_nan=False)
 vectors = st.tuples(unit, unit, unit).map(np.array)
@@ -232,3 +232,38 @@ def test_what_rounding_bent_is_straightened(seed):
     found = poses.straightened(bent)
     assert np.abs(np.swapaxes(found, 1, 2) @ found - np.eye(3)).max() < 1e-14
     np.testing.assert_allclose(found, poses.project_to_rotation(bent), atol=1e-14)
+
+
+@pytest.mark.parametrize("shapes", [((), ()), ((), (5,)), ((5,), (5,)), ((4, 1), (4, 3)), ((3,), ()), ((0,), (0,))])
+def test_many_poses_move_and_differ_as_plain_arrays_have_it(shapes):
+    rng = np.random.default_rng(3)
+    held, moved = shapes
+    pose = poses.exp(rng.normal(size=(*held, 6)))
+    delta, centre = rng.normal(size=(*moved, 6)), rng.normal(size=3)
+    found = poses.perturb(pose, delta, centre)
+    rotation = poses.exp_rotation(delta[..., :3]) @ pose[..., :3, :3]
+    middle = pose[..., :3, :3] @ centre + pose[..., :3, 3] + delta[..., 3:]
+    assert found.shape == (*np.broadcast_shapes(held, moved), 4, 4)
+    assert np.allclose(found[..., :3, :3], rotation, atol=1e-14)
+    assert np.allclose(found[..., :3, 3], middle - rotation @ centre, atol=1e-13)
+    assert (found[..., 3, :] == [0.0, 0.0, 0.0, 1.0]).all()
+    back = poses.difference(found, pose, centre)
+    turned = poses.log_rotation(rotation @ np.swapaxes(pose[..., :3, :3], -1, -2))
+    assert np.allclose(back[..., :3], turned, atol=1e-12)
+    assert np.allclose(back[..., 3:], np.broadcast_to(delta[..., 3:], back[..., 3:].shape), atol=1e-13)
+
+
+def test_poses_taken_apart_and_put_together_for_kernels():
+    rng = np.random.default_rng(4)
+    stack, centroid = poses.exp(rng.normal(size=(6, 6))), rng.normal(size=3)
+    rotations, middles, out = np.zeros((6, 3, 3)), np.zeros((6, 3)), np.zeros((6, 4, 4))
+    assert pose_kernels.split(stack, centroid, rotations, middles)
+    assert np.array_equal(rotations, stack[:, :3, :3])
+    assert np.allclose(middles, poses.apply(stack, centroid[None])[:, 0], atol=1e-14)
+    pose_kernels.joined(rotations + 1e-9, middles, centroid, out)
+    straight = poses.straightened(rotations + 1e-9)
+    assert np.allclose(out[:, :3, :3], straight, atol=1e-15)
+    assert np.allclose(out[:, :3, 3], middles - straight @ centroid, atol=1e-14)
+    assert np.array_equal(out[:, 3], np.tile([0.0, 0.0, 0.0, 1.0], (6, 1)))
+    stack[3, 1, 2] = np.nan
+    assert not pose_kernels.split(stack, centroid, rotations, middles)
