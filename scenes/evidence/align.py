@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scenes.errors import InputError
 from scenes.evidence import kernels, solver_kernels
 from scenes.evidence.table import COLUMNS, Evidence
-from scenes.geometry import pose_kernels
+from scenes.geometry import rotation_kernels
 from scenes.geometry.objects import ObjectModel
 from scenes.threads import run_chunks
 
@@ -88,7 +88,7 @@ class Alignment:
 def _split(model: ObjectModel, poses: Array) -> tuple[Array, Array]:
     poses = np.ascontiguousarray(poses, dtype=np.float64).reshape(-1, 4, 4)
     rotations, middles = np.zeros((len(poses), 3, 3)), np.zeros((len(poses), 3))
-    if not pose_kernels.split(poses, model.centroid, rotations, middles):
+    if not rotation_kernels.split(poses, model.centroid, rotations, middles):
         raise InputError("alignment: expected finite poses")
     return rotations, middles
 
@@ -157,7 +157,7 @@ def align(
 
     run_chunks(work, count, smallest=max(1, 4000 // (len(evidence) * settings.iterations + 1)))
     poses = np.zeros((count, 4, 4))
-    pose_kernels.joined(rotations, middles, model.centroid, poses)
+    rotation_kernels.joined(rotations, middles, model.centroid, poses)
     return Alignment(poses, out_costs, hessians, used)
 
 

@@ -274,7 +274,7 @@ def perturb(pose: Array, delta: ArrayLike, centre: ArrayLike) -> Array:
     pose (..., 4, 4) target_from_object, delta (..., 6): rotation vector and displacement of the
     centre, both in target axes. Inverse of `difference`.
     """
-    from scenes.geometry.pose_kernels import perturbed
+    from scenes.geometry.rotation_kernels import perturbed
 
     pose, delta = np.asarray(pose, dtype=np.float64), np.asarray(delta, dtype=np.float64)
     if pose.ndim > 2 and pose.shape[:-2] != delta.shape[:-1]:
@@ -287,7 +287,7 @@ def perturb(pose: Array, delta: ArrayLike, centre: ArrayLike) -> Array:
 
 def difference(pose: Array, reference: Array, centre: ArrayLike) -> Array:
     """The (..., 6) delta with perturb(reference, delta, centre) == pose."""
-    from scenes.geometry.pose_kernels import differences
+    from scenes.geometry.rotation_kernels import differences
 
     pose, reference = np.asarray(pose, dtype=np.float64), np.asarray(reference, dtype=np.float64)
     if reference.ndim > 2 and pose.shape != reference.shape:

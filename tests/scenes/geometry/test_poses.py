@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pytransform3d.batch_rotations import matrices_from_quaternions
 
 from scenes.errors import InputError
-from scenes.geometry import pose_kernels, poses
+from scenes.geometry import poses, rotation_kernels
 
 unit = st.floats(-1.0, 1.0, allow_nan=False)
 vectors = st.tuples(unit, unit, unit).map(np.array)
@@ -257,13 +257,13 @@ def test_poses_taken_apart_and_put_together_for_kernels():
     rng = np.random.default_rng(4)
     stack, centroid = poses.exp(rng.normal(size=(6, 6))), rng.normal(size=3)
     rotations, middles, out = np.zeros((6, 3, 3)), np.zeros((6, 3)), np.zeros((6, 4, 4))
-    assert pose_kernels.split(stack, centroid, rotations, middles)
+    assert rotation_kernels.split(stack, centroid, rotations, middles)
     assert np.array_equal(rotations, stack[:, :3, :3])
     assert np.allclose(middles, poses.apply(stack, centroid[None])[:, 0], atol=1e-14)
-    pose_kernels.joined(rotations + 1e-9, middles, centroid, out)
+    rotation_kernels.joined(rotations + 1e-9, middles, centroid, out)
     straight = poses.straightened(rotations + 1e-9)
     assert np.allclose(out[:, :3, :3], straight, atol=1e-15)
     assert np.allclose(out[:, :3, 3], middles - straight @ centroid, atol=1e-14)
     assert np.array_equal(out[:, 3], np.tile([0.0, 0.0, 0.0, 1.0], (6, 1)))
     stack[3, 1, 2] = np.nan
-    assert not pose_kernels.split(stack, centroid, rotations, middles)
+    assert not rotation_kernels.split(stack, centroid, rotations, middles)
