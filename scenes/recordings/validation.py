@@ -26,6 +26,9 @@ Array = NDArray[np.float64]
 # Sizes or distances that disagree by more than this were written in different units (the closest confusion is m and
 # cm, a factor of 10; a half-hidden view or a rough start explains a factor of 2).
 SUSPICIOUS_RATIO = 5.0
+# Of the readings about an object this share shows it or what hides it, however thin it is; the others may be of a wall
+# far behind (of the ball around a pipe a twentieth is pipe).
+SHOWN = 0.02
 # What hides an object is not this many times nearer to the lens; a unit mistaken makes 100 or 1000 of it.
 NEAREST_RATIO = 50.0
 # A cloud may show the whole scene: only a size that no table-top has is suspicious then.
@@ -146,8 +149,8 @@ def scale_problem(frame: Frame, model: ObjectModel) -> str | None:
     """What makes one suspect a wrong unit in this frame, with both sizes; None when all agree.
 
     Compared with the image: the focal lengths. With the hand's limits: the joints. With the object's diameter: the
-    extents of the contacts and of the cloud. With the poses known from ground truth and prior: the depths around the
-    object's projection and the contacts' distance from it.
+    extents of most contacts and of the cloud. With the poses known from ground truth and prior: the nearest depths
+    around the object's projection and the contacts' distance from it.
     """
     camera = frame.camera
     if camera is not None and frame.depth is not None:
@@ -162,7 +165,8 @@ def scale_problem(frame: Frame, model: ObjectModel) -> str | None:
     diameter = model.diameter
     points = frame.contacts.points
     if len(points) > 1:
-        extent = _extent(points)
+        # of most: a fingertip that reports nonsense is one contact that is false, a unit mistaken moves them all
+        extent = 2.0 * float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
         if extent > SUSPICIOUS_RATIO * diameter:
             return _says("contacts spread over", extent, "an object of", diameter)
     if frame.cloud is not None and len(frame.cloud) > 1:
@@ -197,11 +201,16 @@ def _pose_problem(frame: Frame, pose: Array, model: ObjectModel, source: str) ->
         away = float(np.linalg.norm(felt - centre, axis=1).min())
         if away > SUSPICIOUS_RATIO * diameter:
             return _says("contacts no nearer than", away, f"the centre, by the {source}, of an object of", diameter)
-    seen = _depth_at(frame, centre, diameter)
-    # what is seen may be something near the lens that hides the object, but not something far behind it
-    if seen is not None and (seen / centre[2] > SUSPICIOUS_RATIO or centre[2] / seen > NEAREST_RATIO):
-        hint = "are depth_scale and the pose's unit right?"
-        return _says("depth readings about", seen, f"an object, by the {source}, at", float(centre[2]), hint)
+    seen = _depths_at(frame, centre, diameter)
+    if seen is None:
+        return None
+    # most may be something near the lens that hides the object, or a wall behind it, but not all are far behind it
+    nearest, middle = seen
+    hint, other = "are depth_scale and the pose's unit right?", f"an object, by the {source}, at"
+    if nearest / centre[2] > SUSPICIOUS_RATIO:
+        return _says("depth readings no nearer than", nearest, other, float(centre[2]), hint)
+    if centre[2] / middle > NEAREST_RATIO:
+        return _says("depth readings about", middle, other, float(centre[2]), hint)
     return None
 
 
@@ -225,8 +234,10 @@ def _extent(points: Array) -> float:
     return float(np.linalg.norm(high - low))
 
 
-def _depth_at(frame: Frame, centre: Array, diameter: float) -> float | None:
-    """Median depth (m) of the pixels about the object's centre; None without enough of them."""
+def _depths_at(frame: Frame, centre: Array, diameter: float) -> tuple[float, float] | None:
+    """Of the pixels about the object's centre: the depth (m) that a few are nearer than, and the median; None without
+    enough of them.
+    """
     if frame.depth is None or frame.camera is None or centre[2] <= 0:
         return None
     (u, v), reach = frame.camera.project(centre[None])[0][0], 0.5 * diameter * frame.camera.fx / centre[2]
@@ -237,4 +248,7 @@ def _depth_at(frame: Frame, centre: Array, diameter: float) -> float | None:
     step = int(np.sqrt(max(rows.stop - rows.start, 0) * max(columns.stop - columns.start, 0) / MOST_READINGS)) + 1
     patch = frame.depth[rows, columns][::step, ::step]
     patch = patch[np.isfinite(patch) & (patch > 0)]
-    return float(np.median(patch)) if len(patch) >= FEWEST_POINTS else None
+    if len(patch) < FEWEST_POINTS:
+        return None
+    nearest, middle = np.quantile(patch, (SHOWN, 0.5))
+    return float(nearest), float(middle)

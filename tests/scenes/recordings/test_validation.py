@@ -37,7 +37,7 @@ def test_wrong_units_are_suspected():
     assert scale_problem(few, model) is None
     assert "mm read as m?" in (scale_problem(replace(few, cloud=few.cloud * 1e3), model) or "")
     deep = replace(frame, depth=frame.depth * 1e3)
-    assert "depth readings about" in (scale_problem(deep, model) or "")
+    assert "depth readings no nearer than" in (scale_problem(deep, model) or "")
     assert "is" not in (scale_problem(replace(frame, prior=frame.camera_from_object_truth), model) or "")
     far = frame.camera_from_object_truth.copy()
     far[:3, 3] *= 1e3
@@ -88,3 +88,23 @@ def test_something_near_the_lens_is_no_wrong_unit():
     assert scale_problem(frame, model) is None
     assert scale_problem(replace(frame, depth=np.full((48, 64), 0.09e-2, np.float32)), model) is not None
     assert scale_problem(replace(frame, depth=np.full((48, 64), 9.0, np.float32)), model) is not None
+
+
+def test_a_wall_far_behind_something_thin_is_no_wrong_unit():
+    """Of the pixels about a pipe most show the wall; only where none is near has the depth another unit."""
+    model = make("drill")
+    pose = poses.make_pose(translation=[0.0, 0.0, 0.4])
+    camera = Camera(80.0, 82.0, 31.5, 23.5, 64, 48)
+    depth = np.full((48, 64), 2.5, np.float32)
+    assert scale_problem(Frame(0, camera=camera, depth=depth, prior=pose), model) is not None
+    depth[:, 30:33] = 0.39
+    frame = Frame(0, camera=camera, depth=depth, prior=pose)
+    assert scale_problem(frame, model) is None
+    assert "no nearer than 3.9 m" in (scale_problem(replace(frame, depth=10 * depth), model) or "")
+
+
+def test_one_contact_of_nonsense_is_no_wrong_unit():
+    model = make("box")
+    points = np.array([[0.0, 0.0, 0.5], [0.03, 0.0, 0.5], [0.0, 0.04, 0.52], [0.0, 0.0, 0.0], [9.0, 9.0, 9.0]])
+    assert scale_problem(Frame(0, contacts=Contacts(points)), model) is None
+    assert "mm read as m?" in (scale_problem(Frame(0, contacts=Contacts(1e3 * points)), model) or "")
