@@ -21,16 +21,68 @@ _TINY = 1e-300
 
 
 @numba.njit(cache=True, nogil=True)
+def _sort_run(order, low, high, keys, turned, places):  # type: ignore[no-untyped-def]
+    """Stable merge sort of order[low:high] by keys (m,), which go with it, both in place; turned, places (m,): room.
+
+    NumPy's argsort and the slices that it needs take numba ten times as long to compile.
+    """
+    length = 1
+    while length < high - low:
+        for left in range(low, high, 2 * length):
+            middle, end = min(left + length, high), min(left + 2 * length, high)
+            i, j = left, middle
+            for k in range(left, end):
+                if i < middle and (j >= end or keys[i] <= keys[j]):
+                    turned[k], places[k] = keys[i], order[i]
+                    i += 1
+                else:
+                    turned[k], places[k] = keys[j], order[j]
+                    j += 1
+        for k in range(low, high):
+            keys[k], order[k] = turned[k], places[k]
+        length *= 2
+
+
+@numba.njit(cache=True, nogil=True)
+def _longest(order, low, high, of, centres):  # type: ignore[no-untyped-def]
+    """The axis along which centres (m, 3) of order[low:high] are farthest apart; of (m,): whose centre each has."""
+    longest, along = -1.0, 0
+    for d in range(3):
+        least = most = centres[of[order[low]], d]
+        for k in range(low + 1, high):
+            value = centres[of[order[k]], d]
+            least, most = min(least, value), max(most, value)
+        if most - least > longest:
+            longest, along = most - least, d
+    return along
+
+
+@numba.njit(cache=True, nogil=True)
+def _parted(order, low, high, group):  # type: ignore[no-untyped-def]
+    """The place nearest to the middle of low and high at which a run of a group ends."""
+    middle = (low + high) // 2
+    for away in range(high - low):
+        after, before = middle + away, middle - away
+        if low < after < high and group[order[after - 1]] != group[order[after]]:
+            return after
+        if low < before < high and group[order[before - 1]] != group[order[before]]:
+            return before
+    return middle
+
+
+@numba.njit(cache=True, nogil=True)
 def plan(centres, group, group_centres, leaf, order, right, start, count):  # type: ignore[no-untyped-def]
     """Sort order (m,) of triangles with centres (m, 3), in groups (m,) with centres (g, 3) each of which is one run of
     them, into leaves of at most `leaf`, groups parted first. Fills right, start, count (2 m,); returns how many nodes.
     """
     waiting = np.zeros((DEEPEST, 3), dtype=np.int64)
     waiting[0, 0], waiting[0, 1], waiting[0, 2] = 0, len(order), -1
+    keys, turned, places = np.zeros(len(order)), np.zeros(len(order)), np.zeros(len(order), dtype=np.int64)
+    own = np.arange(len(order))
     depth, nodes = 1, 0
     while depth:
         depth -= 1
-        low, high, parent = waiting[depth]
+        low, high, parent = waiting[depth, 0], waiting[depth, 1], waiting[depth, 2]
         node = nodes
         nodes += 1
         if parent >= 0:
@@ -40,27 +92,14 @@ def plan(centres, group, group_centres, leaf, order, right, start, count):  # ty
         if high - low <= leaf and not several:
             count[node] = high - low
             continue
-        own = np.zeros((high - low, 3))
-        for i in range(high - low):
-            own[i] = group_centres[group[order[low + i]]] if several else centres[order[low + i]]
-        longest, along = -1.0, 0
-        for d in range(3):
-            extent = own[:, d].max() - own[:, d].min()
-            if extent > longest:
-                longest, along = extent, d
+        of = group if several else own
+        middles = group_centres if several else centres
+        along = _longest(order, low, high, of, middles)
+        for k in range(low, high):
+            keys[k] = middles[of[order[k]], along]
         # stable, so that groups beside each other stay one run each
-        turn = np.argsort(own[:, along], kind="mergesort")
-        order[low:high] = order[low:high][turn]
-        middle = (low + high) // 2
-        if several:
-            for away in range(high - low):
-                after, before = middle + away, middle - away
-                if low < after < high and group[order[after - 1]] != group[order[after]]:
-                    middle = after
-                    break
-                if low < before < high and group[order[before - 1]] != group[order[before]]:
-                    middle = before
-                    break
+        _sort_run(order, low, high, keys, turned, places)
+        middle = _parted(order, low, high, group) if several else (low + high) // 2
         waiting[depth, 0], waiting[depth, 1], waiting[depth, 2] = middle, high, node
         waiting[depth + 1, 0], waiting[depth + 1, 1], waiting[depth + 1, 2] = low, middle, -1
         depth += 2

@@ -7,7 +7,8 @@ from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.geometry.rendering import region_rays
 from scenes.geometry.surface import Surface
-from scenes.robot.posed import PosedHand
+from scenes.robot import posed_kernels as kernels
+from scenes.robot.posed import LEAF, PosedHand
 
 CAMERA = Camera(600.0, 610.0, 321.3, 238.7, 640, 480)
 
@@ -99,3 +100,32 @@ def test_the_gap_is_that_of_the_nearest_point(both, rng):
     for some in (points, points[:1], points[7:9]):
         np.testing.assert_allclose(hand.gap(some), np.abs(surface.closest(some)[0]).min(), atol=2e-7)
     assert hand.gap(points[:0]) == np.inf
+
+
+def test_a_run_is_sorted_like_numpys_stable_argsort():
+    rng = np.random.default_rng(5)
+    for count in (1, 2, 3, 7, 64, 501):
+        low, high = sorted(rng.integers(0, count + 1, 2))
+        keys, order = rng.integers(0, 9, count).astype(np.float64), rng.permutation(count)
+        expected_keys, expected = keys.copy(), order.copy()
+        turn = np.argsort(keys[low:high], kind="stable")
+        expected_keys[low:high], expected[low:high] = keys[low:high][turn], order[low:high][turn]
+        kernels._sort_run(order, low, high, keys, np.zeros(count), np.zeros(count, dtype=np.int64))
+        np.testing.assert_array_equal(order, expected)
+        np.testing.assert_array_equal(keys, expected_keys)
+
+
+def test_a_plan_parts_links_first_and_holds_every_triangle_once():
+    rng = np.random.default_rng(6)
+    group = np.sort(rng.integers(0, 6, 200))
+    centres, middles = rng.normal(size=(200, 3)), rng.normal(size=(6, 3))
+    order, right, start, count = np.arange(200), *np.zeros((3, 400), dtype=np.int64)
+    nodes = kernels.plan(centres, group, middles, LEAF, order, right, start, count)
+    assert sorted(order) == list(range(200))
+    leaves = [(start[node], count[node]) for node in range(nodes) if count[node]]
+    assert sum(many for _, many in leaves) == 200
+    assert max(many for _, many in leaves) <= LEAF
+    for first, many in leaves:
+        assert len(set(group[order[first : first + many]])) == 1
+    runs = 1 + int((np.diff(group[order]) != 0).sum())
+    assert runs == len(set(group))
