@@ -271,22 +271,6 @@ def pose_lines(pose: Any) -> list[str]:
     return [f"position {place} mm, rotation vector {turn} °", f"[[{rows}]]"]
 
 
-def announce_compiling() -> None:
-    """On a machine's first run, say what the next half minute is spent on (standard error, so results stay clean)."""
-    if not kernels_compiled()[0] and not _QUIET:
-        sys.stderr.write("compiling the kernels, once on this machine: some 20 s\n")
-        sys.stderr.flush()
-
-
-def kernels_compiled() -> tuple[bool, Path]:
-    """Whether an earlier run compiled the kernels, and the folder where they are kept."""
-    from scenes.evidence.solver_kernels import align_poses
-
-    # numba keeps an index beside the module, or in the user's cache folder when it may not write there
-    folder = Path(align_poses._cache.cache_path)  # type: ignore[attr-defined]
-    return any(folder.glob("solver_kernels.align_poses-*.nbi")), folder
-
-
 # Whether -q was given: files and exit codes only.
 _QUIET = False
 

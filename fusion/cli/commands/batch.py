@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fusion.cli.compiling import announce_compiling
 from fusion.cli.config import add_config, estimate_settings, told
 from fusion.cli.options import (
     add_beliefs,
@@ -14,7 +15,6 @@ from fusion.cli.options import (
     add_prior,
     add_sure,
     add_trust,
-    announce_compiling,
     names,
     number,
     out_folder,

@@ -6,13 +6,13 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fusion.cli.compiling import announce_compiling
 from fusion.cli.config import add_config, estimate_settings, told
 from fusion.cli.options import (
     add_beliefs,
     add_object,
     add_prior,
     add_trust,
-    announce_compiling,
     check_target,
     names,
     number,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.cli.options import announce_compiling, check_folder, say, write_json
+from fusion.cli.compiling import announce_compiling
+from fusion.cli.options import check_folder, say, write_json
 
 OBJECT = "drill"
 OCCLUSION = 0.8

@@ -8,7 +8,8 @@ import platform
 import sys
 from collections.abc import Callable
 
-from fusion.cli.options import kernels_compiled, say, write_json
+from fusion.cli.compiling import TAKES, kernels_compiled
+from fusion.cli.options import say, write_json
 from scenes.words import counted
 
 GOOD, NOTE, BAD = "good", "note", "BAD "
@@ -127,6 +128,6 @@ def _threads() -> list[Row]:
 def _kernels() -> list[Row]:
     def look() -> str:
         compiled, folder = kernels_compiled()
-        return f"compiled, in {folder}" if compiled else f"the first run compiles them, some 20 s, into {folder}"
+        return f"compiled, in {folder}" if compiled else f"the first run compiles them, {TAKES}, into {folder}"
 
     return [_attempt("compiled kernels", look)]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 
+from fusion.cli.compiling import announce_compiling
 from fusion.cli.config import add_config, estimate_settings, told
 from fusion.cli.options import (
     add_beliefs,
     add_run,
     add_sure,
-    announce_compiling,
     length_and_angle,
     number,
     out_folder,

@@ -6,11 +6,11 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fusion.cli.compiling import announce_compiling
 from fusion.cli.options import (
     add_object,
     add_prior,
     add_trust,
-    announce_compiling,
     names,
     non_negative,
     number,

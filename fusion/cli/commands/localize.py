@@ -6,11 +6,11 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fusion.cli.compiling import announce_compiling
 from fusion.cli.options import (
     add_beliefs,
     add_object,
     add_trust,
-    announce_compiling,
     beliefs_told,
     number,
     pose_lines,

@@ -12,12 +12,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from fusion.cli.compiling import announce_compiling
 from fusion.cli.config import add_config, read_config, told
 from fusion.cli.options import (
     add_beliefs,
     add_run,
     add_sure,
-    announce_compiling,
     is_quiet,
     non_negative,
     number,
