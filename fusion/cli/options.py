@@ -11,7 +11,7 @@ import json
 import logging
 import math
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -29,6 +29,9 @@ T = TypeVar("T")
 
 # Output that is not a terminal has no width; tables must not be cut there.
 PIPE_WIDTH = 200
+
+# Frames left out that are named, each with the reason.
+MOST_LEFT_OUT = 5
 
 # Each has a logger of its name.
 PACKAGES = ("scenes", "vision", "touch", "fusion")
@@ -253,6 +256,14 @@ def warn(text: str) -> None:
         sys.stderr.flush()
 
 
+def warn_of(left_out: Mapping[int, str]) -> None:
+    """Say which frames could not be used, and why; of many the first few."""
+    for why in list(left_out.values())[:MOST_LEFT_OUT]:
+        warn(f"left out: {why}")
+    if len(left_out) > MOST_LEFT_OUT:
+        warn(f"left out: {len(left_out) - MOST_LEFT_OUT} more frames")
+
+
 def is_quiet() -> bool:
     """Whether -q was given."""
     return _QUIET
@@ -375,8 +386,11 @@ def out_folder(args: argparse.Namespace, name: str) -> Path:
     return check_folder(args.out or Path("out") / name)
 
 
-def write_run(args, capture, model, frames, answers, errors) -> str:  # type: ignore[no-untyped-def]  # heavy imports
-    """Write poses.csv, result.json, report.html and --json of a run with the arguments of `add_run`; says what."""
+def write_run(args, capture, model, frames, answers, errors, left_out) -> str:  # type: ignore[no-untyped-def]  # heavy imports
+    """Write poses.csv, result.json, report.html and --json of a run with the arguments of `add_run`; says what.
+
+    left_out: why, of each frame that could not be used, by its number.
+    """
     from fusion.advice.next_touch import next_touches
     from fusion.results.files import result_json, write_results
 
@@ -384,6 +398,8 @@ def write_run(args, capture, model, frames, answers, errors) -> str:  # type: ig
     touches = [next_touches(model, answer, frame) for frame, answer in zip(frames, answers)]
     content = result_json(capture.name, model, answers, errors, touches)
     content["capture_path"] = str(capture.path.resolve())  # grasp and view read the recording again
+    if left_out:
+        content["left_out"] = [{"frame": number, "why": why} for number, why in left_out.items()]
     write_results(out, capture, answers, content)
     if not args.no_report:
         from fusion.results.report.page import write_report

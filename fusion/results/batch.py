@@ -135,7 +135,8 @@ def run_capture(job: Job) -> list[Row]:
     model = load_object(job.object, job.unit) if job.object else capture.model
     prepare, judge = frame_setter(job.prior, job.seed, job.told), Judge.of(model)
     frames, answers, errors = [], [], []
-    for frame, answer in estimates(capture, model, prepare, job.use, job.seed, settings=job.settings):
+    numbers = capture.frame_ids
+    for frame, answer in estimates(capture, numbers, model, prepare, job.use, job.seed, settings=job.settings):
         frames.append(frame)
         answers.append(answer)
         errors.append(frame_errors(judge, frame, answer))

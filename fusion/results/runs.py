@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from fusion.estimation.answer import Estimate
     from fusion.estimation.settings import EstimateSettings
     from scenes.geometry.objects import ObjectModel
+    from scenes.recordings.captures import Capture
     from scenes.recordings.frames import Frame
     from scenes.recordings.telling import Told
 
@@ -125,7 +126,8 @@ def _truth_plus(text: str, seed: int) -> Callable[[Frame, ObjectModel], Frame]:
 
 
 def estimates(
-    recorded: Iterable[Frame],
+    capture: Capture,
+    numbers: Iterable[int],
     model: ObjectModel,
     prepare: Callable[[Frame, ObjectModel], Frame],
     use: tuple[str, ...],
@@ -133,25 +135,38 @@ def estimates(
     tolerance: tuple[float, float] | None = None,
     budget_ms: float | None = None,
     settings: EstimateSettings | None = None,
+    leave_out: Callable[[int, str], None] | None = None,
 ) -> Iterator[tuple[Frame, Estimate]]:
-    """Each frame as `prepare` has it, and its answer. The first is estimated twice: that loads the compiled kernels,
-    and a frame's time should tell of the frame. Raises CaptureError for a frame that no estimate should be made of.
+    """Each of the capture's frames of these numbers as `prepare` has it, and its answer. The first is estimated twice:
+    that loads the compiled kernels, and a frame's time should tell of the frame.
+
+    leave_out: is told of a frame that no estimate should be made of, by number and why, and the others are answered.
+    Raises CaptureError for the first such frame without it, and where it was told of all of them.
     """
     from fusion.estimation.estimate import estimate
-    from scenes.recordings.validation import check_usable
+    from scenes.errors import CaptureError
+    from scenes.recordings.validation import usable
 
     log = logging.getLogger(__name__)
 
     def answered(frame: Frame, tolerance: tuple[float, float] | None) -> Estimate:
         return estimate(frame, model, None, use, tolerance, budget_ms, seed, settings)
 
-    warm = False
-    for one in recorded:
-        frame = prepare(one, model)
-        check_usable(frame, model, vision="vision" in use)
-        if not warm:
-            answered(frame, None)
-            warm = True
-        answer = answered(frame, tolerance)
+    warm, refused = False, None
+    for number in numbers:
+        try:
+            frame = usable(capture, number, model, prepare, vision="vision" in use)
+            if not warm:
+                answered(frame, None)
+                warm = True
+            answer = answered(frame, tolerance)
+        except CaptureError as error:
+            if leave_out is None:
+                raise
+            leave_out(number, str(error))
+            refused = refused or error
+            continue
         log.info("frame %d: %s in %.0f ms: %s", frame.index, answer.verdict, answer.time_ms, "; ".join(answer.notes))
         yield frame, answer
+    if refused is not None and not warm:
+        raise refused

@@ -22,13 +22,13 @@ from fusion.estimation.answer import Estimate
 from fusion.estimation.estimate import estimate
 from fusion.estimation.settings import EstimateSettings
 from fusion.truth.errors import Agreement, Errors, Judge, json_number
-from scenes.errors import InputError
+from scenes.errors import CaptureError, InputError
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.captures import Capture
 from scenes.recordings.frames import Frame
-from scenes.recordings.validation import check_usable
+from scenes.recordings.validation import usable
 from vision.look.look import object_points
 from vision.look.points import all_points, crop_points
 from vision.published.icp import icp
@@ -135,26 +135,36 @@ def compare(
     prepare: Callable[[Frame, ObjectModel], Frame] | None = None,
     settings: EstimateSettings | None = None,
     beliefs: Beliefs | None = None,
+    leave_out: Callable[[str], None] | None = None,
 ) -> Iterator[Row]:
     """Rows of every frame of every capture, as they are done.
 
     model: instead of each capture's own. prepare: changes a frame before it is used (another prior). settings, beliefs:
-    of our own methods. Raises InputError for an unknown method, CaptureError for a frame that cannot be used.
+    of our own methods. leave_out: is told why a frame cannot be used, and the others are compared. Raises InputError
+    for an unknown method, CaptureError for a frame that cannot be used: for the first without leave_out, and where no
+    frame can be.
     """
     methods = check_methods(methods)
-    warm = False
+    warm, refused = False, None
     for capture in captures:
         judge = Judge(model or capture.model)
         judge.model.field  # noqa: B018  (built or read from the cache before anything is timed)
-        for frame in capture:
-            if prepare is not None:
-                frame = prepare(frame, judge.model)
-            check_usable(frame, judge.model)
+        for number in capture.frame_ids:
+            try:
+                frame = usable(capture, number, judge.model, prepare)
+            except CaptureError as error:
+                if leave_out is None:
+                    raise
+                leave_out(str(error))
+                refused = refused or error
+                continue
             if not warm:
                 # compiles; its times would tell of the compiler
                 compare_frame(frame, judge, methods, seed, settings=settings, beliefs=beliefs)
                 warm = True
             yield from compare_frame(frame, judge, methods, seed, capture.name, group_of(capture), settings, beliefs)
+    if refused is not None and not warm:
+        raise refused
 
 
 def group_of(capture: Capture) -> str:

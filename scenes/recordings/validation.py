@@ -5,6 +5,7 @@ Validation reads the capture with the very code that an estimate reads it with, 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from scenes.recordings import bop
 from scenes.recordings.captures import Capture
 from scenes.recordings.frames import Frame
 
-__all__ = ["Problem", "check_scale", "check_usable", "scale_problem", "validate"]
+__all__ = ["Problem", "check_scale", "check_usable", "scale_problem", "usable", "validate"]
 
 Array = NDArray[np.float64]
 
@@ -136,6 +137,22 @@ def check_usable(frame: Frame, model: ObjectModel, vision: bool = True) -> None:
     if vision and frame.depth is not None and not (frame.depth > 0).any():
         raise CaptureError(f"{frame.where or f'frame {frame.index}'}: expected depth readings, got an image of zeros")
     check_scale(frame, model)
+
+
+def usable(
+    capture: Capture,
+    number: int,
+    model: ObjectModel,
+    prepare: Callable[[Frame, ObjectModel], Frame] | None = None,
+    vision: bool = True,
+) -> Frame:
+    """The capture's frame of that number, as `prepare` has it; raises CaptureError for one that no estimate should be
+    made of: its files are broken, there is nothing in them, or they tell of a wrong unit.
+    """
+    frame = capture.frame(number)
+    frame = frame if prepare is None else prepare(frame, model)
+    check_usable(frame, model, vision)
+    return frame
 
 
 def check_scale(frame: Frame, model: ObjectModel) -> None:

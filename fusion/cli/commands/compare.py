@@ -19,6 +19,7 @@ from fusion.cli.options import (
     progress,
     say,
     show_table,
+    warn_of,
     write_json,
 )
 from fusion.results.runs import frame_setter, load_object
@@ -58,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Exit code 0: a method that is lost is what a comparison is for."""
+    """Exit code 0, for a method that is lost is what a comparison is for; 1 when a frame could not be used."""
     from fusion.results.plots import check_suffix, write_plot
     from fusion.truth.best import find_best, sentences
     from fusion.truth.compare import METHODS, check_methods, compare, summarise
@@ -74,7 +75,8 @@ def run(args: argparse.Namespace) -> int:
     model = load_object(args.object, args.unit) if args.object else None
     total = len(methods) * sum(map(len, captures))
     announce_compiling()
-    found_rows = compare(captures, methods, args.seed, model, prepare, settings)
+    left_out: list[str] = []
+    found_rows = compare(captures, methods, args.seed, model, prepare, settings, leave_out=left_out.append)
     rows = list(progress(found_rows, total, "comparing"))
     summaries = summarise(rows)
     groups = list(dict.fromkeys(row.group for row in rows))
@@ -83,6 +85,7 @@ def run(args: argparse.Namespace) -> int:
         for line in sentences(best) if best is not None else ():
             say(f"{group}: {line}" if len(groups) > 1 and not line.startswith(" ") else line)
     show(summaries)
+    warn_of(dict(enumerate(left_out)))
     if args.plot is not None:
         write_plot(args.plot, rows)
         say(f"wrote {args.plot}")
@@ -92,9 +95,10 @@ def run(args: argparse.Namespace) -> int:
             "best": {group: best.to_json() for group, best in found.items() if best is not None},
             "summary": [s.to_json() for s in summaries],
             "rows": [row.to_json() for row in rows],
+            "left_out": left_out,
         },
     )
-    return 0
+    return 1 if left_out else 0
 
 
 def show(summaries: list[Summary]) -> None:

@@ -19,6 +19,7 @@ from fusion.cli.options import (
     progress,
     say,
     show_table,
+    warn_of,
     with_sure,
     write_run,
 )
@@ -47,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Exit code 1 when a frame's answer is lost."""
+    """Exit code 1 when a frame's answer is lost, or a frame could not be used."""
     from fusion.estimation.asked import check_senses
     from fusion.results.files import frame_errors
     from fusion.truth.errors import Judge
@@ -62,19 +63,22 @@ def run(args: argparse.Namespace) -> int:
     judge = Judge.of(model)
     frames, answers, errors, rows = [], [], [], []
     announce_compiling()
-    shown = progress(capture, len(capture), "estimating")
+    shown = progress(capture.frame_ids, len(capture), "estimating")
     limits = args.tolerance, args.budget_ms
-    for frame, answer in estimates(shown, model, prepare, senses, args.seed, *limits, settings):
+    left_out: dict[int, str] = {}
+    told_of = left_out.__setitem__
+    for frame, answer in estimates(capture, shown, model, prepare, senses, args.seed, *limits, settings, told_of):
         frames.append(frame)
         answers.append(answer)
         errors.append(frame_errors(judge, frame, answer))
         rows.append(_row(answer, errors[-1], judge.agreement(frame, answer.pose)))
-    written = write_run(args, capture, model, frames, answers, errors)
+    written = write_run(args, capture, model, frames, answers, errors, left_out)
     show_table(HEADS, rows)
     for line in (*_poses(answers), *_remarks(answers)):
         say(line)
     say(written)
-    return 1 if any(answer.verdict == "lost" for answer in answers) else 0
+    warn_of(left_out)
+    return 1 if left_out or any(answer.verdict == "lost" for answer in answers) else 0
 
 
 def _poses(answers) -> list[str]:  # type: ignore[no-untyped-def]  # naming the type would import it

@@ -19,6 +19,7 @@ from fusion.cli.options import (
     progress,
     say,
     show_table,
+    warn_of,
     whole,
     write_json,
 )
@@ -119,8 +120,10 @@ def _answers(args: argparse.Namespace) -> tuple[Capture, ObjectModel, list[Frame
     model = load_object(args.object, args.unit) if args.object else capture.model
     prepare = prior_setter(args.prior, args.seed)
     announce_compiling()
-    shown = progress(capture, len(capture), "estimating")
-    done = list(estimates(shown, model, prepare, senses, args.seed))
+    shown = progress(capture.frame_ids, len(capture), "estimating")
+    left_out: dict[int, str] = {}
+    done = list(estimates(capture, shown, model, prepare, senses, args.seed, leave_out=left_out.__setitem__))
+    warn_of(left_out)
     return capture, model, [frame for frame, _ in done], [answer for _, answer in done]
 
 

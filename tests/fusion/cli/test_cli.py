@@ -399,3 +399,27 @@ def test_contacts_in_millimetres_are_suspected_by_every_command(contacts, tmp_pa
         write_ply(tmp_path / "objects" / f"{name}.ply", make(name).vertices, make(name).faces)
     for command, *option in (("localize", "--object", "drill"), ("identify", "--objects", tmp_path / "objects")):
         assert "mm read as m?" in refused(capsys, command, tmp_path / "mm.off", *option)
+
+
+def test_one_frame_that_cannot_be_used_is_left_out(tmp_path, capsys):
+    frame = plain_view()
+    blank = replace(frame, index=1, depth=np.zeros_like(frame.depth))
+    last = replace(frame, index=2)
+    capture = write_capture(tmp_path / "three", [frame, blank, last], make("box"))
+    out = tmp_path / "out"
+    assert main(["estimate", str(capture), "--out", str(out), "--no-report"]) == 1
+    told = capsys.readouterr().err
+    assert "left out: " in told
+    assert "frame 1: expected depth readings, got an image of zeros" in told
+    content = json.loads((out / "result.json").read_text())
+    assert [entry["frame"] for entry in content["frames"]] == [0, 2]
+    assert [entry["frame"] for entry in content["left_out"]] == [1]
+    assert main(["validate", str(out / "result.json")]) == 0
+    capsys.readouterr()
+    assert main(["compare", str(capture), "--methods", "icp", "--json", str(tmp_path / "c.json")]) == 1
+    assert "frame 1: expected depth readings" in capsys.readouterr().err
+    rows = json.loads((tmp_path / "c.json").read_text())["rows"]
+    assert [row["frame"] for row in rows] == [0, 2]
+    (capture / "depth" / "000000.png").write_bytes(b"junk")
+    (capture / "depth" / "000002.png").unlink()
+    assert "depth/000000.png" in refused(capsys, "estimate", capture)
