@@ -203,7 +203,8 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         nats = posterior.nats_of_contacts(model, felt.rows, contacts, pose)
         agreed = residuals, nats, share, seeing, picture
         rules = settings.verdict, settings.confidence
-        right, sure, word, why = posterior.judged(model, modes, *agreed, *rules, believed is None, same)
+        against = posterior.contradiction(model, felt.rows, contacts, pose, settings.verdict)
+        right, sure, word, why = posterior.judged(model, modes, *agreed, *rules, believed is None, same, against)
         observed = observations(model, modes, picture, residuals, nats, settings.confidence, believed is None, same)
         room = room_about(se3.apply(pose, model.centroid[None])[0], might_be)
         covariance = told_covariance(model, modes, word, right, believed, settings.confidence, room, same)

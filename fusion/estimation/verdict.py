@@ -37,8 +37,11 @@ class VerdictSettings:
     outlier_distance: float = 0.004
     # Least share of contacts, and of the pixels taken for the object, that an answer must explain.
     least_contacts: float = 0.5
-    # Nats a contact, on average, from which what is felt contradicts the answer: a false contact costs about eight.
+    # Nats a contact, on average, from which what is felt contradicts the answer: a false contact costs about eight, by
+    # a gate of so many sigmas. One of unknown worth pulls without a gate, but counts no more here: one normal the wrong
+    # way round among five contacts is no reason to disbelieve a camera that sees the object.
     most_contradicted: float = 5.5
+    false_gate: float = 4.0
     least_pixels: float = 0.3
     # Share of the object's own pixels through which the camera may see, noise at the outline included.
     most_violated: float = 0.25
@@ -81,6 +84,13 @@ def nats_of_contacts(model: ObjectModel, felt: Evidence, count: int, pose: Array
     on = felt.rows[:, GATE_ABOVE] > 0
     places = max(float(felt.rows[on, WEIGHT].sum()), float(count))
     return float(alignment.costs(model, felt, pose[None])[0]) * count / places
+
+
+def contradiction(
+    model: ObjectModel, felt: Evidence, count: int, pose: Array, settings: VerdictSettings | None = None
+) -> float:
+    """Nats by which `count` contacts speak against pose (4, 4), none by more than a false one costs."""
+    return nats_of_contacts(model, felt.gated((settings or VerdictSettings()).false_gate), count, pose)
 
 
 def pixel_agreement(model: ObjectModel, seen: Evidence, pose: Array) -> tuple[float, float]:
@@ -233,20 +243,23 @@ def judged(
     confident: ConfidenceSettings,
     anywhere: bool = False,
     same: Alike | None = None,
+    contradicted: float | None = None,
 ) -> tuple[float, float, str, str]:
     """Of the first of the modes, found in one frame or followed through many: the chance that it is the right one, and
     that it is near enough, too (the confidence); verdict and its reason.
 
     residuals and contact_nats: how each contact agrees there, and what all cost; pixel_share: of the object's pixels
     that it explains; picture: the predicted one, None without a depth image; anywhere: there was no start; same: the
-    modes that are one answer within the tolerance of `confident`, None to find them. What contradicts the pose, and a
-    picture that does not show it, speak against it however narrow its covariance is.
+    modes that are one answer within the tolerance of `confident`, None to find them; contradicted: see `contradiction`,
+    None for contact_nats. What contradicts the pose, and a picture that does not show it, speak against it however
+    narrow its covariance is.
     """
     same = same or alike(model, modes, confident.tolerance)
     right, near = chances(model, modes, picture, residuals, contact_nats, confident, anywhere, same)
     sure = right * near
     word, why = verdict(model, modes, residuals, pixel_share, seeing, settings, confident.tolerance, same)
-    if word == "ok" and contact_nats > settings.most_contradicted * max(len(residuals), 1):
+    against = contact_nats if contradicted is None else contradicted
+    if word == "ok" and against > settings.most_contradicted * max(len(residuals), 1):
         word, why = "lost", "the contacts, or their normals, contradict every pose"
     if word == "ok" and sure < confident.sure:
         word, why = "ambiguous", _unsure(model, modes[0], right, sure, confident)

@@ -89,6 +89,13 @@ class Evidence:
         rows[:, SIGMA] = np.hypot(rows[:, SIGMA], sigma)
         return Evidence(rows, self.sense)
 
+    def gated(self, gate: float) -> Evidence:
+        """No row trusted farther than `gate` sigmas, where it is as likely clutter; the others as they are."""
+        rows = self.rows.copy()
+        both = [GATE_ABOVE, GATE_BELOW]
+        rows[:, both] = np.minimum(rows[:, both], gate)
+        return Evidence(rows, self.sense)
+
     def moved(self, target_from_source: Array) -> Evidence:
         """The same rows in another frame."""
         rows = self.rows.copy()

@@ -74,7 +74,9 @@ def judge(
     seeing = visibility(sensed.viewed, model, pose, beliefs.depth) if picture is None else as_seen(picture)
     nats = posterior.nats_of_contacts(model, sensed.felt.rows, len(contacts), pose)
     agreed, same = (residuals, nats, share, seeing, picture), alike(model, modes, first.confidence.tolerance)
-    right, sure, word, why = posterior.judged(model, modes, *agreed, first.verdict, first.confidence, same=same)
+    against = posterior.contradiction(model, sensed.felt.rows, len(contacts), pose, first.verdict)
+    rules = first.verdict, first.confidence
+    right, sure, word, why = posterior.judged(model, modes, *agreed, *rules, same=same, contradicted=against)
     if word != "lost" and strays(share, usual, len(sensed.looked.pixels), settings):
         word, why = "lost", f"{share:.0%} of the pixels explained, {usual:.0%} before"
     if word != "lost" and settings.leaps(leap):

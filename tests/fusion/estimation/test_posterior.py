@@ -1,9 +1,12 @@
 """Verdicts and words: what an answer may claim."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_frames import plain_view
 
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import ContactResidual, Mode
@@ -11,6 +14,7 @@ from fusion.estimation.estimate import estimate
 from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.tolerance import is_within, with_shared_errors
 from fusion.estimation.trace import Trace
+from fusion.truth.errors import Judge
 from scenes.evidence import table as evidence
 from scenes.evidence.align import Prior
 from scenes.evidence.table import VISION
@@ -229,3 +233,28 @@ def test_the_trace_lists_what_ran_and_what_did_not():
     assert trace.spent_ms >= look.ms
     assert not trace.over_budget
     assert Trace(budget_ms=-1.0).over_budget
+
+
+def test_one_normal_the_wrong_way_round_does_not_lose_what_a_camera_sees():
+    """A recording that says no sigmas has no contact that is taken for false; one of five contradicts nothing yet."""
+    frame, model = plain_view("drill"), library.make("drill")
+    normals = frame.contacts.normals.copy()
+    normals[0] *= -1.0
+    answer = estimate(replace(frame, contacts=Contacts(frame.contacts.points, normals)), model)
+    assert answer.verdict != "lost", answer.notes
+    assert Judge(model).errors(answer.pose, frame.camera_from_object_truth).add_s < 0.005
+    turned = estimate(replace(frame, contacts=Contacts(frame.contacts.points, -frame.contacts.normals)), model)
+    assert turned.verdict == "lost", "all of them do"
+
+
+def test_what_contradicts_counts_no_more_than_false_contacts():
+    model = library.make("drill")
+    points, normals = model.sample_surface(5, 0)
+    felt = evidence.from_contacts(Contacts(points, -normals, 0.004, 0.1))
+    whole = posterior.nats_of_contacts(model, felt, 5, np.eye(4))
+    capped = posterior.contradiction(model, felt, 5, np.eye(4))
+    assert whole > 5 * 50.0
+    assert capped == pytest.approx(5 * 8.0, rel=0.05)
+    right = evidence.from_contacts(Contacts(points, normals, 0.004, 0.1))
+    expected = posterior.nats_of_contacts(model, right, 5, np.eye(4))
+    assert posterior.contradiction(model, right, 5, np.eye(4)) == pytest.approx(expected, abs=0.1)
