@@ -40,6 +40,9 @@ class GlanceSettings:
     every_open: int = 3
     # Steps of the fit.
     steps: int = 10
+    # Share of their weight that looks until now keep when another comes: what the whole solution adds to a fit (bias,
+    # scale, calibration) is the same from look to look, and each tells it as well as one frame can.
+    memory: float = 0.75
     # Pixels of a look near the object, as a share of those of a look in full.
     pixels: float = 0.5
     # What asks for a look in full. Share of the pixels that the pose explains: so much less than at the last look.
@@ -57,15 +60,17 @@ class GlanceSettings:
 class Known:
     """What the last look in full has found out.
 
-    index: of its frame; pose (4, 4) as solved; offset (6,): from a fit of the rows alone to that, camera axes; own,
-    shared, biased, hidden (6, 6): covariances of a measurement; correction (4, 4) camera_from_camera of what the robot
-    reports; share, sight, felt: how pixels, image (nats) and contacts (mm, root mean square) agreed with such a fit;
-    verdict, why, right, visible, unobservable: how it was judged.
+    index: of its frame; pose (4, 4) as solved; offset (6,): from a fit of the rows alone to that, camera axes, the mean
+    of the looks until now, and their weight (1 / m^2); own, shared, biased, hidden (6, 6): covariances of a
+    measurement; correction (4, 4) camera_from_camera of what the robot reports, their mean, too; share, sight, felt:
+    how pixels, image (nats) and contacts (mm, root mean square) agreed with such a fit; verdict, why, right, visible,
+    unobservable: how it was judged.
     """
 
     index: int
     pose: Array
     offset: Array
+    weight: float
     own: Array
     shared: Array
     biased: Array

@@ -33,7 +33,7 @@ from fusion.tracking.motion import HandMotion, HandState
 from fusion.tracking.occluders import Occluders
 from fusion.tracking.slip import SlipWatch, Watched
 from fusion.tracking.state import TrackState
-from fusion.tracking.steps.glancing import as_judged, glance, known_of, may_glance
+from fusion.tracking.steps.glancing import as_judged, glance, known_of, may_glance, steadied
 from fusion.tracking.steps.judging import as_believed, as_followed, judge
 from fusion.tracking.steps.lens import through_one_lens
 from fusion.tracking.steps.predicting import predict
@@ -313,15 +313,14 @@ class Tracker:
                 predicted = replace(predicted, shared=measured.shared)
             if felt_rows and not placed:
                 felt = felt.corrected(solved.correct())
+            now = replace(shown, felt=felt)
+            common = steadied(model, prior, now, measured, None if found.switched else state.known, s)
             off = 1e3 * shift(felt.correction, self._middle(solved.pose))
             stage.note(len(found.seen) + felt_rows, f"calibration off by {off:.1f} mm")
         with trace.stage("judge", True, "") as stage:
-            belief, watched = self._updated(frame, predicted, measured, found.switched, felt)
-            leap = se3.difference(measured.pose, predicted.pose, model.centroid)
-            said = judge(
-                model, found.hypotheses, belief, replace(sensed, felt=felt, seen=found.seen), state.usual,
-                np.zeros(6) if found.switched else leap, beliefs, s,
-            )  # fmt: skip
+            belief, watched = self._updated(frame, predicted, common.measured, found.switched, felt)
+            leap = (not found.switched) * se3.difference(measured.pose, predicted.pose, model.centroid)
+            said = judge(model, found.hypotheses, belief, now, state.usual, leap, beliefs, s)
             stage.note(len(found.seen) + felt_rows, said.why)
         if said.verdict == "lost" and blind:  # touch alone does not prove that a hand has lost what it held
             self._watch.restart()
@@ -331,9 +330,8 @@ class Tracker:
             state.right, state.untold = said.right, untold
             if felt_rows and not placed and looked.hand is None:
                 state.correction = felt.correction
-            now = replace(sensed, felt=felt, seen=found.seen)
             settled = not found.switched and frame.index == state.index
-            state.known = known_of(model, prior, now, measured, said, beliefs, s) if settled else None
+            state.known = known_of(model, common, now, said, beliefs, s) if settled else None
             self._learn(sensed, belief.pose, found.switched)
         answer = as_followed(frame, belief, predicted, said, watched, replace(sensed, felt=felt), trace.stages, s)
         return self._believed(answer) if answer.how == "tracked" else answer

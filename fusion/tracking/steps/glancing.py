@@ -43,6 +43,8 @@ Array = NDArray[np.float64]
 
 # A contact farther off than this (mm) is false, however far.
 _FALSE = 20.0
+# No look is surer than this (m) of what the next has in common with it.
+_SUREST = 1e-4
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,20 @@ class Glanced:
     rms: float
     otherwise: str
     surprised: bool = False
+
+
+@dataclass(frozen=True)
+class Steadied:
+    """A look in full by what looks have in common. fit (4, 4): of its rows alone, contacts where `correction` (4, 4)
+    puts them; offset (6,): from there to what looks are solved as; weight: of these; measured: the frame's own answer
+    by that.
+    """
+
+    fit: Array
+    offset: Array
+    correction: Array
+    weight: float
+    measured: Measurement
 
 
 def may_glance(frame: Frame, state: TrackState, carried: Hypotheses, settings: TrackSettings) -> bool:
@@ -165,29 +181,55 @@ def as_judged(
     )  # fmt: skip
 
 
-def known_of(
+def steadied(
     model: ObjectModel,
     prior: Prior,
     sensed: Sensed,
     measured: Measurement,
+    before: Known | None,
+    settings: TrackSettings,
+) -> Steadied:
+    """A frame that was looked at in full, and solved as `measured`, by what looks have in common; prior: of its own
+    answer; before: of the looks until then, None where it is the first.
+    """
+    centre = se3.apply(measured.pose, model.centroid[None])[0]
+    if not len(sensed.looked.pixels):
+        before = None  # what touch alone is solved as says nothing of a camera's errors
+    weight = 1.0 / max(float(np.trace(measured.own[3:, 3:])), _SUREST**2)
+    total = weight + (0.0 if before is None else settings.glance.memory * before.weight)
+    correction, share = sensed.felt.correction, weight / total
+    if before is not None:
+        step = se3.difference(correction, before.correction, centre)
+        correction = se3.perturb(before.correction, share * step, centre)
+    touching = _touching(sensed.felt.corrected(correction))
+    fit = model.symmetries.nearest(
+        fitted(model, sensed.seen, touching, measured.pose, prior, settings.glance.steps), measured.pose
+    )
+    offset = se3.difference(measured.pose, fit, model.centroid)
+    if before is not None:
+        offset = before.offset + share * (offset - before.offset)
+    return Steadied(fit, offset, correction, total, replace(measured, pose=se3.perturb(fit, offset, model.centroid)))
+
+
+def known_of(
+    model: ObjectModel,
+    looked: Steadied,
+    sensed: Sensed,
     said: Judged,
     beliefs: Beliefs,
     settings: TrackSettings,
 ) -> Known | None:
-    """What a frame that was looked at in full, and solved as `measured`, is worth to the next ones; prior: of its own
-    answer. None without an image, or where it was lost.
-    """
-    frame, felt, first = sensed.viewed, sensed.felt, settings.first
+    """What a frame that was looked at in full is worth to the next. None without an image, or where it was lost."""
+    frame, felt, first, measured = sensed.viewed, sensed.felt, settings.first, looked.measured
     if frame.depth is None or said.verdict == "lost":
         return None
-    fit = fitted(model, sensed.seen, _touching(felt), measured.pose, prior, settings.glance.steps)
-    offset = se3.difference(measured.pose, model.symmetries.nearest(fit, measured.pose), model.centroid)
-    share, _ = pixel_agreement(model, sensed.seen, fit)
-    sight = float(Sight(frame, model, beliefs.depth, first.sight).costs(fit[None])[0])
-    off = _apart(contact_residuals(model, felt.contacts, fit, first.verdict))
+    felt = felt.corrected(looked.correction)
+    share, _ = pixel_agreement(model, sensed.seen, looked.fit)
+    sight = float(Sight(frame, model, beliefs.depth, first.sight).costs(looked.fit[None])[0])
+    off = _apart(contact_residuals(model, felt.contacts, looked.fit, first.verdict))
     return Known(
-        frame.index, measured.pose, offset, measured.own, measured.shared, measured.biased, measured.hidden,
-        felt.correction, share, sight, off,
+        frame.index, measured.pose, looked.offset, looked.weight,
+        measured.own, measured.shared, measured.biased, measured.hidden, looked.correction, share, sight, off,
         said.verdict, said.why, said.right, said.visible, said.unobservable,
     )  # fmt: skip
 

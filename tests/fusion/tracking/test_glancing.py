@@ -1,0 +1,64 @@
+"""What looks in full have in common is averaged over them: it is the same from look to look, and each tells it anew."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fusion.tracking.answer import TrackSettings
+from fusion.tracking.filter import Measurement
+from fusion.tracking.state import GlanceSettings
+from fusion.tracking.steps.glancing import steadied
+from fusion.tracking.steps.refining import loose
+from fusion.tracking.tracker import Tracker
+from scenes.geometry import poses
+from scenes.synthesis import library
+from tests.fusion.tracking.test_tracking import recording
+
+
+@pytest.fixture(scope="module")
+def looked():
+    """A tracker of a mug after a look in full, with what it sensed there and what it knew of the looks before."""
+    model = library.make("mug")
+    settings = TrackSettings(glance=GlanceSettings(every=1))
+    tracker = Tracker(model, settings=settings)
+    for frame in recording(model, 6):
+        tracker.step(frame)
+    known = tracker._state.known
+    assert known is not None
+    return model, settings, tracker._sensed, known
+
+
+def test_the_first_look_is_as_it_was_solved(looked):
+    model, settings, sensed, known = looked
+    measured = Measurement(known.pose, known.own, known.shared)
+    first = steadied(model, loose(known.pose, known.own, settings), sensed, measured, None, settings)
+    np.testing.assert_allclose(first.measured.pose, known.pose, atol=1e-12)
+    np.testing.assert_allclose(poses.perturb(first.fit, first.offset, model.centroid), known.pose, atol=1e-12)
+    assert first.weight == pytest.approx(1.0 / np.trace(known.own[3:, 3:]))
+
+
+def test_a_look_moves_the_common_offset_by_its_share(looked):
+    """Solved a millimetre aside: a share of that is taken over, less where more is known."""
+    model, settings, sensed, known = looked
+    prior = loose(known.pose, known.own, settings)
+    aside = poses.perturb(known.pose, [0.0, 0.0, 0.0, 0.001, 0.0, 0.0], model.centroid)
+    moved = {}
+    for weight in (known.weight, 1e3 * known.weight):
+        before = replace(known, weight=weight)
+        one = steadied(model, prior, sensed, Measurement(aside, known.own, known.shared), before, settings)
+        same = steadied(model, prior, sensed, Measurement(known.pose, known.own, known.shared), before, settings)
+        moved[weight] = float(np.linalg.norm(one.offset - same.offset))
+        own = 1.0 / np.trace(known.own[3:, 3:])
+        assert one.weight == pytest.approx(own + settings.glance.memory * weight)
+        assert moved[weight] < 0.001
+    assert moved[1e3 * known.weight] < 0.02 * moved[known.weight]
+
+
+def test_touch_alone_says_nothing_of_a_cameras_errors(looked):
+    model, settings, sensed, known = looked
+    blind = replace(sensed, looked=replace(sensed.looked, pixels=sensed.looked.pixels.take(np.zeros(0, dtype=int))))
+    aside = poses.perturb(known.pose, [0.0, 0.0, 0.0, 0.002, 0.0, 0.0], model.centroid)
+    measured = Measurement(aside, known.own, known.shared)
+    one = steadied(model, loose(known.pose, known.own, settings), blind, measured, known, settings)
+    np.testing.assert_allclose(one.measured.pose, aside, atol=1e-12)
