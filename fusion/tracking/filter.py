@@ -214,8 +214,7 @@ class SlipTest:
         innovation = se3.difference(measured.pose, self._held.pose, centre)
         square = float(innovation @ np.linalg.solve(self._held.own + noise, innovation))
         self._sum = max(0.0, self._sum + square - s.allowance)
-        stays = measured.shared + measured.hidden / self.settings.spans.changing
-        squared, step = self._spans.add(measured.pose, measured.own, measured.biased, stays, pixel)
+        squared, step = self._spans.add(measured.pose, measured.own, measured.biased, measured.hidden, pixel)
         held = min(max(square / s.alarm, self._sum / s.limit), self._moved(innovation))
         self.statistic = max(held, min(squared / s.spans.limit, self._moved(step)), self._slid / s.sliding)
         if self.statistic > 1.0:
