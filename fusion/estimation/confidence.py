@@ -30,10 +30,11 @@ Array = NDArray[np.float64]
 class Regression:
     """Factors of a logistic regression, no unit: what each observation adds to the log odds that a mode is right.
 
-    Tuned on 1984 answers to 352 frames of all nine tuning families (docs/evaluation.md; `palpate fit-confidence`), with
+    Tuned on 982 answers to 177 frames of all nine tuning families (docs/evaluation.md; `palpate fit-confidence`), with
     a start and without: the product of both factors of the probability, at tolerances of 3, 5 and 10 mm, by maximum
-    likelihood, factors held to the sign that they must have. What they state of a family that was left out of the fit
-    is 1.8 % off (calibration error; touch alone with a start 5.6 and without 4.5 %).
+    likelihood, factors held to the sign that they must have. With a picture they are the mean of that fit and of one
+    to 1984 answers with earlier covariances: as likely, and of twice as many frames. What a fit states of a family that
+    was left out is 3.7 % off (calibration error; by chance alone 1.7; touch alone with a start 8, without 10 %).
     """
 
     # Of the logarithm of the first mode's odds, with those that look like it, against the others, within `most_odds`.
@@ -111,34 +112,33 @@ class ConfidenceSettings:
     # Error (ADD-S, m) that is good enough when the caller does not say.
     tolerance: float = 0.005
     # Confidence (a probability, no unit) from which an answer is `ok`.
-    sure: float = 0.9
+    sure: float = 0.95
     # Whether the first mode is the right one, with a picture of it and by touch alone.
     seen: Regression = Regression(
-        weight=0.109,
-        alone=0.969,
-        agree=17.1,
-        visible=0.293,
-        sharp=2.01,
-        past=-38.0,
-        hidden=-1.03,
-        behind_hand=0.296,
-        outline=-28.5,
-        touch=4.95,
-        outliers=-3.84,
-        contact_nats=-0.898,
-        spread=-1.63,
-        anywhere=-1.28,
-        constant=-3.58,
-        nearest=0.559,
+        weight=0.0842,
+        alone=1.49,
+        agree=21.3,
+        visible=0.291,
+        sharp=2.61,
+        past=-36.1,
+        hidden=-1.41,
+        behind_hand=0.126,
+        outline=-34.6,
+        touch=4.58,
+        outliers=-3.47,
+        contact_nats=-0.449,
+        spread=-1.22,
+        anywhere=-1.52,
+        constant=-2.42,
+        nearest=0.589,
     )
     felt: Regression = Regression(
-        weight=0.209,
-        outliers=-7.72,
-        contact_nats=-0.336,
-        blunt=-3.4,
-        far=1.83,
-        constant=1.36,
-        nearest=0.481,
+        weight=0.154,
+        outliers=-7.46,
+        blunt=-4.38,
+        far=2.2,
+        constant=1.86,
+        nearest=0.511,
     )
     # Share of the picture above which agreement speaks for an answer, and the most of what is seen past and of the
     # outline that runs on (shares) that speaks against one: cameras that blend edges draw surfaces on.
@@ -164,23 +164,28 @@ class ConfidenceSettings:
     # when no prior says so.
     anywhere_angle: float = 1.5
     anywhere_share: float = 2.0
-    # By how much (a factor of variance) an answer is off, beside what its Gaussian says: a factor, and powers of two
-    # things that the frame shows. The share of the predicted picture that agrees, `least_agreeing` at least: what hides
-    # the rest smears the pixels beside it, and a few patches leave more than one basin. And how far parts of the image
-    # are off together, in millimetres and a tenth: what a mesh, a camera or something beside the object is off by moves
-    # the pose, too. The powers make the true errors of 530 answers with a start of the tuning families, within 8 mm,
-    # likeliest as a Student distribution of three degrees of freedom; each family left out, they are 0.33 to 0.41 and
-    # 0.61 to 0.83. The likeliest factor is 1.7; of 2 an answer is 0.01 nats less likely and regions of 95 % hold more.
-    widening: float = 2.0
-    by_share: float = -0.36
-    by_beside: float = 0.79
+    # By how much (a factor of variance) an answer is off, beside what its Gaussian says: a factor, and powers of what
+    # the frame shows. The share of the picture that is seen past, in units of `least_past` beyond none: what
+    # contradicts a pose, however little, tells of errors that no belief describes. The share that agrees,
+    # `least_agreeing` at least: what hides the rest smears the pixels beside it. How well the best known turn is
+    # known, in units of `usual_turn` (rad) and within bounds: what is known well is known better than is counted of
+    # it, what is known badly bends within its own spread. And how far whole blocks of the outline are off, in units
+    # of `least_beside` (m) beyond none: the mesh is bent across the rays. Blocks of depth that are off together tell
+    # nothing more; a ragged mask does that. The powers make the true errors of 284 answers with a start to 161 frames
+    # of the tuning families, within 8 mm, likeliest as a Student distribution of 3.5 degrees of freedom; each family
+    # left out, an answer is 0.27 nats likelier than by one factor for all. The likeliest factor is 0.18; with this
+    # one regions of 95 % hold 92, at a mean NEES of 0.9 per degree of freedom.
+    widening: float = 0.43
+    by_past: float = 1.0
+    least_past: float = 0.01
+    by_share: float = -0.25
+    by_turn: float = 0.9
+    usual_turn: float = 0.01
+    least_turn: float = 0.003
+    most_turn: float = 0.05
+    by_beside: float = 0.9
     least_beside: float = 0.1e-3
-    # So many times what blocks of the outline are off by counts beside the blocks of depth (no unit): the depth bias
-    # that is solved for takes on what a mesh is off by along the rays, and nothing takes it on across them. Of bent
-    # meshes it is 0.3 mm, of others 0. Bounds (m): what was fitted; and what counts where neither was told.
-    of_outline: float = 3.0
-    most_beside: float = 3e-3
-    usual_beside: float = 0.36e-3
+    most_beside: float = 1e-3
     # Most that is ever said of a mode being the right one (a probability, no unit): 1984 answers tell no more.
     surest: float = 0.999
     # A region of 95 % need not hold this share of the probability.
@@ -332,19 +337,18 @@ def as_shown(
     picture: Prediction | None,
     prior: Prior | None,
     settings: ConfidenceSettings | None = None,
-    beside: tuple[float, float] = (float("nan"), 0.0),
+    beside: float = 0.0,
+    least: float = 0.0,
 ) -> Mode:
-    """The mode as wide as answers are of which as much is seen and that fit as well; what a prior says stays as it is.
+    """The mode as wide as answers are that fit as well and are known as well; what a prior says stays as it is.
 
     picture: the predicted one at the mode, None without a depth image: then nothing changes. beside (m): by how much
-    blocks of depth are off together, NaN where that is not known, and blocks of the outline.
+    whole blocks of the outline are off, 0 where that is not known. least: of the factor on the variance.
     """
     s = settings or ConfidenceSettings()
     if picture is None or not picture.count[0]:
         return mode
-    share = max(float(picture.agree[0]), s.least_agreeing)
-    off = math.hypot(beside[0] if math.isfinite(beside[0]) else s.usual_beside, s.of_outline * beside[1])
-    wider = s.widening * share**s.by_share * (1e3 * (min(off, s.most_beside) + s.least_beside)) ** s.by_beside
+    wider = max(_wider(mode, picture, beside, s), least)
     if prior is None:
         return replace(mode, covariance=wider * mode.covariance)
     # in units of its own standard deviations the mode's information is the identity, of which the prior is a part
@@ -355,6 +359,17 @@ def as_shown(
     told = np.clip(values, 0.0, 1.0)
     root = lower @ vectors / np.sqrt(told + (1.0 - told) / wider)
     return replace(mode, covariance=np.asarray(root @ root.T, dtype=np.float64))
+
+
+def _wider(mode: Mode, picture: Prediction, beside: float, settings: ConfidenceSettings) -> float:
+    """Factor on a mode's variance (no unit), see `ConfidenceSettings.widening`."""
+    s = settings
+    past = 1.0 + min(float(picture.past[0]), s.most_past) / s.least_past
+    share = max(float(picture.agree[0]), s.least_agreeing)
+    best_known = math.sqrt(max(float(np.linalg.eigvalsh(mode.covariance[:3, :3])[0]), 0.0))
+    turn = min(max(best_known, s.least_turn), s.most_turn) / s.usual_turn
+    off = 1.0 + min(beside, s.most_beside) / s.least_beside
+    return float(s.widening * past**s.by_past * share**s.by_share * turn**s.by_turn * off**s.by_beside)
 
 
 def room_about(centre: Array, points: Array) -> float:

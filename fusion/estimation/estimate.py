@@ -178,12 +178,12 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
     coloured = viewed.rgb is not None and predictor.sees and asks_for(viewed.rgb, settings.contour)
     no_image = "no image beside depth" if viewed.rgb is None else "a colour camera's image is not asked for"
     useless: tuple[str, ...] = ()
-    beside = (best.beside if finish else float("nan")), 0.0
+    beside = 0.0
     with trace.stage("outline", finish and coloured, why_not if coloured else no_image) as stage:
         if finish and coloured:
             told = outlined(viewed, pool, best, modes[0], beliefs.mesh_sigma, settings)
             modes, felt = (told.mode, *modes[1:]), felt.corrected(told.solved.correct())
-            beside = best.beside, told.beside
+            beside = told.beside
             useless = () if told.lines else (f"colours are not used: {told.why}",)
             stage.note(told.lines, told.why)
     first, facing = turned_as_printed(sensed, modes[0], facing, settings.texture)

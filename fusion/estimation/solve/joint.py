@@ -51,8 +51,7 @@ class JointResult:
     follows (6, 6): by how much xi is expected to be otherwise where the pose turns out to be otherwise.
     unsolved (6, 6): what else of the covariance pixels share, solved for by nothing: the mesh's own error, and by how
     much parts of the image disagree. biased (6, 6): what of `shared` comes of the depth bias. shares: of the mixture,
-    of each rig that was tried; empty where none were. beside (m): by how much blocks of the image are off together, as
-    a root mean square; NaN where no pixel tells.
+    of each rig that was tried; empty where none were.
     """
 
     pose: Array
@@ -71,7 +70,6 @@ class JointResult:
     unsolved: Array = field(default_factory=lambda: np.zeros((6, 6)))
     biased: Array = field(default_factory=lambda: np.zeros((6, 6)))
     shares: tuple[float, ...] = ()
-    beside: float = float("nan")
 
     @property
     def millimetres(self) -> float:
@@ -144,10 +142,10 @@ def _onwards(after: Settled, level: float) -> tuple[Array, Array]:
 def answered(settled: Settled) -> JointResult:
     """A solution with its covariances."""
     one, system = marginalised(settled), settled.system
-    misfit, beside = system.misfit(), system.beside()
+    misfit = system.misfit()
     independent, shared, biased, follows = _split(system, settled.pose, settled.normal)
     parts = misfit * independent, misfit * shared, misfit * biased
-    return replace(one, independent=parts[0], shared=parts[1], biased=parts[2], follows=follows, beside=beside)
+    return replace(one, independent=parts[0], shared=parts[1], biased=parts[2], follows=follows)
 
 
 def marginalised(settled: Settled) -> JointResult:

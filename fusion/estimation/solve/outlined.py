@@ -90,6 +90,8 @@ def outlined(
     # the mesh's own error is in both, and no evidence takes it away
     mesh = mesh_spread(model, mesh_sigma**2, settings.joint)
     spread = kept @ _positive(mode.covariance - mesh) @ kept.T + inverse @ hessian @ inverse + mesh
+    # or it was another outline that was read: then the pose is as unknown as before, and off by the move, too
+    spread = (1.0 - how.another) * spread + how.another * (mode.covariance + np.outer(moved, moved))
     why = f"{lines} lines across it, moved by {1e3 * float(np.linalg.norm(moved[3:])):.1f} mm, {worse:+.1f} nats"
     calibrated = replace(solved, xi=solved.xi + solved.follows @ moved)
     moved_mode = replace(mode, pose=at, covariance=0.5 * (spread + spread.T))

@@ -159,13 +159,6 @@ class System:
         square *= min(1.0, free / 6.0)
         return ((s.believed_blocks - 2.0) * believed + square) / (s.believed_blocks + free - 2.0)
 
-    def beside(self) -> float:
-        """By how much (m) blocks of the image are off together, where `terms` last was: the root mean square of their
-        means by weight, of what noise leaves in these too; NaN where no pixel tells.
-        """
-        mean, weight = self._block_means()
-        return float(np.sqrt(weight @ np.square(mean) / weight.sum())) if len(mean) else float("nan")
-
     def _block_means(self) -> tuple[Array, Array]:
         """How far (b,) m blocks of the image are off on average, where `terms` last was, and their weights (b,) 1/m^2;
         none where no pixel tells.

@@ -214,8 +214,9 @@ def measurement_of(
     untold = untold.learned(model, solved.pose, spread.covariance - gaussian if told else None)
     if sensed.pool is not None and not sensed.told_apart:
         picture = sensed.pool.predictor.predict(solved.as_seen[None], s.side)
-        mode, beside = Mode(solved.pose, 1.0, 0.0, gaussian), (solved.beside, 0.0)
-        gaussian = as_shown(mode, picture, None, s.first.confidence, beside).covariance
+        # no narrower than its own solution has it: what is counted too little of a frame its neighbours share
+        mode = Mode(solved.pose, 1.0, 0.0, gaussian)
+        gaussian = as_shown(mode, picture, None, s.first.confidence, least=1.0).covariance
     shared = gaussian - solved.independent
     pose = model.symmetries.nearest(solved.pose, nearest)
     if blind:

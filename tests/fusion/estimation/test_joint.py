@@ -331,21 +331,16 @@ def test_a_surface_that_is_off_smoothly_speaks_of_the_mesh(drill, rng):
     rows = problem.seen.rows.copy()
     rows[:, :3] *= 1.0 + (wave / np.linalg.norm(problem.seen.points, axis=1))[:, None]
     off = replace(problem, seen=replace(problem.seen, rows=rows))
-    found, together = [], []
+    found = []
     for one in (problem, off):
         system = System(one, pose, 1.0)
         system.terms(pose, np.zeros(system.size))
         found.append(system.mesh_variance())
-        together.append(system.beside())
     believed = problem.beliefs.mesh_sigma**2
     assert found[0] < believed < found[1]
-    assert together[0] < 0.0003
-    assert 0.001 < together[1] < 0.004
-    assert solve(off, pose, 1.0).beside > solve(problem, pose, 1.0).beside
     # what is believed stays where nothing is seen
     blind = System(replace(problem, seen=evidence.empty()), pose, 1.0)
     assert blind.mesh_variance() == pytest.approx(believed)
-    assert np.isnan(blind.beside())
 
 
 def test_what_exceeds_is_what_another_covariance_lacks(rng):
