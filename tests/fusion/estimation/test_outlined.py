@@ -97,6 +97,20 @@ def test_an_image_of_another_size_is_refused_in_a_line(held):
         replace(held, rgb=held.rgb[:100, :100])
 
 
+def test_another_outline_may_have_been_read_and_moves_nothing(held):
+    """What the image narrows stays open by the chance that it showed another outline; the pose is the same."""
+    model = library.make("bottle")
+    never, usual, often = (
+        estimate(held, model, settings=replace(COLOUR, contour=replace(COLOUR.contour, another=share)))
+        for share in (0.0, COLOUR.contour.another, 0.5)
+    )
+    assert np.array_equal(never.pose, usual.pose)
+    assert np.array_equal(never.pose, often.pose)
+    sizes = [np.linalg.slogdet(answer.modes[0].covariance[3:, 3:])[1] for answer in (never, usual, often)]
+    assert sizes == sorted(sizes)
+    assert sizes[0] < sizes[2]
+
+
 def test_the_hand_follows_the_pose(held):
     """hand_from_object: the calibration is corrected with the pose, so that contacts stay where they were felt."""
     model = library.make("bottle")
