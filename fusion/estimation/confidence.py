@@ -175,7 +175,7 @@ class ConfidenceSettings:
     # of the tuning families, within 8 mm, likeliest as a Student distribution of 3.5 degrees of freedom; each family
     # left out, an answer is 0.27 nats likelier than by one factor for all. The likeliest factor is 0.18; with this
     # one regions of 95 % hold 92, at a mean NEES of 0.9 per degree of freedom.
-    widening: float = 0.43
+    widening: float = 0.52
     by_past: float = 1.0
     least_past: float = 0.01
     by_share: float = -0.25

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.solve.joint import JointResult, answered, as_believed, settle, solve
+from fusion.estimation.solve.joint import JointResult, answered, settle, solve
 from fusion.estimation.solve.problem import JointProblem
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -23,8 +23,10 @@ BESIDE, ANOTHER = 0.2, 1.0
 def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[JointResult]:
     """Solve each problem from its start, at least one; how large shared errors are is averaged over at the first.
 
-    A rig weighs exp(log evidence / temperature) times how usual it is. The first answer is the rigs' weighted mean and
-    mixture covariance, so that not knowing the rig is part of its uncertainty; other modes use the best.
+    A rig weighs exp(log evidence / temperature) times how usual it is. The first answer is the rigs' weighted mean, with
+    the likeliest one's covariance and as far as they end apart, so that not knowing the rig is part of its uncertainty;
+    other modes use the likeliest. The mean of their covariances was no likelier: of the true errors of 211 answers of
+    the tuning families each was 0.1 nats less likely, for its rays were the widest rigs'.
     """
     problem, settings = problems[0], problems[0].settings
     pairs = list(zip(problems, starts))[: settings.modes]
@@ -42,22 +44,14 @@ def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[Joint
     likely = np.flatnonzero(weights >= settings.negligible)
     usual = tried[likely[int(np.argmax(weights[likely]))]]
     best = answered(usual)
-    # how good the pixels are, and how much they disagree, is the frame's and not the rig's: known of the best
-    misfit = usual.system.misfit()
-    wide = [
-        best.covariance if k is usual else misfit * as_believed(k) + best.unsolved for k in (tried[n] for n in likely)
-    ]
-    first = _averaged(problem.model, [tried[n].pose for n in likely], wide, weights[likely], best)
+    first = _averaged(problem.model, [tried[n].pose for n in likely], weights[likely], best)
     first = replace(first, shares=tuple(float(share) for share in weights))
     return [first, *(solve(one, start, usual.level) for one, start in pairs[1:])]
 
 
-def _averaged(
-    model: ObjectModel, poses: list[Array], wide: list[Array], weights: Array, best: JointResult
-) -> JointResult:
-    """The rigs' mixture of poses (4, 4) and covariances (6, 6) about `best`: the mean of those that ended beside it,
-    and as wide as all that ended nearer than another side of the object. Turns about the object's own axes are no way
-    apart.
+def _averaged(model: ObjectModel, poses: list[Array], weights: Array, best: JointResult) -> JointResult:
+    """The rigs' poses (4, 4) about `best`: the mean of those that ended beside it, and wider by how far all ended apart
+    that are nearer than another side of the object. Turns about the object's own axes are no way apart.
     """
     ended = model.symmetries.nearest(np.array(poses), best.pose)
     delta = np.array([se3.difference(pose, best.pose, model.centroid) for pose in ended])
@@ -67,6 +61,5 @@ def _averaged(
     shares = np.where(moved < ANOTHER, weights, 0.0)
     shares = shares / shares.sum()
     spread = delta - mean
-    covariance = np.einsum("l,lij->ij", shares, wide)
-    covariance += np.einsum("l,li,lj->ij", shares, spread, spread)
+    covariance = best.covariance + np.einsum("l,li,lj->ij", shares, spread, spread)
     return replace(best, pose=se3.perturb(best.pose, mean, model.centroid), covariance=covariance)

@@ -271,15 +271,19 @@ def test_the_level_of_shared_errors_follows_the_data(drill):
 
 
 def test_a_rig_that_is_not_known_widens_the_answer(drill):
-    """However well pixels agree, the covariance is the mixture of all rigs that may be the case."""
+    """The covariance is the likeliest rig's, and as far as the rigs that may be the case end apart."""
     problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-5)
     calm = solve_modes([problem], [pose])[0]
-    alone, usual = solve(problem, pose, problem.settings.rigs[0].level), solve(problem, pose, 1.0)
-    assert np.trace(alone.covariance[3:, 3:]) < np.trace(calm.covariance[3:, 3:]) < np.trace(usual.covariance[3:, 3:])
+    likeliest = problem.settings.rigs[int(np.argmax(calm.shares))].level
+    assert calm.level == likeliest
+    alone = solve(problem, pose, likeliest)
+    beyond = np.linalg.eigvalsh(calm.covariance - alone.covariance)
+    assert beyond.min() > -0.02 * np.linalg.eigvalsh(alone.covariance).max()
+    assert np.trace(calm.covariance[3:, 3:]) < np.trace(solve(problem, pose, 4.0).covariance[3:, 3:])
 
 
 def test_the_evidence_of_rigs_counts_by_its_temperature(drill):
-    """The hotter, the less a frame says of its rig, up to nothing beyond how usual each is; and the wider it is."""
+    """The hotter, the less a frame says of its rig, up to nothing beyond how usual each is."""
     problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-5)
     found = [
         solve_modes([replace(problem, settings=replace(problem.settings, evidence_temperature=hot))], [pose])[0]
@@ -290,8 +294,6 @@ def test_the_evidence_of_rigs_counts_by_its_temperature(drill):
     assert calmest[0] > 0.6 > calmest[1] > 0.2
     usual = np.array([rig.share for rig in problem.settings.rigs])
     np.testing.assert_allclose(found[2].shares, usual / usual.sum(), atol=1e-6)
-    width = [np.trace(one.covariance[3:, 3:]) for one in found]
-    assert width == sorted(width)
 
 
 def test_rigs_that_end_apart_widen_the_answer_and_move_it_only_near_by(drill):
@@ -302,7 +304,7 @@ def test_rigs_that_end_apart_widen_the_answer_and_move_it_only_near_by(drill):
 
     def averaged(model, step):
         other = poses.perturb(best.pose, step, model.centroid)
-        return _averaged(model, [best.pose, other], [best.covariance] * 2, weights, best)
+        return _averaged(model, [best.pose, other], weights, best)
 
     near = averaged(drill, np.array([0, 0, 0, 0.1 * share, 0, 0]))
     assert near.pose[0, 3] == pytest.approx(best.pose[0, 3] + 0.025 * share)
