@@ -23,10 +23,10 @@ BESIDE, ANOTHER = 0.2, 1.0
 def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[JointResult]:
     """Solve each problem from its start, at least one; how large shared errors are is averaged over at the first.
 
-    A rig weighs exp(log evidence / temperature) times how usual it is. The first answer is the rigs' weighted mean, with
-    the likeliest one's covariance and as far as they end apart, so that not knowing the rig is part of its uncertainty;
-    other modes use the likeliest. The mean of their covariances was no likelier: of the true errors of 211 answers of
-    the tuning families each was 0.1 nats less likely, for its rays were the widest rigs'.
+    A rig weighs exp(log evidence / temperature) times how usual it is. The first answer is the rigs' weighted mean,
+    with the likeliest one's covariance and as far as they end apart, so that not knowing the rig is part of its
+    uncertainty; other modes use the likeliest. The mean of their covariances is mostly the widest rig's: by it the true
+    errors of 211 answers of the tuning families were each 0.1 nats less likely.
     """
     problem, settings = problems[0], problems[0].settings
     pairs = list(zip(problems, starts))[: settings.modes]
