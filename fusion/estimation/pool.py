@@ -74,6 +74,9 @@ class PoolSettings:
     least_agree: float = 0.8
     least_shown: float = 0.12
     sure_share: float = 0.9
+    # A mode that costs so many nats more than the first takes nothing from its share: where few pixels are left inside
+    # an outline, a mode is wide because nothing is known there, and Laplace's method takes width for weight.
+    surely_apart: float = 8.0
     # Nats that a round may gain where it ends in the pose of the one before, for that to be the end.
     as_likely: float = 3.0
     # What agrees with at least this share of the whole is clearly seen: then nothing more is proposed.
@@ -322,9 +325,11 @@ class Pool:
         """
         s = self.settings
         shown = s.least_shown if shown is None else shown
-        if modes[0].weight < s.sure_share:
+        first = modes[0]
+        rivals = sum(mode.weight for mode in modes[1:] if mode.cost < first.cost + s.surely_apart)
+        if first.weight < s.sure_share * (first.weight + rivals):
             return False
-        pose = modes[0].pose[None]
+        pose = first.pose[None]
         p = self.predictor.predict(pose)
         # what gives no reading neither agrees nor contradicts
         seen = p.agree[0] >= s.least_agree * (p.agree[0] + p.past[0]) and p.agree[0] >= shown

@@ -100,6 +100,15 @@ def test_without_touch_a_glance_that_convinces_is_enough_where_the_hand_is_known
     assert ("propose: around the best" in asked) == enough
 
 
+@pytest.mark.parametrize(("costlier", "convinces"), [(9.0, True), (5.0, False)])
+def test_a_wide_mode_is_a_doubt_only_where_it_does_not_cost_far_more(sensed, lab_frame, costlier, convinces):
+    truth, wide = lab_frame.camera_from_object_truth, np.eye(6)
+    first = Mode(truth, 0.2, -8.0, 1e-6 * wide)
+    beside = Mode(poses.displaced(truth, 0.2, 0.01, np.zeros(3), np.random.default_rng(0)), 0.8, costlier - 8.0, wide)
+    assert sensed.pool.convinces((replace(first, weight=1.0),))
+    assert sensed.pool.convinces((first, beside)) == convinces
+
+
 def test_a_glance_does_not_tell_apart_what_nearly_looks_the_same(sensed, lab_frame, monkeypatch):
     pool, truth = sensed.pool, lab_frame.camera_from_object_truth
     seen = replace(pool, settings=replace(PoolSettings(), glance_shown=0.0, glance_share=0.0, glance_share_felt=0.0))
