@@ -30,11 +30,12 @@ Array = NDArray[np.float64]
 class Regression:
     """Factors of a logistic regression, no unit: what each observation adds to the log odds that a mode is right.
 
-    Tuned on 982 answers to 177 frames of all nine tuning families (docs/evaluation.md; `palpate fit-confidence`), with
-    a start and without: the product of both factors of the probability, at tolerances of 3, 5 and 10 mm, by maximum
-    likelihood, factors held to the sign that they must have. With a picture they are the mean of that fit and of one
-    to 1984 answers with earlier covariances: as likely, and of twice as many frames. What a fit states of a family that
-    was left out is 3.7 % off (calibration error; by chance alone 1.7; touch alone with a start 8, without 10 %).
+    Tuned on answers to frames of all nine tuning families (docs/evaluation.md; `palpate fit-confidence`), with a start
+    and without: the product of both factors of the probability, at tolerances of 3, 5 and 10 mm, by maximum likelihood,
+    factors held to the sign that they must have. Touch alone: 1984 answers, 352 frames. With a picture: the mean of
+    that fit, whose covariances were earlier ones, and of one to 982 answers and 177 frames with today's: as likely as
+    the second, and of more frames. What a fit states of a family that was left out is 1.7 % (352 frames) to 3.7 % off
+    (177; by chance alone 1.7; touch alone 4.5 to 10 %).
     """
 
     # Of the logarithm of the first mode's odds, with those that look like it, against the others, within `most_odds`.
@@ -133,12 +134,13 @@ class ConfidenceSettings:
         nearest=0.589,
     )
     felt: Regression = Regression(
-        weight=0.154,
-        outliers=-7.46,
-        blunt=-4.38,
-        far=2.2,
-        constant=1.86,
-        nearest=0.511,
+        weight=0.209,
+        outliers=-7.72,
+        contact_nats=-0.336,
+        blunt=-3.4,
+        far=1.83,
+        constant=1.36,
+        nearest=0.481,
     )
     # Share of the picture above which agreement speaks for an answer, and the most of what is seen past and of the
     # outline that runs on (shares) that speaks against one: cameras that blend edges draw surfaces on.
