@@ -32,10 +32,10 @@ class Regression:
 
     Tuned on answers to frames of all nine tuning families (docs/evaluation.md; `palpate fit-confidence`), with a start
     and without: the product of both factors of the probability, at tolerances of 3, 5 and 10 mm, by maximum likelihood,
-    factors held to the sign that they must have. Touch alone: 1984 answers, 352 frames. With a picture: the mean of
-    that fit, whose covariances were earlier ones, and of one to 982 answers and 177 frames with today's: as likely as
-    the second, and of more frames. What a fit states of a family that was left out is 1.7 % (352 frames) to 3.7 % off
-    (177; by chance alone 1.7; touch alone 4.5 to 10 %).
+    factors held to the sign that they must have. Touch alone: 1984 answers, 352 frames, with earlier covariances that
+    were a little wider. With a picture: the mean of that fit and of one to 982 answers and 177 frames with today's: as
+    likely as the second, and of more frames. What a fit states of a family that was left out is 1.7 % (352 frames) to
+    3.7 % off (177; by chance alone 1.7; touch alone 4.5 to 10 %; in report families touch states 18.8 % too much).
     """
 
     # Of the logarithm of the first mode's odds, with those that look like it, against the others, within `most_odds`.
