@@ -1,4 +1,6 @@
-"""Frames that several test files share: one of random numbers with every part, one exact view of an object."""
+"""Frames that several test files share: one of random numbers with every part, one exact view of an object, and
+those of an object that is carried.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +14,8 @@ from scenes.synthesis.library import make
 
 CAMERA = Camera(80.0, 82.0, 31.5, 23.5, 64, 48)
 VIEW = Camera(285.0, 285.0, 159.5, 119.5, 320, 240)
+# Frames of a recording by `recording`, when nobody says how many.
+CARRIED = 12
 
 
 def touching(hand, sensor: str, place: np.ndarray, turned: np.ndarray) -> np.ndarray:
@@ -66,3 +70,42 @@ def plain_view(name: str = "box", seed: int = 0) -> Frame:
         prior=poses.displaced(pose, np.deg2rad(8), 0.010, model.centroid, rng),
         camera_from_object_truth=pose,
     )
+
+
+def recording(model, count=CARRIED, slip=None, seed=0, step=(0.01, 0.02, 0.0, 0.003, 0.001, 0.001)):
+    """Frames of an object carried by a hand that the camera does not see: depth, contacts and the hand's pose.
+
+    slip: {frame: delta (6,)} by which the object moves in the hand before that frame.
+    """
+    rng = np.random.default_rng(seed)
+    renderer = Renderer({"object": (model.vertices, model.faces)})
+    hold = poses.make_pose(poses.random_rotations(1, rng)[0], [0.01, 0.02, 0.08])
+    camera_from_hand = poses.make_pose(poses.random_rotations(1, rng)[0], None)
+    camera_from_hand[:3, 3] = [-0.02, 0.0, 0.55] - camera_from_hand[:3, :3] @ (hold @ [*model.centroid, 1.0])[:3]
+    chosen, normals = model.sample_surface(5, seed=seed)
+    frames = []
+    for index in range(count):
+        hold = poses.perturb(hold, (slip or {}).get(index, np.zeros(6)), model.centroid)
+        truth = camera_from_hand @ hold
+        depth = renderer.render(VIEW, {"object": truth}).depth.astype(np.float32)
+        depth = np.where(np.isfinite(depth) & (depth > 0), depth + 0.001 * rng.normal(size=depth.shape), 0.0)
+        points = chosen + 0.0007 * rng.normal(size=chosen.shape)
+        contacts = Contacts(points, normals, 0.0009, 0.09).moved(truth)
+        prior = poses.displaced(truth, np.deg2rad(8), 0.01, model.centroid, rng) if index == 0 else None
+        frames.append(
+            Frame(
+                index, f"frame {index}", VIEW, depth=depth.astype(np.float32), world_from_hand=camera_from_hand,
+                contacts=contacts, prior=prior, camera_from_object_truth=truth,
+            )
+        )  # fmt: skip
+        middle = (truth @ [*model.centroid, 1.0])[:3]
+        turn = poses.exp_rotation(step[:3])
+        camera_from_hand = poses.make_pose(turn, middle + step[3:] - turn @ middle) @ camera_from_hand
+    return frames
+
+
+def off_by(answer, frame, model):
+    """Degrees and millimetres, modulo symmetry."""
+    truth = frame.camera_from_object_truth
+    delta = poses.difference(model.symmetries.nearest(answer.pose, truth), truth, model.centroid)
+    return np.rad2deg(np.linalg.norm(delta[:3])), 1e3 * np.linalg.norm(delta[3:])

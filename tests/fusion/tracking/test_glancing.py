@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_frames import recording
 
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Measurement
@@ -13,7 +14,6 @@ from fusion.tracking.steps.refining import loose
 from fusion.tracking.tracker import Tracker
 from scenes.geometry import poses
 from scenes.synthesis import library
-from tests.fusion.tracking.test_tracking import recording
 
 
 @pytest.fixture(scope="module")

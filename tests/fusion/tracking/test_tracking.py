@@ -4,58 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_frames import CARRIED, VIEW, off_by, recording
 
 from fusion import Tracker, track
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.state import GlanceSettings, RenewalSettings
 from scenes.errors import InputError
 from scenes.geometry import poses
-from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Renderer
-from scenes.recordings.frames import Contacts, Frame
+from scenes.recordings.frames import Contacts
 from scenes.synthesis import library
-
-CAMERA = Camera(285.0, 285.0, 159.5, 119.5, 320, 240)
-COUNT = 12
-
-
-def recording(model, count=COUNT, slip=None, seed=0, step=(0.01, 0.02, 0.0, 0.003, 0.001, 0.001)):
-    """Frames of an object carried by a hand that the camera does not see: depth, contacts and the hand's pose.
-
-    slip: {frame: delta (6,)} by which the object moves in the hand before that frame.
-    """
-    rng = np.random.default_rng(seed)
-    renderer = Renderer({"object": (model.vertices, model.faces)})
-    hold = poses.make_pose(poses.random_rotations(1, rng)[0], [0.01, 0.02, 0.08])
-    camera_from_hand = poses.make_pose(poses.random_rotations(1, rng)[0], None)
-    camera_from_hand[:3, 3] = [-0.02, 0.0, 0.55] - camera_from_hand[:3, :3] @ (hold @ [*model.centroid, 1.0])[:3]
-    chosen, normals = model.sample_surface(5, seed=seed)
-    frames = []
-    for index in range(count):
-        hold = poses.perturb(hold, (slip or {}).get(index, np.zeros(6)), model.centroid)
-        truth = camera_from_hand @ hold
-        depth = renderer.render(CAMERA, {"object": truth}).depth.astype(np.float32)
-        depth = np.where(np.isfinite(depth) & (depth > 0), depth + 0.001 * rng.normal(size=depth.shape), 0.0)
-        points = chosen + 0.0007 * rng.normal(size=chosen.shape)
-        contacts = Contacts(points, normals, 0.0009, 0.09).moved(truth)
-        prior = poses.displaced(truth, np.deg2rad(8), 0.01, model.centroid, rng) if index == 0 else None
-        frames.append(
-            Frame(
-                index, f"frame {index}", CAMERA, depth=depth.astype(np.float32), world_from_hand=camera_from_hand,
-                contacts=contacts, prior=prior, camera_from_object_truth=truth,
-            )
-        )  # fmt: skip
-        middle = (truth @ [*model.centroid, 1.0])[:3]
-        turn = poses.exp_rotation(step[:3])
-        camera_from_hand = poses.make_pose(turn, middle + step[3:] - turn @ middle) @ camera_from_hand
-    return frames
-
-
-def error(answer, frame, model):
-    """Degrees and millimetres, modulo symmetry."""
-    truth = frame.camera_from_object_truth
-    delta = poses.difference(model.symmetries.nearest(answer.pose, truth), truth, model.centroid)
-    return np.rad2deg(np.linalg.norm(delta[:3])), 1e3 * np.linalg.norm(delta[3:])
 
 
 @pytest.fixture(scope="module")
@@ -70,11 +27,11 @@ def carried(mug):
 
 def test_a_carried_object_is_followed_and_nothing_slips(mug, carried):
     answers = list(track(carried, mug))
-    assert [a.how for a in answers] == ["started"] + ["tracked"] * (COUNT - 1)
-    assert [a.frame for a in answers] == list(range(COUNT))
+    assert [a.how for a in answers] == ["started"] + ["tracked"] * (CARRIED - 1)
+    assert [a.frame for a in answers] == list(range(CARRIED))
     assert not any(a.slip or a.moved_in_hand for a in answers)
     for answer, frame in zip(answers, carried):
-        turn, move = error(answer, frame, mug)
+        turn, move = off_by(answer, frame, mug)
         assert turn < 2.5
         assert move < 2.0
         assert np.linalg.eigvalsh(answer.covariance).min() > 0
@@ -97,7 +54,7 @@ def test_where_all_goes_as_expected_a_glance_is_enough(mug, carried):
     full = list(track(carried, mug, settings=replace(ALONE, glance=GlanceSettings(every=1))))
     assert not any("glance" in {stage.name for stage in a.trace} for a in full)
     for i in glances:
-        turn, move = error(answers[i], carried[i], mug)
+        turn, move = off_by(answers[i], carried[i], mug)
         assert turn < 2.5
         assert move < 2.0
         assert answers[i].verdict == full[i].verdict
@@ -129,7 +86,7 @@ def test_frames_without_anything_are_bridged_by_the_hand(mug, carried):
     before, after = (np.trace(answers[i].covariance[:3, :3]) for i in (4, 8))
     assert after > before  # less sure with every blind frame
     for answer, frame in zip(answers[4:], carried[4:]):
-        turn, move = error(answer, frame, mug)
+        turn, move = off_by(answer, frame, mug)
         assert turn < 2.5
         assert move < 2.0
     assert answers[9].how == "tracked"
@@ -151,7 +108,7 @@ def test_one_sense_may_be_missing_for_a_while(mug, carried, sense):
 
     frames = [without(f) for f in carried]
     for answer, frame in zip(track(frames, mug), carried):
-        turn, move = error(answer, frame, mug)
+        turn, move = off_by(answer, frame, mug)
         assert turn < 3.0
         assert move < 2.5
         assert answer.how in ("started", "tracked")
@@ -165,7 +122,7 @@ def test_senses_that_take_turns_and_a_late_frame(mug, carried):
         frame = carried[index]
         part = replace(frame, depth=None) if index % 2 else replace(frame, contacts=Contacts(np.zeros((0, 3))))
         answer = tracker.step(part)
-        turn, move = error(answer, frame, mug)
+        turn, move = off_by(answer, frame, mug)
         assert answer.frame == index
         assert turn < 3.0
         assert move < 2.5
@@ -180,7 +137,7 @@ def test_a_slip_is_said_and_followed(mug):
     assert slipping
     assert 7 <= slipping[0] <= 10
     assert any("slips in the hand" in note for a in answers for note in a.notes)
-    turn, move = error(answers[-1], frames[-1], mug)
+    turn, move = off_by(answers[-1], frames[-1], mug)
     assert turn < 2.5
     assert move < 2.0
 
@@ -194,7 +151,7 @@ def test_what_goes_on_slipping_is_glanced_at_a_second_time(mug):
     assert slipping[0] in looked  # what nobody expects is looked at in full
     assert any(frame not in looked for frame in slipping)
     for answer, frame in zip(answers[slipping[0] :], frames[slipping[0] :]):
-        turn, move = error(answer, frame, mug)
+        turn, move = off_by(answer, frame, mug)
         assert turn < 2.5
         assert move < 2.0
 
@@ -205,7 +162,7 @@ def test_a_lost_object_is_found_again(mug):
     answers = list(track(frames, mug))
     assert "re-initialised" in [a.how for a in answers[5:8]]
     for answer, frame in zip(answers[8:], frames[8:]):
-        turn, move = error(answer, frame, mug)
+        turn, move = off_by(answer, frame, mug)
         assert answer.how == "tracked"
         assert turn < 3.0
         assert move < 2.5
@@ -225,9 +182,9 @@ def test_a_cylinder_does_not_spin():
 
 
 def test_clouds_are_followed_like_images(mug, carried):
-    frames = [replace(f, depth=None, cloud=CAMERA.back_project(f.depth)) for f in carried[:5]]
+    frames = [replace(f, depth=None, cloud=VIEW.back_project(f.depth)) for f in carried[:5]]
     for answer, frame in zip(track(frames, mug), frames):
-        turn, move = error(answer, frame, mug)
+        turn, move = off_by(answer, frame, mug)
         assert turn < 4.0
         assert move < 3.0
         assert answer.how in ("started", "tracked")
@@ -236,7 +193,7 @@ def test_clouds_are_followed_like_images(mug, carried):
 def test_without_a_hand_the_last_velocity_leads(mug, carried):
     frames = [replace(f, world_from_hand=None, contacts=Contacts(np.zeros((0, 3)))) for f in carried]
     for answer, frame in zip(track(frames, mug, use="vision"), frames):
-        turn, move = error(answer, frame, mug)
+        turn, move = off_by(answer, frame, mug)
         assert turn < 3.0
         assert move < 2.5
         assert not answer.slip
@@ -248,7 +205,7 @@ def test_what_the_robot_is_off_by_is_learned_where_no_hand_is_seen(mug, carried)
     tracker = Tracker(mug)
     answers = [tracker.step(replace(frame, contacts=frame.contacts.moved(off))) for frame in carried]
     assert [a.how for a in answers[1:]] == ["tracked"] * (len(carried) - 1)
-    assert all(error(a, f, mug)[1] < 2.0 for a, f in zip(answers, carried))
+    assert all(off_by(a, f, mug)[1] < 2.0 for a, f in zip(answers, carried))
     correction = tracker._state.correction
     assert correction is not None
     reported = carried[-1].contacts.moved(off).moved(poses.inverse(carried[-1].camera_from_object_truth))

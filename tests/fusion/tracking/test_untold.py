@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_frames import off_by, recording
 
 from fusion.estimation.answer import Mode
 from fusion.tracking import hypotheses as several
@@ -15,7 +16,6 @@ from fusion.tracking.tracker import Tracker
 from fusion.tracking.untold import LOOKS, Untold
 from scenes.geometry import poses
 from scenes.synthesis import library
-from tests.fusion.tracking.test_tracking import error, recording
 
 NARROW = 1e-6 * np.eye(6)
 # A handle that may turn by 0.3 rad about the object's own z.
@@ -98,7 +98,7 @@ def test_touch_that_contradicts_an_object_out_of_sight_does_not_move_it(mug):
     tracker = Tracker(mug)
     for frame in frames:
         answer = tracker.step(frame)
-        _, millimetres = error(answer, frame, mug)
+        _, millimetres = off_by(answer, frame, mug)
         assert millimetres < 5.0
         assert answer.how in (("carried",) if frame.index in dark else ("started", "tracked"))
         assert frame.index not in dark or "contradicts" in answer.notes[0]
