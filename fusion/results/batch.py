@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 TRIES = 2
 MARKER = "batch.json"
 THUMBNAIL = "thumbnail.jpg"
+# Status of a frame that no estimate should be made of.
+LEFT_OUT = "left out"
 # What one thread a worker means, for everything that brings its own.
 THREADS = ("PALPATE_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
@@ -85,12 +87,22 @@ class Job:
 @dataclass(frozen=True)
 class Outcome:
     """What became of a job: rows, one a frame, or one that says what went wrong; status "done", "kept" (from an earlier
-    run) or "error".
+    run) or "error". Of its rows those of frames that could not be used have the status "left out".
     """
 
     job: Job
     status: str
     rows: list[Row]
+
+    @property
+    def answers(self) -> list[Row]:
+        """The rows that have an answer."""
+        return [row for row in self.rows if row["status"] == "done"]
+
+    @property
+    def left_out(self) -> list[Row]:
+        """The rows of frames that could not be used."""
+        return [row for row in self.rows if row["status"] == LEFT_OUT]
 
 
 def find_captures(folder: Path) -> list[Path]:
@@ -135,8 +147,9 @@ def run_capture(job: Job) -> list[Row]:
     model = load_object(job.object, job.unit) if job.object else capture.model
     prepare, judge = frame_setter(job.prior, job.seed, job.told), Judge.of(model)
     frames, answers, errors = [], [], []
-    numbers = capture.frame_ids
-    for frame, answer in estimates(capture, numbers, model, prepare, job.use, job.seed, settings=job.settings):
+    left_out: dict[int, str] = {}
+    asked = capture, capture.frame_ids, model, prepare, job.use, job.seed
+    for frame, answer in estimates(*asked, settings=job.settings, leave_out=left_out.__setitem__):
         frames.append(frame)
         answers.append(answer)
         errors.append(frame_errors(judge, frame, answer))
@@ -145,6 +158,8 @@ def run_capture(job: Job) -> list[Row]:
         touches = [next_touches(model, answer, frame) for frame, answer in zip(frames, answers)]
         content = result_json(capture.name, model, answers, errors, touches)
         content["capture_path"] = str(capture.path.resolve())
+        if left_out:
+            content["left_out"] = [{"frame": number, "why": why} for number, why in left_out.items()]
         write_results(draft, capture, answers, content)
         if job.report:
             from fusion.results.report.page import write_report
@@ -153,7 +168,9 @@ def run_capture(job: Job) -> list[Row]:
             write_thumbnail(draft / THUMBNAIL, frames, model, answers)
             page = draft / "report.html"
             write_report(page, capture.name, frames, model, answers, None, content["errors"], touches=touches)
-        rows = json_number([_row(job, model.name, answer, error) for answer, error in zip(answers, errors)])
+        told = [_row(job, model.name, answer, error) for answer, error in zip(answers, errors)]
+        told += [left_out_row(job, number, why) for number, why in left_out.items()]
+        rows = json_number(sorted(told, key=lambda row: row["frame"]))
         marker = {"fingerprint": job.fingerprint, "rows": rows}
         replace_file(draft / MARKER, (json.dumps(marker, indent=1, allow_nan=False) + "\n").encode())
         _replace(draft, out)
@@ -179,6 +196,11 @@ def _row(job: Job, name: str, answer: Any, error: Any) -> Row:
 def error_row(job: Job, message: str) -> Row:
     """The row of a capture that gave no result."""
     return dict.fromkeys(COLUMNS) | {"capture": job.name, "status": "error", "error": " ".join(message.split())}
+
+
+def left_out_row(job: Job, number: int, why: str) -> Row:
+    """The row of a frame that could not be used."""
+    return error_row(job, why) | {"frame": number, "status": LEFT_OUT}
 
 
 # ---- workers

@@ -231,9 +231,15 @@ def rgb_camera_entry(entry: Any) -> tuple[Array, Array]:
 
 
 def camera(entry: SceneCamera, shape: tuple[int, ...] | None) -> Camera:
-    """The pinhole camera of images of `shape` (h, w); without an image the size is the entry's, or twice the centre."""
+    """The pinhole camera of images of `shape` (h, w); without an image the size is the entry's, or twice the centre.
+
+    Raises InputError where the entry's size is not the image's: its intrinsics are of another image then.
+    """
     if shape is not None:
         height, width = shape[:2]
+        if entry.size is not None and entry.size != (width, height):
+            told = "x".join(map(str, entry.size))
+            raise InputError(f"width, height: expected the image's {width}x{height} pixels, got {told}: cam_K is of those")
     elif entry.size is not None:
         width, height = entry.size
     else:

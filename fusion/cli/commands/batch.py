@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Exit code 1 when a capture failed or a frame is lost."""
+    """Exit code 1 when a capture failed, a frame could not be used, or one is lost."""
     from fusion.estimation.asked import check_senses
     from fusion.results.batch import Job, Outcome, find_captures, finished
     from fusion.results.batch_files import write_all
@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
     write_json(args.json, {"summary": summary, "rows": [row for outcome in outcomes for row in outcome.rows]})
     _show(outcomes, summary)
     say(f"wrote {', '.join(str(path) for path in written)}")
-    return 1 if summary["failed"] or summary["verdicts"]["lost"] else 0
+    return 1 if summary["failed"] or summary["left_out"] or summary["verdicts"]["lost"] else 0
 
 
 def _outcomes(args: argparse.Namespace, jobs: list[Job]) -> Iterator[Outcome]:
@@ -125,16 +125,22 @@ def _show(outcomes: list[Outcome], summary: dict[str, Any]) -> None:
     for outcome in outcomes:
         if outcome.status == "error":
             continue
-        counts = [str(sum(row["verdict"] == word for row in outcome.rows)) for word in ("ok", "ambiguous", "lost")]
+        done = outcome.answers
+        counts = [str(sum(row["verdict"] == word for row in done)) for word in ("ok", "ambiguous", "lost")]
         names_of = ("confidence", "add_s_mm", "rotation_deg", "time_ms")
-        middle = [median([row[name] for row in outcome.rows]) for name in names_of]
+        middle = [median([row[name] for row in done]) for name in names_of]
         measured = [percent(middle[0]), number(middle[1]), number(middle[2]), number(middle[3], 0)]
-        rows.append((outcome.job.name, str(len(outcome.rows)), *counts, *measured))
+        rows.append((outcome.job.name, str(len(done)), *counts, *measured))
     if rows:
         show_table(heads, rows)
     for outcome in outcomes:
         if outcome.status == "error":
             say(f"{outcome.job.name}: failed: {outcome.rows[0]['error']}")
+        elif outcome.left_out:
+            first, more = outcome.left_out[0], len(outcome.left_out) - 1
+            also = f", and {counted(more, 'more frame')}" if more else ""
+            say(f"{outcome.job.name}: left out: {first['error']}{also}")
     kept = f", {summary['kept']} of them from an earlier run" if summary["kept"] else ""
     failed = f", {summary['failed']} failed" if summary["failed"] else ""
-    say(f"{counted(summary['captures'], 'capture')}{kept}{failed}; {counted(summary['frames'], 'frame')}")
+    missing = f", {summary['left_out']} left out" if summary["left_out"] else ""
+    say(f"{counted(summary['captures'], 'capture')}{kept}{failed}; {counted(summary['frames'], 'frame')}{missing}")

@@ -59,7 +59,7 @@ def _verdicts(outcome: Outcome) -> list[str]:
     """What its frames are said to be, each once; "failed" without frames."""
     if outcome.status == "error":
         return ["failed"]
-    return [word for word in VERDICTS[:-1] if any(row["verdict"] == word for row in outcome.rows)]
+    return [word for word in VERDICTS[:-1] if any(row["verdict"] == word for row in outcome.answers)]
 
 
 def _filters(outcomes: Sequence[Outcome]) -> str:
@@ -78,6 +78,8 @@ def facts(summary: Mapping[str, Any]) -> list[str]:
     out += [f"{count} {word}" for word, count in summary["verdicts"].items() if count]
     if summary["failed"]:
         out.append(f"{summary['failed']} failed")
+    if summary["left_out"]:
+        out.append(f"{counted(summary['left_out'], 'frame')} left out")
     if summary["median_add_s_mm"] is not None:
         out.append(f"median ADD-S {summary['median_add_s_mm']:.2f} mm")
         out.append(f"{100 * summary['success_add_s_below_5mm']:.0f} % below 5 mm")
@@ -90,10 +92,14 @@ def _class(rare: bool, kind: str) -> str:
 
 
 def _row(folder: Path, outcome: Outcome) -> str:
-    rows, failed = outcome.rows, outcome.status == "error"
+    failed = outcome.status == "error"
+    rows = outcome.rows if failed else outcome.answers
     found = [row["verdict"] == "ok" for row in rows if not failed]
     counts = {word: sum(row["verdict"] == word for row in rows) for word in _verdicts(outcome)}
     said = rows[0]["error"] if failed else ", ".join(f"{count} {word}" for word, count in counts.items())
+    missing = len(outcome.left_out)
+    if missing:
+        said = f"{said}, {missing} left out"
     values: list[Any] = [
         outcome.job.name,
         None if failed else rows[0]["object"] if rows else None,
@@ -106,6 +112,9 @@ def _row(folder: Path, outcome: Outcome) -> str:
         pills = f'<span class="pill lost">failed</span> {html.escape(str(said))}'
     else:
         pills = "".join(f'<span class="pill {word}">{count} {word}</span>' for word, count in counts.items())
+        if missing:
+            first = html.escape(str(outcome.left_out[0]["error"]))
+            pills += f'<span class="pill lost" title="{first}">{missing} left out</span>'
     cells = [_picture(folder, outcome)]
     for (name, kind, rare), value in zip(HEADS, values):
         sort = html.escape("" if value is None else str(value))

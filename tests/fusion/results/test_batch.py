@@ -298,6 +298,22 @@ def test_interrupted_it_ends_at_once_and_leaves_nothing_running(folder, tmp_path
     assert left == []
 
 
+def test_a_frame_that_cannot_be_used_is_a_row_and_the_others_are_answered(tmp_path, capsys):
+    folder, out, told = tmp_path / "many", tmp_path / "o", tmp_path / "b.json"
+    write_capture(folder / "two", [plain_view(seed=0), replace(plain_view(seed=1), index=1)], make("box"))
+    (folder / "two" / "depth" / "000001.png").write_bytes(b"no image")
+    argv = ["batch", str(folder), "--out", str(out), "--workers", "1", "--json", str(told)]
+    assert main(argv) == 1
+    assert "two: left out: " in capsys.readouterr().out
+    found = json.loads(told.read_text())
+    assert (found["summary"]["failed"], found["summary"]["left_out"], found["summary"]["frames"]) == (0, 1, 1)
+    assert [row["status"] for row in found["rows"]] == ["done", "left out"]
+    assert "000001.png" in found["rows"][1]["error"]
+    assert json.loads((out / "two" / "result.json").read_text())["left_out"][0]["frame"] == 1
+    assert "1 left out" in (out / "index.html").read_text()
+    assert main(argv) == 1  # an earlier run's frame that was left out is no success, either
+
+
 def test_bad_use_is_one_line(tmp_path, capsys):
     for argv in (["batch", str(tmp_path / "x")], ["batch", str(tmp_path)], ["batch", str(tmp_path), "--workers", "0"]):
         assert main(argv) == 2

@@ -155,6 +155,10 @@ DAMAGES = {
         lambda c: edit(c / "scene_camera.json", lambda d: put("cam_K", [-1, 0, 0, 0, 1, 0, 0, 0, 1])(d["0"])),
         "focal lengths above 0",
     ),
+    "camera of images of another size": (
+        lambda c: edit(c / "scene_camera.json", lambda d: d["0"].update(width=640, height=480)),
+        "scene_camera.json, frame 0: width, height: expected the image's 64x48 pixels, got 640x480",
+    ),
     "depth_scale zero": (
         lambda c: edit(c / "scene_camera.json", lambda d: put("depth_scale", 0)(d["0"])),
         "depth_scale: expected millimetres per count above 0",
