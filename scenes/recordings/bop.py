@@ -239,7 +239,9 @@ def camera(entry: SceneCamera, shape: tuple[int, ...] | None) -> Camera:
         height, width = shape[:2]
         if entry.size is not None and entry.size != (width, height):
             told = "x".join(map(str, entry.size))
-            raise InputError(f"width, height: expected the image's {width}x{height} pixels, got {told}: cam_K is of those")
+            raise InputError(
+                f"width, height: expected the image's {width}x{height} pixels, got {told}: cam_K is of those"
+            )
     elif entry.size is not None:
         width, height = entry.size
     else:
