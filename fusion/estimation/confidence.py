@@ -42,6 +42,8 @@ class Regression:
     weight: float = 0.0
     # Of nothing else being left beside them.
     alone: float = 0.0
+    # Of the logarithm of the odds of all of which most of the surface is where the first has it (`Alike.near`).
+    near: float = 0.0
     # Of the share of the predicted picture that agrees, above `agreeing`.
     agree: float = 0.0
     # Of the logarithm of that share, from `least_agreeing` on, and of how sharply it agrees: 1 is to the millimetre.
@@ -87,6 +89,7 @@ class Feature:
 FEATURES = (
     Feature("weight", +1, felt=True),
     Feature("alone", +1),
+    Feature("near", +1, felt=True),
     Feature("agree", +1),
     Feature("visible", +1),
     Feature("sharp", +1),
@@ -211,11 +214,11 @@ def observations(
     s = settings
     same = same or alike(model, modes, s.tolerance)
     weight = float(np.clip(same.weight, 0.0, 1.0))
-    odds = np.log(max(weight, 1e-12)) - np.log(max(1.0 - weight, 1e-12))
     ratio = spread_of(model, modes[0].pose, modes[0].covariance) / max(model.radius, 1e-9)
     found = {
-        "weight": float(np.clip(odds, -s.most_odds, s.most_odds)),
+        "weight": float(np.clip(_odds(weight), -s.most_odds, s.most_odds)),
         "alone": float(weight > s.alone),
+        "near": float(np.clip(_odds(same.near_weight), -s.most_odds, s.most_odds)),
         "spread": float(np.log(np.clip(ratio, s.narrowest, s.widest))),
         "far": max(float(np.log(min(max(ratio, s.narrowest), s.widest) / s.far_share)), 0.0),
         "anywhere": float(anywhere),
@@ -234,6 +237,11 @@ def observations(
         found["outline"] = min(float(picture.outline[0]), s.most_outline)
         found["hidden"], found["behind_hand"] = float(picture.hidden[0]), float(picture.behind_hand[0])
     return found
+
+
+def _odds(weight: float) -> float:
+    """Logarithm of the odds of a share, of neither less than 1e-12."""
+    return math.log(max(weight, 1e-12)) - math.log(max(1.0 - weight, 1e-12))
 
 
 def _blunt(contacts: tuple[ContactResidual, ...], settings: ConfidenceSettings) -> float:
@@ -420,7 +428,7 @@ def told_covariance(
     room: float = 0.0,
     same: Alike | None = None,
 ) -> Array:
-    """(6, 6) covariance of an answer with that verdict: of an `ok` one that of its first mode, or of all that look like
+    """(6, 6) covariance of an answer with that verdict: of an `ok` one that of its first mode, or of all that are near
     it where the first does not hold what a region of 95 % must; else of all that may be the case.
 
     same: the modes that are one answer within the settings' tolerance, None to find them. See `whole_covariance`.
@@ -429,6 +437,6 @@ def told_covariance(
     if word != "ok":
         return whole_covariance(model, modes, right, prior, s, room)
     same = same or alike(model, modes, s.tolerance)
-    if modes[0].weight >= (1.0 - s.left_out) * same.weight:
+    if modes[0].weight >= (1.0 - s.left_out) * same.near_weight:
         return modes[0].covariance
-    return whole_covariance(model, same.modes, 1.0, prior, s)
+    return whole_covariance(model, same.near, 1.0, prior, s)

@@ -161,7 +161,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
             worth = worth_solving(found, settings.plan, settings.joint.modes)
             solved = solve_together(sensed, worth, asked)
             in_all = solved.costs - by_print(gains, len(worth))
-            modes = rejudged(model, solved.results, in_all, settings)
+            modes = rejudged(model, solved.results, in_all, settings, predictor.sees)
             first_of = int(np.argmin(in_all))
             searched = worth[first_of]
             best, seen = solved.results[first_of], solved.shown[first_of]
@@ -190,7 +190,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
     modes = (first, *modes[1:])
     if finish and not facing.pixels:
         # where a print is read, it has asked about every way round
-        modes = with_twins(model, modes, rows, believed, settings)
+        modes = with_twins(model, modes, rows, believed, settings, predictor.costs if predictor.sees else None)
     useless = *useless, *unread(facing)
     with trace.stage("judge", True, "") as stage:
         pose = modes[0].pose

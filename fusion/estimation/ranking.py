@@ -83,16 +83,17 @@ def comparable(solved: list[JointResult], settings: EstimateSettings) -> Array:
 
 
 def rejudged(
-    model: ObjectModel, solved: list[JointResult], costs: Array, settings: EstimateSettings
+    model: ObjectModel, solved: list[JointResult], costs: Array, settings: EstimateSettings, seen: bool
 ) -> tuple[Mode, ...]:
-    """The modes after the joint solution: its poses and covariances, and costs (k,); weights by Laplace's method."""
+    """The modes after the joint solution: its poses and covariances, and costs (k,); weights as the settings have
+    it for answers that have seen a picture, and for those by touch alone.
+    """
+    told = settings.told if seen else settings.felt
     # what the solution believed of its own accord (System.width) is believed again by distinct_modes: taken out here
     weak = np.repeat([1.0, model.radius], 3) ** -2.0
     hessians = np.array([np.linalg.inv(s.covariance) - np.diag(weak) for s in solved])
     poses = np.array([s.pose for s in solved])
-    return distinct_modes(
-        model, Alignment(poses, costs, hessians, np.zeros(len(solved), dtype=np.int64)), settings.modes
-    )
+    return distinct_modes(model, Alignment(poses, costs, hessians, np.zeros(len(solved), dtype=np.int64)), told)
 
 
 def beyond_rows(frame: Frame, model: ObjectModel, solved: list[JointResult], settings: EstimateSettings) -> Array:

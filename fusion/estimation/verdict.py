@@ -38,9 +38,10 @@ class VerdictSettings:
     # Least share of contacts, and of the pixels taken for the object, that an answer must explain.
     least_contacts: float = 0.5
     # Nats a contact, on average, from which what is felt contradicts the answer: a false contact costs about eight, by
-    # a gate of so many sigmas. One of unknown worth pulls without a gate, but counts no more here: one normal the wrong
-    # way round among five contacts is no reason to disbelieve a camera that sees the object.
-    most_contradicted: float = 5.5
+    # a gate of so many sigmas, and one beside an edge of the mesh, where normals are either face's, up to six. One of
+    # unknown worth pulls without a gate, but counts no more here: one normal the wrong way round among five contacts is
+    # no reason to disbelieve a camera that sees the object.
+    most_contradicted: float = 6.5
     false_gate: float = 4.0
     least_pixels: float = 0.3
     # Share of the object's own pixels through which the camera may see, noise at the outline included.
@@ -190,9 +191,12 @@ def verdict(
     settings: VerdictSettings | None = None,
     tolerance: float = ConfidenceSettings.tolerance,
     same: Alike | None = None,
+    sure: bool = False,
 ) -> tuple[str, str]:
     """The verdict and its reason: lost when the evidence is not explained, ambiguous when it fits several places of the
     surface; poses between which no part of it moves by more than tolerance (m) are one: `same`, None to find them.
+
+    sure: the confidence, which knows how much the modes' weights are worth, is high enough, whatever these are.
     """
     settings = settings or VerdictSettings()
     if not modes:
@@ -208,13 +212,13 @@ def verdict(
     if not residuals and np.isfinite(seeing.visible) and seeing.visible < settings.least_visible:
         return "ambiguous", f"only {seeing.visible:.0%} of the object is seen and nothing touches it"
     same = same or alike(model, modes, tolerance)
-    if same.weight < settings.sure_share:
+    if same.weight < settings.sure_share and not sure:
         of = "first" if len(same.modes) == 1 else f"first {len(same.modes)}"
         return "ambiguous", f"{of} of {len(modes)} modes {'holds' if of == 'first' else 'hold'} {same.weight:.0%}"
     hidden = open_directions(model, modes[0].pose, modes[0].covariance, settings, tolerance)
     if hidden:
         return "ambiguous", f"{', '.join(hidden)} unknown"
-    if len(same.modes) > 1 and modes[0].weight < settings.sure_share:
+    if len(same.modes) > 1 and modes[0].weight < settings.sure_share <= same.weight:
         return "ok", f"{len(same.modes)} modes that look alike hold {same.weight:.0%}"
     return "ok", f"first mode holds {modes[0].weight:.0%}"
 
@@ -222,12 +226,15 @@ def verdict(
 def way_round(same: Alike, word: str, tolerance: float, settings: VerdictSettings | None = None) -> tuple[str, ...]:
     """A note on an answer with the verdict `word` that is `ok` whichever way round it is; none where that is known.
 
-    same: the modes that are one answer within tolerance (m).
+    same: the modes that are one answer within tolerance (m), or nearly.
     """
     settings = settings or VerdictSettings()
-    if word != "ok" or same.modes[0].weight >= settings.sure_share:
+    ways = len(same.near)
+    if word != "ok" or ways == 1 or same.near[0].weight >= settings.sure_share * same.near_weight:
         return ()
-    ways = len(same.modes)
+    if ways > len(same.modes):
+        far = f"to {1e3 * tolerance:.3g} mm on average, not everywhere"
+        return (f"which way round is not known: in {ways} poses the surface is where it is {far}",)
     return (f"which way round is not known: in {ways} poses the surface is where it is to {1e3 * tolerance:.3g} mm",)
 
 
@@ -257,11 +264,12 @@ def judged(
     same = same or alike(model, modes, confident.tolerance)
     right, near = chances(model, modes, picture, residuals, contact_nats, confident, anywhere, same)
     sure = right * near
-    word, why = verdict(model, modes, residuals, pixel_share, seeing, settings, confident.tolerance, same)
+    enough = sure >= confident.sure
+    word, why = verdict(model, modes, residuals, pixel_share, seeing, settings, confident.tolerance, same, enough)
     against = contact_nats if contradicted is None else contradicted
     if word == "ok" and against > settings.most_contradicted * max(len(residuals), 1):
         word, why = "lost", "the contacts, or their normals, contradict every pose"
-    if word == "ok" and sure < confident.sure:
+    if word == "ok" and not enough:
         word, why = "ambiguous", _unsure(model, modes[0], right, sure, confident)
     return right, sure, word, why
 

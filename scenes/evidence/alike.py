@@ -33,11 +33,18 @@ STEP = float(np.deg2rad(15.0))
 @dataclass(frozen=True)
 class Alike:
     """The first of some modes and those that look like it: modes, and how far (m, mean) the surface of each is from the
-    first's; weight: of all of them.
+    first's; weight: of all of them. near: these, and those of which most of the surface is where the first has it, as a
+    mug's is whose handle is out of sight: the mean distance is within the tolerance.
     """
 
     modes: tuple[Mode, ...]
     means: Array
+    near: tuple[Mode, ...] = ()
+
+    @property
+    def near_weight(self) -> float:
+        """The share of the posterior of those that are near."""
+        return float(sum(mode.weight for mode in self.near))
 
     @property
     def weight(self) -> float:
@@ -50,10 +57,12 @@ def alike(model: ObjectModel, modes: tuple[Mode, ...], tolerance: float) -> Alik
     what they settled apart.
     """
     if len(modes) == 1:
-        return Alike(modes, np.zeros(1))
+        return Alike(modes, np.zeros(1), modes)
     largest, means = moved(model, modes[0].pose, np.array([mode.pose for mode in modes[1:]]))
     same = [k for k in range(len(modes)) if not k or largest[k - 1] <= SETTLED * tolerance]
-    return Alike(tuple(modes[k] for k in same), np.array([means[k - 1] if k else 0.0 for k in same]))
+    near = [k for k in range(len(modes)) if k in same or means[k - 1] <= tolerance]
+    off = np.array([means[k - 1] if k else 0.0 for k in same])
+    return Alike(tuple(modes[k] for k in same), off, tuple(modes[k] for k in near))
 
 
 def moved(model: ObjectModel, pose: Array, others: Array) -> tuple[Array, Array]:

@@ -49,6 +49,10 @@ class ModeSettings:
     cost_margin: float = 12.0
     # As many modes as anyone will look at.
     most: int = 24
+    # What a mode's log weight is made of: the share of its cost that counts (1: each row is of its own, less where rows
+    # share errors) and the power of its width, the root of its covariance's determinant. 1 and 1 are Laplace's method.
+    temper: float = 1.0
+    width: float = 1.0
 
 
 def covariance_of(model: ObjectModel, hessian: Array, settings: ModeSettings | None = None) -> Array:
@@ -60,6 +64,13 @@ def covariance_of(model: ObjectModel, hessian: Array, settings: ModeSettings | N
     values, vectors = np.linalg.eigh(0.5 * (scaled + np.swapaxes(scaled, -1, -2)))
     inverse = (vectors / np.maximum(values, 1.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
     return np.asarray(inverse * weak * weak[:, None])
+
+
+def _weights(costs: Array, covariances: Array, settings: ModeSettings) -> Array:
+    """Shares (n,) of the posterior, see `ModeSettings.temper`."""
+    log_weights = -settings.temper * costs + 0.5 * settings.width * np.linalg.slogdet(covariances)[1]
+    weights = np.exp(log_weights - log_weights.max())
+    return np.asarray(weights / weights.sum())
 
 
 def distinct_modes(model: ObjectModel, alignment: Alignment, settings: ModeSettings | None = None) -> tuple[Mode, ...]:
@@ -89,9 +100,7 @@ def distinct_modes(model: ObjectModel, alignment: Alignment, settings: ModeSetti
         same = (moved < settings.merge_share * model.radius) | (mahalanobis < settings.merge_sigmas**2)
         pending = rest[~same]
     covariances = covariance_of(model, alignment.hessians[kept], settings)
-    log_weights = -alignment.costs[kept] + 0.5 * np.linalg.slogdet(covariances)[1]
-    weights = np.exp(log_weights - log_weights.max())
-    weights /= weights.sum()
+    weights = _weights(alignment.costs[kept], covariances, settings)
     return tuple(
         Mode(alignment.poses[i], float(w), float(alignment.costs[i]), c) for i, w, c in zip(kept, weights, covariances)
     )

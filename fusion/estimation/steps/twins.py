@@ -1,11 +1,13 @@
-"""What an answer looks like when it is turned: the poses that differ from it by less than anyone asked for.
+"""What an answer looks like when it is turned: the poses that nearly all of its surface cannot tell from it.
 
-A can that was scanned declares no symmetry, and turned on its head it is the same to a millimetre. A search finds one
-of such poses, or a few, as chance has it; which of them is the right one it does not know, so all of them are modes.
+A can that was scanned declares no symmetry, and turned on its head it is the same to a millimetre; a mug whose handle
+is out of sight may have it anywhere that is hidden. A search finds one of such poses, or a few, as chance has it; which
+of them is the right one it does not know, so all that what was sensed leaves are modes.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +15,6 @@ from numpy.typing import NDArray
 
 from fusion.estimation.settings import EstimateSettings
 from scenes.evidence.align import AlignSettings, Prior, align, costs
-from scenes.evidence.alike import moved
 from scenes.evidence.modes import Mode
 from scenes.evidence.near_symmetries import near_symmetries
 from scenes.evidence.search import thin
@@ -28,14 +29,21 @@ ROWS, STEPS = 200, 6
 
 
 def with_twins(
-    model: ObjectModel, modes: tuple[Mode, ...], rows: Evidence, prior: Prior | None, settings: EstimateSettings
+    model: ObjectModel,
+    modes: tuple[Mode, ...],
+    rows: Evidence,
+    prior: Prior | None,
+    settings: EstimateSettings,
+    picture: Callable[[Array], Array] | None = None,
 ) -> tuple[Mode, ...]:
     """The modes and what the first looks like when it is turned, with weights by what rows (frame_from_object,
-    corrected) and the prior say of each beside the first; the first stays the first.
+    corrected), the prior and the picture say of each beside the first; the first stays the first.
 
-    Pixels' rows tell poses of one shape apart no better than other minima (see pixel_temperature).
+    picture: costs (n,) of poses (n, 4, 4) by what must be seen of each, in place of the pixels' rows, which are of the
+    first's outline. Without one these tell poses of one shape apart no better than other minima (see
+    pixel_temperature).
     """
-    tolerance, most = settings.confidence.tolerance, settings.modes
+    most = settings.felt if picture is None else settings.told
     first, turns = modes[0], near_symmetries(model)
     if not len(turns) or not len(rows):
         return modes
@@ -45,13 +53,11 @@ def with_twins(
         turned = turned[both[1:] <= both[0] + most.cost_margin]
         if not len(turned):
             return modes
-    turned = turned[moved(model, first.pose, turned)[0] <= tolerance]
-    if not len(turned):
-        return modes
     laid = align(model, thin(rows, ROWS), turned, prior, AlignSettings(iterations=STEPS)).poses
     kept, poses = [first.pose, *(mode.pose for mode in modes[1:])], np.concatenate([first.pose[None], laid])
     pixels, rest = rows.of(VISION), rows.take(rows.sense != VISION)
-    total = costs(model, rest, poses, prior) + costs(model, pixels, poses) / settings.pixel_temperature
+    shown = costs(model, pixels, poses) / settings.pixel_temperature if picture is None else picture(poses)
+    total = costs(model, rest, poses, prior) + shown
     # a twin cannot be likelier than the one that was solved with everything
     more = np.maximum(total[1:] - total[0], 0.0)
     found = list(modes)
@@ -63,7 +69,8 @@ def with_twins(
         if apart.min() < most.merge_share * model.radius:
             continue
         kept.append(pose)
-        found.append(Mode(pose, first.weight * float(np.exp(-nats)), first.cost + nats, first.covariance))
+        weight = first.weight * float(np.exp(-most.temper * nats))
+        found.append(Mode(pose, weight, first.cost + nats, first.covariance))
     total_weight = sum(mode.weight for mode in found)
     if len(found) == len(modes) or not total_weight > 0.0:
         return modes

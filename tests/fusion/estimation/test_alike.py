@@ -143,6 +143,30 @@ def test_every_way_round_is_a_mode(scanned):
     assert len(with_twins(mug, alone, rows, None, EstimateSettings())) <= 2
 
 
+def test_a_handle_that_nothing_touches_may_be_anywhere():
+    """Where a mug is felt all around but for its handle, every way round is a mode, and the answer as wide as that."""
+    mug = library.make("mug")
+    points, normals = mug.sample_surface(400, seed=2)
+    away = np.linalg.norm((points - mug.centroid)[:, :2], axis=1)
+    body = np.flatnonzero(away < np.quantile(away, 0.6))[:40]
+    rows = make(
+        se3.apply(place(), points[body]), 0.002, TOUCH, normals=normals[body] @ place()[:3, :3].T, sigma_normal=0.2
+    )
+    found = with_twins(mug, (Mode(place(), 1.0, 0.0, SHARP),), rows, None, EstimateSettings())
+    same = alike(mug, found, TOLERANCE)
+    assert len(same.near) > 8 > 3 > len(same.modes)
+    assert same.near_weight > 0.9 > same.weight
+    wide = told_covariance(mug, found, "ok", 0.99, None)
+    assert np.sqrt(np.linalg.eigvalsh(wide[:3, :3])[-1]) > np.deg2rad(45.0)
+    assert "not everywhere" in posterior.way_round(same, "ok", TOLERANCE)[0]
+
+
+def test_a_sure_answer_is_ok_whatever_its_modes_weigh(scanned):
+    modes = modes_of(scanned, [0.4, 0, 0], weights=(0.8, 0.2))
+    assert posterior.verdict(scanned, modes, (), 0.9, SEEN)[0] == "ambiguous"
+    assert posterior.verdict(scanned, modes, (), 0.9, SEEN, sure=True) == ("ok", "first mode holds 80%")
+
+
 def test_an_answer_asks_once_which_modes_are_one(lab_frame, drill, monkeypatch):
     """Confidence, verdict, covariance and notes read what was found once."""
     from scenes.evidence import alike as module

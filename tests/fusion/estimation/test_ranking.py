@@ -24,7 +24,7 @@ def test_a_mode_is_as_wide_as_its_solution(drill, rng):
         basis, _ = np.linalg.qr(rng.normal(size=(6, 6)))
         shares = np.concatenate([[1.0, 0.5], 10.0 ** rng.uniform(-6, -1, size=4)])
         covariance = (basis * shares) @ basis.T * weak * weak[:, None]
-        (mode,) = rejudged(drill, [result(covariance)], np.zeros(1), EstimateSettings())
+        (mode,) = rejudged(drill, [result(covariance)], np.zeros(1), EstimateSettings(), True)
         assert np.allclose(mode.covariance / weak / weak[:, None], covariance / weak / weak[:, None], atol=1e-7)
 
 
@@ -34,7 +34,7 @@ def test_a_direction_that_nothing_tells_is_as_wide_as_the_object(drill):
     felt = evidence.make(points, 1e-3, TOUCH, normals=normals, sigma_normal=0.09)
     problem = JointProblem(drill, evidence.empty(), felt, None, None, Beliefs(), None, settings=JointSettings())
     solved = solve(problem, np.eye(4), 1.0)
-    (mode,) = rejudged(drill, [solved], np.zeros(1), EstimateSettings())
+    (mode,) = rejudged(drill, [solved], np.zeros(1), EstimateSettings(), True)
     weak = np.repeat([1.0, drill.radius], 3)
     widest = np.linalg.eigvalsh(mode.covariance / weak / weak[:, None])[-1]
     assert np.sqrt(widest) == pytest.approx(1.0, abs=0.01)

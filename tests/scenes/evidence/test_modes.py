@@ -58,6 +58,16 @@ def test_a_flatter_minimum_weighs_more():
     assert first.weight / second.weight == pytest.approx(8.0, rel=1e-2)
 
 
+def test_costs_and_widths_count_as_much_as_they_are_told_to():
+    model = library.make("drill")
+    hessians = np.stack([np.diag([1e4] * 3 + [1e6] * 3), np.diag([4e4] * 3 + [1e6] * 3)])
+    result = Alignment(draw(2), np.array([0.0, 3.0]), hessians, np.ones(2, dtype=np.int64))
+    first, second = distinct_modes(model, result, ModeSettings(temper=0.5, width=-0.5))
+    assert first.weight / second.weight == pytest.approx(np.exp(1.5) / np.sqrt(8.0), rel=1e-2)
+    first, second = distinct_modes(model, result, ModeSettings(temper=1.0, width=0.0))
+    assert first.weight / second.weight == pytest.approx(np.exp(3.0), rel=1e-6)
+
+
 def test_near_poses_merge_and_far_costs_are_left_out():
     model = library.make("drill")
     base = draw(1)[0]
