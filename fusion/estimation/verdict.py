@@ -29,6 +29,9 @@ class VerdictSettings:
 
     # Share of the posterior that the first mode must hold, with those that look like it, to be called the answer.
     sure_share: float = 0.95
+    # The same of an answer whose confidence, which knows what the modes' weights are worth, is high enough: likelier than
+    # all that look otherwise. A mug whose handle may be anywhere is within the tolerance on average, and no answer.
+    likelier_share: float = 0.5
     # Standard deviations of a direction beyond which it counts as unknown: radians, metres.
     unknown_angle: float = float(np.deg2rad(20.0))
     unknown_distance: float = 0.015
@@ -196,7 +199,7 @@ def verdict(
     """The verdict and its reason: lost when the evidence is not explained, ambiguous when it fits several places of the
     surface; poses between which no part of it moves by more than tolerance (m) are one: `same`, None to find them.
 
-    sure: the confidence, which knows how much the modes' weights are worth, is high enough, whatever these are.
+    sure: the confidence is high enough, see `VerdictSettings.likelier_share`.
     """
     settings = settings or VerdictSettings()
     if not modes:
@@ -212,7 +215,7 @@ def verdict(
     if not residuals and np.isfinite(seeing.visible) and seeing.visible < settings.least_visible:
         return "ambiguous", f"only {seeing.visible:.0%} of the object is seen and nothing touches it"
     same = same or alike(model, modes, tolerance)
-    if same.weight < settings.sure_share and not sure:
+    if same.weight < (min(settings.likelier_share, settings.sure_share) if sure else settings.sure_share):
         of = "first" if len(same.modes) == 1 else f"first {len(same.modes)}"
         return "ambiguous", f"{of} of {len(modes)} modes {'holds' if of == 'first' else 'hold'} {same.weight:.0%}"
     hidden = open_directions(model, modes[0].pose, modes[0].covariance, settings, tolerance)

@@ -115,7 +115,7 @@ def test_commands_take_it(tmp_path, capsys, capture):
     printed = capsys.readouterr().out
     assert re.search(r"^\[track\]\n(.*\n)*?level_frames = 5$", printed, re.MULTILINE)
     # a gate that takes nothing in is a setting that one sees at work
-    config = written(tmp_path, "[estimate.verdict]\nsure_share = 2.0")
+    config = written(tmp_path, "[estimate.confidence]\nsure = 2.0")
     run("estimate", capture, "--out", tmp_path / "o", "--no-report", "--config", config)
     assert "ambiguous" in capsys.readouterr().out
     run("compare", capture, "--methods", "fused", "--config", config)

@@ -161,10 +161,12 @@ def test_a_handle_that_nothing_touches_may_be_anywhere():
     assert "not everywhere" in posterior.way_round(same, "ok", TOLERANCE)[0]
 
 
-def test_a_sure_answer_is_ok_whatever_its_modes_weigh(scanned):
+def test_a_sure_answer_is_ok_where_it_is_likelier_than_all_others(scanned):
     modes = modes_of(scanned, [0.4, 0, 0], weights=(0.8, 0.2))
     assert posterior.verdict(scanned, modes, (), 0.9, SEEN)[0] == "ambiguous"
     assert posterior.verdict(scanned, modes, (), 0.9, SEEN, sure=True) == ("ok", "first mode holds 80%")
+    modes = modes_of(scanned, [0.4, 0, 0], weights=(0.45, 0.55))
+    assert posterior.verdict(scanned, modes, (), 0.9, SEEN, sure=True)[0] == "ambiguous"
 
 
 def test_an_answer_asks_once_which_modes_are_one(lab_frame, drill, monkeypatch):
