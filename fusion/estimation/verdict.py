@@ -30,7 +30,8 @@ class VerdictSettings:
     # Share of the posterior that the first mode must hold, with those that look like it, to be called the answer.
     sure_share: float = 0.95
     # The same of an answer whose confidence, which knows what the modes' weights are worth, is high enough: likelier
-    # than all that look otherwise. A mug whose handle may be anywhere is within the tolerance on average, and no answer.
+    # than all that look otherwise. A mug whose handle may be anywhere is within the tolerance on average; it is no
+    # answer.
     likelier_share: float = 0.5
     # Standard deviations of a direction beyond which it counts as unknown: radians, metres.
     unknown_angle: float = float(np.deg2rad(20.0))
