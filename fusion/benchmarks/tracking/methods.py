@@ -15,11 +15,18 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-METHODS = ("icp", "particle filter", "vision", "estimate", "track", "track without hand", "track begun wrong")
+METHODS = (
+    "icp", "particle filter", "vision", "estimate", "track", "track without hand", "track begun wrong",
+    "track begun off",
+)  # fmt: skip
 # Single frames have no memory, so that some of a sequence speak for all: every so many.
 SINGLE_EVERY = 5
-# A wrong beginning: turned by so much about a random axis through the object (rad), and this far off (m).
-WRONG_TURN, WRONG_DISTANCE = float(np.deg2rad(150.0)), 0.01
+# Wrong beginnings: turned by so much about a random axis through the object (rad), and this far off (m). One lies the
+# other way round, one is as far off as a start that no estimate has mended.
+WRONG_STARTS = {
+    "track begun wrong": (float(np.deg2rad(150.0)), 0.01),
+    "track begun off": (float(np.deg2rad(20.0)), 0.035),
+}
 
 
 @dataclass(frozen=True)
@@ -40,7 +47,9 @@ Step = Callable[["Frame"], Said | None]
 def stepper(method: str, model: ObjectModel, seed: int) -> Step:
     """What a method does with one frame after another."""
     makers = {"icp": _icp, "particle filter": _particles, "vision": _vision, "estimate": _estimate, "track": _track}
-    makers |= {"track without hand": _no_hand, "track begun wrong": _begun_wrong}
+    makers["track without hand"] = _no_hand
+    if method in WRONG_STARTS:
+        return _begun_wrong(model, seed, *WRONG_STARTS[method])
     return makers[method](model, seed)
 
 
@@ -136,8 +145,10 @@ def _no_hand(model: ObjectModel, seed: int) -> Step:
     return step
 
 
-def _begun_wrong(model: ObjectModel, seed: int) -> Step:
-    """The track, made to believe in its first frame that the object lies the other way round, and to be sure of it."""
+def _begun_wrong(model: ObjectModel, seed: int, turn: float, distance: float) -> Step:
+    """The track, made to believe in its first frame that the object is turned (rad) and displaced (m) by so much, and
+    to be sure of it.
+    """
     from dataclasses import replace
 
     from fusion.estimation.estimate import estimate
@@ -155,7 +166,7 @@ def _begun_wrong(model: ObjectModel, seed: int) -> Step:
         truth = frame.camera_from_object_truth
         assert truth is not None
         rng = np.random.default_rng([seed, 7])
-        wrong = poses.displaced(truth, WRONG_TURN, WRONG_DISTANCE, model.centroid, rng)
+        wrong = poses.displaced(truth, turn, distance, model.centroid, rng)
         found = estimate(frame, model, wrong, seed=seed)
         mode = replace(found.modes[0], pose=wrong, weight=1.0)
         tracker.believe(frame, replace(found, pose=wrong, modes=(mode,), verdict="ok", confidence=0.95))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.benchmarks.tracking.methods import Said, stepper
+from fusion.benchmarks.tracking.methods import WRONG_STARTS, Said, stepper
 
 if TYPE_CHECKING:
     from scenes.geometry.objects import ObjectModel
@@ -31,10 +31,11 @@ SLIP_DELAY = 3
 @dataclass
 class Tally:
     """One method on one kind of motion: frame, ADD-S (m), rotation (rad), NEES / 6, and whether it was ok, of each
-    answer; wall and processor ms of all but the first; rotations at the ends of sequences; runs: frames from a loss
-    until the object is found again; doubted, righted: frames from a wrong beginning until no longer ok, until right;
-    never: wrong beginnings that were not righted; new starts; slips, those said in time and false alarms, as a slip and
-    as a motion in the hand; frames without a slip.
+    answer; wall and processor ms of all but the first; rotations and ADD-S (m) at the ends of sequences; runs: frames
+    from a loss until the object is found again; doubted, righted: frames from a wrong beginning until no longer ok,
+    until right; never: wrong beginnings that were not righted; still_wrong_ok: answers after such a beginning that are
+    wrong and ok; new starts; slips, those said in time and false alarms, as a slip and as a motion in the hand; frames
+    without a slip.
     """
 
     frame: list[int] = field(default_factory=list)
@@ -45,10 +46,12 @@ class Tally:
     wall: list[float] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)
     ends: list[float] = field(default_factory=list)
+    end_errors: list[float] = field(default_factory=list)
     runs: list[int] = field(default_factory=list)
     doubted: list[int] = field(default_factory=list)
     righted: list[int] = field(default_factory=list)
     never: int = 0
+    still_wrong_ok: int = 0
     again: int = 0
     slips: int = 0
     hits: int = 0
@@ -98,7 +101,8 @@ def follow(
             tally.cpu.append(1e3 * cpu)
         tally.again += int(answer.again)
     tally.ends += tally.rotation[-min(END, len(said)) :]
-    if method.endswith("begun wrong"):
+    tally.end_errors += errors[-min(END, len(said)) :]
+    if method in WRONG_STARTS:
         _count_recovery(tally, said, errors)
     elif len(said) == len(frames):
         tally.runs += losses(errors)
@@ -121,6 +125,7 @@ def losses(errors: list[float]) -> list[int]:
 def _count_recovery(tally: Tally, said: list[Said], errors: list[float]) -> None:
     """Frames until a wrong beginning is no longer ok, and until it is right and stays so for five frames."""
     wrong = [answer.ok and error > WRONG for answer, error in zip(said, errors)]
+    tally.still_wrong_ok += sum(wrong[1:])
     tally.doubted.append(next((i for i, bad in enumerate(wrong) if not bad), len(said)))
     good = [error <= WRONG for error in errors]
     righted = next((i for i in range(len(good)) if all(good[i : i + 5])), None)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +26,35 @@ Array = NDArray[np.float64]
 
 # Below this hidden share the later grasps tried are those of three fingers (no unit).
 FEW_FINGERS_BELOW = 0.35
+
+
+class Placements:
+    """Grasps and views by the seed that draws them, all of one object, hand, hidden share, scene and settings.
+
+    Sequences that differ in motion alone share them, and to plan a grasp takes longer than to make their frames.
+    """
+
+    def __init__(self) -> None:
+        self._found: dict[int, tuple[tuple[Grasp, Array] | InputError, dict[str, Any]]] = {}
+
+    def placed(
+        self, seed: int, rng: np.random.Generator, find: Callable[[np.random.Generator], tuple[Grasp, Array]]
+    ) -> tuple[Grasp, Array]:
+        """What find makes of rng, which `seed` has begun, or made of it before; rng is then as find left it. Raises the
+        InputError that find raised.
+        """
+        if seed not in self._found:
+            found: tuple[Grasp, Array] | InputError
+            try:
+                found = find(rng)
+            except InputError as error:
+                found = error
+            self._found[seed] = found, dict(rng.bit_generator.state)
+        found, state = self._found[seed]
+        rng.bit_generator.state = state
+        if isinstance(found, InputError):
+            raise found
+        return found
 
 
 def place(

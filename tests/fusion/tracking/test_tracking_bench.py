@@ -1,0 +1,60 @@
+"""The benchmark of tracks: sequences that share a grasp are what they are without, and every sequence is counted."""
+
+import numpy as np
+import pytest
+
+from fusion.benchmarks.printing.tables import BenchSettings, Rate
+from fusion.benchmarks.tracking import tables
+from fusion.benchmarks.tracking.bench import run
+from fusion.benchmarks.tracking.methods import WRONG_STARTS
+from fusion.benchmarks.tracking.sequences import recorded
+from fusion.benchmarks.tracking.tally import Tally
+from scenes.errors import InputError
+from scenes.synthesis.grasping.hiding import Placements
+
+
+def test_a_grasp_that_is_planned_once_gives_the_same_frames():
+    places = Placements()
+    recorded("box", "turn", 2, 5, None, placements=places)
+    _, shared, _ = recorded("box", "carry", 2, 5, None, placements=places)
+    _, alone, _ = recorded("box", "carry", 2, 5, None)
+    for one, other in zip(shared, alone, strict=True):
+        np.testing.assert_array_equal(one.depth, other.depth)
+        np.testing.assert_array_equal(one.camera_from_object_truth, other.camera_from_object_truth)
+        np.testing.assert_array_equal(one.contacts.points, other.contacts.points)
+
+
+def test_what_cannot_be_placed_is_refused_again_without_a_search():
+    places, asked = Placements(), []
+
+    def find(rng):
+        asked.append(rng.random())
+        raise InputError("no view hides as much")
+
+    for _ in range(2):
+        with pytest.raises(InputError, match="hides"):
+            places.placed(3, np.random.default_rng(3), find)
+    assert len(asked) == 1
+
+
+def test_every_family_has_its_tables_and_a_wrong_beginning_its_row():
+    asked = {"family": "clean", "objects": ("box",), "motions": ("carry", "turn"), "frames": 3}
+    report = run(BenchSettings(trials=1, methods=("track begun off",), **asked))
+    titles = [table.title for table in report.tables]
+    assert titles[0].startswith("clean, carry")
+    assert titles[1].startswith("clean, turn")
+    assert {row[0] for row in report.tables[0].rows} == {"track", "track begun off"}
+    (wrong,) = [table for table in report.tables if "begin wrong" in table.title]
+    assert [row[:3] for row in wrong.rows] == [["clean", "20 deg, 35 mm off", 2]]
+    assert any("no longer ok in 10" in claim.what for claim in report.claims)
+
+
+def test_a_wrong_beginning_counts_frames_until_doubted_and_right():
+    tally = Tally(doubted=[1, 11], righted=[30], never=1, add_s=[0.04, 0.04, 0.03], ok=[True, True, True])
+    tally.end_errors, tally.still_wrong_ok = [0.001], 1
+    table = tables.begun_wrong({("lab", "carry"): dict.fromkeys(WRONG_STARTS, tally)})
+    assert table is not None
+    row = table.rows[0]
+    assert (row[3], row[5], row[7]) == (Rate(1, 2), Rate(1, 2), 1)
+    assert row[8] == Rate(1, 1)
+    assert tables.begun_wrong({("lab", "carry"): {method: Tally() for method in WRONG_STARTS}}) is None
