@@ -41,6 +41,11 @@ class HypothesisSettings:
     vote: float = 3.0
     most_votes: float = 2.0
     birth: float = 1.0
+    # Log odds (nats) that a hypothesis keeps from the search, or the start, that it was thought of in, at least and at
+    # most. Without, a wall on which a mug of which a third is seen fits as well as where it is led a right track of
+    # `stranger` 200 mm away, found there by searches that were 3 to 11 % sure.
+    least_odds: float = -6.0
+    most_odds: float = 3.0
     # Votes (no unit) without which a leader is not believed, however well it explains every frame: a track that has
     # begun wrong explains itself, and a search that is just sure enough gives 0.6.
     believed: float = 0.5
@@ -89,7 +94,8 @@ class HypothesisSettings:
 @dataclass(frozen=True)
 class Hypothesis:
     """pose (4, 4) camera_from_object; covariance (6, 6) about the centroid; score: accumulated nats, higher is
-    likelier, up to a constant that all share; votes: frames that surely found it by themselves; age: frames.
+    likelier, up to a constant that all share; votes: frames that surely found it by themselves; age: frames; odds: nats
+    for how likely it was when it was thought of, which are not forgotten.
     """
 
     pose: Array
@@ -97,15 +103,16 @@ class Hypothesis:
     score: float
     votes: float = 0.0
     age: int = 0
+    odds: float = 0.0
 
 
 Hypotheses = tuple[Hypothesis, ...]
 
 
-def of_modes(modes: Sequence[Mode], votes: float, settings: HypothesisSettings) -> Hypotheses:
+def of_modes(modes: Sequence[Mode], votes: float, settings: HypothesisSettings, odds: float = 0.0) -> Hypotheses:
     """Hypotheses of an estimate's modes, first one first; it has the votes."""
     return tuple(
-        Hypothesis(m.pose, m.covariance, float(np.log(max(m.weight, 1e-9))), votes if i == 0 else 0.0)
+        Hypothesis(m.pose, m.covariance, float(np.log(max(m.weight, 1e-9))), votes if i == 0 else 0.0, odds=odds)
         for i, m in enumerate(modes[: settings.most])
     )
 
@@ -122,6 +129,12 @@ def vote_of(verdict: str, sure: float, settings: HypothesisSettings) -> float:
     return settings.part if verdict == "ambiguous" and sure >= settings.likely else 0.0
 
 
+def log_odds(sure: float, settings: HypothesisSettings) -> float:
+    """Nats of a confidence (a probability)."""
+    sure = float(np.clip(sure, 1e-3, 1.0 - 1e-3))
+    return float(np.clip(np.log(sure / (1.0 - sure)), settings.least_odds, settings.most_odds))
+
+
 def moved(hypotheses: Hypotheses, motion: Array) -> Hypotheses:
     """The same after a rigid motion (4, 4) of the object, whichever of them it is."""
     turn = block(motion[:3, :3])
@@ -129,8 +142,8 @@ def moved(hypotheses: Hypotheses, motion: Array) -> Hypotheses:
 
 
 def strengths(hypotheses: Hypotheses, settings: HypothesisSettings) -> Array:
-    """(n,) nats of score and votes, the greatest 0."""
-    nats = np.array([h.score + settings.vote * h.votes for h in hypotheses])
+    """(n,) nats of score, votes and odds, the greatest 0."""
+    nats = np.array([h.score + settings.vote * h.votes + h.odds for h in hypotheses])
     return np.asarray(nats - nats.max(initial=-np.inf))
 
 
@@ -140,9 +153,16 @@ def weights(hypotheses: Hypotheses, settings: HypothesisSettings) -> Array:
     return np.asarray(share / share.sum())
 
 
-def weighed(hypotheses: Hypotheses, found: Sequence[Array], costs: Array, settings: HypothesisSettings) -> Hypotheses:
+def weighed(
+    hypotheses: Hypotheses,
+    found: Sequence[Array],
+    costs: Array,
+    settings: HypothesisSettings,
+    told_apart: bool = True,
+) -> Hypotheses:
     """After a frame: refined poses found, n of (4, 4), and their costs (n,) in nats of the whole frame. The leader is
-    first; it stays the leader until another is clearly ahead.
+    first; it stays the leader until another is clearly ahead, and, where nothing tells what hides the object
+    (told_apart), until searches speak for another as much as for it.
     """
     scores = np.array([settings.memory * h.score for h in hypotheses]) - settings.worth * costs
     scores -= scores.max()
@@ -150,7 +170,8 @@ def weighed(hypotheses: Hypotheses, found: Sequence[Array], costs: Array, settin
         replace(h, pose=pose, score=float(score), age=h.age + 1) for h, pose, score in zip(hypotheses, found, scores)
     )
     ahead = strengths(after, settings)
-    best = int(np.argmax(ahead))
+    may = [told_apart or h.votes >= min(settings.believed, hypotheses[0].votes) for h in hypotheses]
+    best = int(np.argmax(np.where(may, ahead, -np.inf)))
     if best == 0 or ahead[best] - ahead[0] < settings.ahead:
         best = 0
     order = [best, *(int(i) for i in np.argsort(-ahead, kind="stable") if i != best)]
@@ -164,7 +185,8 @@ def sifted(model: ObjectModel, hypotheses: Hypotheses, settings: HypothesisSetti
     for h, part in zip(hypotheses, share):
         twin = next((k for k, other in enumerate(kept) if alike(model, h, other, settings)), None)
         if twin is not None:
-            kept[twin] = replace(kept[twin], votes=max(kept[twin].votes, h.votes))
+            one = kept[twin]
+            kept[twin] = replace(one, votes=max(one.votes, h.votes), odds=max(one.odds, h.odds))
         elif not kept or part >= settings.least or h.age < settings.trial:
             kept.append(h)
     return tuple(kept[: settings.most])
@@ -180,10 +202,11 @@ def alike(model: ObjectModel, one: Hypothesis | Mode, other: Hypothesis | Mode, 
     return square < settings.sigmas**2
 
 
-def doubted(hypotheses: Hypotheses, settings: HypothesisSettings) -> Hypotheses:
-    """The same after a frame that has what its search found elsewhere as gladly as the leader."""
+def doubted(hypotheses: Hypotheses, settings: HypothesisSettings, sure: float = 1.0) -> Hypotheses:
+    """The same after a frame that has what its search found elsewhere, this sure, as gladly as the leader."""
     leader = hypotheses[0]
-    return replace(leader, votes=max(0.0, leader.votes - settings.doubted)), *hypotheses[1:]
+    less = min(settings.doubted, -float(np.log(max(1.0 - sure, 1e-9))) / settings.vote)
+    return replace(leader, votes=max(0.0, leader.votes - less)), *hypotheses[1:]
 
 
 def surface_apart(model: ObjectModel, one: Array, other: Array) -> float:
@@ -199,11 +222,13 @@ def voted(
     vote: float,
     against: bool,
     settings: HypothesisSettings,
+    odds: float = 0.0,
 ) -> tuple[Hypotheses, bool]:
     """Hypotheses, at least one, after a frame searched by itself has found modes; whether it agrees with the leader.
 
     vote: of this search, 0 when it tells nothing by itself; against: whether it also speaks against the others. Modes
-    that nobody had thought of begin a little below the leader: from there what is sensed decides.
+    that nobody had thought of begin a little below the leader, and by odds (nats) above it, which they keep: from there
+    what is sensed decides.
     """
     s, out = settings, list(hypotheses)
     base, first = out[0].score, 0
@@ -211,8 +236,10 @@ def voted(
         at = next((k for k, h in enumerate(out) if alike(model, mode, h, settings)), None)
         if at is None:
             below = settings.birth - float(np.log(max(mode.weight, 1e-9)))
-            out.append(Hypothesis(mode.pose, mode.covariance, base - below))
+            out.append(Hypothesis(mode.pose, mode.covariance, base - below, odds=odds))
             at = len(out) - 1
+        elif rank == 0 and at > 0:
+            out[at] = replace(out[at], odds=max(out[at].odds, odds))
         if rank == 0:
             first = at
     off = [0.0 if k == first else surface_apart(model, h.pose, modes[0].pose) for k, h in enumerate(out)]

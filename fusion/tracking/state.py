@@ -111,23 +111,28 @@ class RenewalSettings:
     # the angle in one, and a search without a start in none.
     around_angle: float = float(np.deg2rad(40.0))
     around_distance: float = 0.03
+    # Frames from one estimate around the answer to the next, at least, where nothing tells what hides the object: while
+    # the answer is not `ok`, and while it is.
+    closer: int = 3
+    closer_sure: int = 12
 
 
 @dataclass
 class Renewal:
     """due: frame index of the next search; wait: frames from one to the next; last, begun: frame index of the last, and
-    of the start.
+    of the start; closest: of the last estimate around the answer.
     """
 
     due: int = 0
     wait: int = 1
     last: int = 0
     begun: int = 0
+    closest: int = 0
 
     def restart(self, index: int, settings: RenewalSettings) -> None:
         """A track has begun in this frame."""
         self.due, self.wait, self.last = index + settings.soonest, settings.soonest, index
-        self.begun = index
+        self.begun = self.closest = index
 
     def found(self, index: int, agrees: bool | None, settings: RenewalSettings, believed: bool = True) -> None:
         """A search in this frame agrees with the track, contradicts it, or tells nothing (None); believed: whether one

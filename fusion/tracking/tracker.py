@@ -128,7 +128,9 @@ class Tracker:
             state.lost_for += 1
             answer = self._recover(frame, answer)
         elif answer.how == "tracked" and frame.index >= state.renewal.due:
-            answer = self._renew(frame, answer)
+            answer = self._renew(frame, self._look_closer(frame, answer))
+        elif answer.how == "tracked":
+            answer = self._look_closer(frame, answer)
         answer = as_printed(self.model, self._sensed, state, (self._velocity, self._watch), answer, self.settings)
         if state.sure and answer.verdict != "ok":
             state.renewal.hurry(frame.index, self.settings.renewal)
@@ -149,9 +151,9 @@ class Tracker:
         """Begin (again) from an estimate of this frame, wherever it comes from."""
         state, s = self._state, self.settings
         self._anchor(answer)
-        state.hypotheses = several.of_modes(
-            answer.modes, several.vote_of(answer.verdict, several.sure_of(answer), s.hypotheses), s.hypotheses
-        )
+        sure, how = several.sure_of(answer), s.hypotheses
+        votes, odds = several.vote_of(answer.verdict, sure, how), several.log_odds(sure, how)
+        state.hypotheses = several.of_modes(answer.modes, votes, how, odds)
         state.index, state.unseen, state.lost_for, state.usual, state.known = frame.index, 0, 0, None, None
         state.things, state.untold = Occluders(), Untold()
         state.renewal.restart(frame.index, s.renewal)
@@ -173,7 +175,13 @@ class Tracker:
         """Believe an estimate; of a pose that this frame was tracked to (4, 4) as unsure as the two are apart."""
         share, own = self.settings.first_lasting, answer.modes[0].covariance
         apart = np.zeros(6) if tracked is None else se3.difference(answer.pose, tracked, self.model.centroid)
-        self._state.belief = Belief(answer.pose, (1 - share) * own + np.outer(apart, apart), share * own)
+        belief = Belief(answer.pose, (1 - share) * own + np.outer(apart, apart), share * own)
+        self._state.belief = belief
+        if tracked is not None and self._state.hand is None:  # only its velocity says where it goes from there
+            leader = replace(self._state.hypotheses[0], pose=belief.pose, covariance=belief.covariance)
+            self._state.hypotheses = leader, *self._state.hypotheses[1:]
+            self._state.known = None
+            self._velocity.corrected(belief.pose)
 
     def _recover(self, frame: Frame, lost: TrackedEstimate) -> TrackedEstimate:
         """Look for the object around the prediction, if anything is seen there, and now and then everywhere."""
@@ -210,11 +218,15 @@ class Tracker:
         if better > s.hypotheses.missed:  # it has not even found the best that is near it
             vote = 0.0
         carried = (leader, *state.hypotheses[1:])
-        state.hypotheses, agrees = several.voted(self.model, carried, modes, vote, against, s.hypotheses)
+        # what speaks for it is its vote
+        odds = several.log_odds(several.sure_of(alone), s.hypotheses)
+        state.hypotheses, agrees = several.voted(self.model, carried, modes, vote, against, s.hypotheses, odds)
         as_gladly = better <= (s.hypotheses.missed if not vote else -s.hypotheses.missed)
         doubtful = not agrees and as_gladly  # of two that look alike the one that is not found is none the worse for it
+        told_apart = self._sensed is None or self._sensed.told_apart
         if doubtful:
-            state.hypotheses = several.doubted(state.hypotheses, s.hypotheses)
+            sure = 1.0 if told_apart else several.sure_of(alone)
+            state.hypotheses = several.doubted(state.hypotheses, s.hypotheses, sure)
         believed = state.hypotheses[0].votes >= s.hypotheses.believed and (agrees or better > 0.0)
         told = (vote and against) or (doubtful and leader.votes >= s.hypotheses.believed)
         state.renewal.found(frame.index, agrees if told else None, s.renewal, believed)
@@ -223,16 +235,41 @@ class Tracker:
         if same and vote and against and better < -s.anchor:
             self._anchor(replace(alone, pose=modes[0].pose), answer.pose)
             why += "; it goes on from there"
-        if not believed:
+        if not believed or not (told_apart or answer.verdict == "ok"):
             why += self._search_around(frame, answer)
         stage = replace(alone.trace[-1], name="search anew", ms=alone.time_ms, why=why)
         answer = replace(answer, trace=(*answer.trace, stage))
         return self._believed(answer)
 
+    def _look_closer(self, frame: Frame, answer: TrackedEstimate) -> TrackedEstimate:
+        """Estimate a frame that was looked at in full around its answer, where nothing tells what hides the object:
+        rows beside unknown fingers pull a track away little by little; an estimate also asks what must be seen.
+        """
+        state, s, sensed = self._state, self.settings, self._sensed
+        every = s.renewal.closer if answer.verdict != "ok" else s.renewal.closer_sure
+        if sensed is None or sensed.viewed.index != frame.index or sensed.told_apart or not len(sensed.looked.pixels):
+            return answer
+        if frame.index - state.renewal.closest < every:
+            return answer
+        state.renewal.closest = frame.index
+        try:
+            prior = Prior.isotropic(answer.pose, s.loose_angle, s.loose_distance)
+            found = self._estimated(replace(frame, prior=None), prior)
+        except CaptureError:
+            return answer
+        mode = replace(found.modes[0], pose=self.model.symmetries.nearest(found.pose, answer.pose))
+        sure, better = several.sure_of(found), -prefers(answer, mode, sensed, s)
+        why = f"{sure:.0%} sure, {state.right:.0%} before; {better:.0f} nats better"
+        if found.verdict != "lost" and sure > state.right and better > 0.0:
+            self._anchor(replace(found, pose=mode.pose), answer.pose)
+            why += "; it goes on from there"
+        stage = replace(found.trace[-1], name="look closer", ms=found.time_ms, why=why)
+        return replace(answer, trace=(*answer.trace, stage))
+
     def _search_around(self, frame: Frame, answer: TrackedEstimate) -> str:
-        """Search a frame around a track that nothing has spoken for; what came of it, in words. Only what is surely
-        elsewhere has a vote, and less of one than what is believed needs: the search began at the track, and what is
-        near it is gladly found.
+        """Search a frame around a track that nothing has spoken for, or that is not `ok` where nothing tells what hides
+        the object; what came of it, in words. Only what is surely elsewhere has a vote, and less of one than what is
+        believed needs: the search began at the track, and what is near it is gladly found.
         """
         s = self.settings
         prior = Prior.isotropic(answer.pose, s.renewal.around_angle, s.renewal.around_distance)
@@ -242,13 +279,15 @@ class Tracker:
             return ""
         mode = replace(found.modes[0], pose=self.model.symmetries.nearest(found.pose, answer.pose))
         better = prefers(answer, mode, self._sensed, s)
-        vote = several.vote_of(found.verdict, several.sure_of(found), s.hypotheses) if found.verdict == "ok" else 0.0
-        vote = min(vote, s.hypotheses.most_repeated)
+        sure = several.sure_of(found)
+        vote = several.vote_of(found.verdict, sure, s.hypotheses)
+        vote = min(vote, s.hypotheses.most_repeated) if better <= 0.0 else 0.0
+        odds = several.log_odds(sure, s.hypotheses)
         carried = (self._leader(answer), *self._state.hypotheses[1:])
-        if better > 0.0 or not vote or several.alike(self.model, carried[0], mode, s.hypotheses):
-            return "; nothing surer around it"
-        self._state.hypotheses, _ = several.voted(self.model, carried, (mode,), vote, True, s.hypotheses)
-        return f"; around it another, {several.sure_of(found):.0%} sure, {-better:.0f} nats better"
+        if not (vote or sure > self._state.right) or several.alike(self.model, carried[0], mode, s.hypotheses):
+            return f"; nothing surer around it ({sure:.0%})"
+        self._state.hypotheses, _ = several.voted(self.model, carried, (mode,), vote, True, s.hypotheses, odds)
+        return f"; around it another, {sure:.0%} sure, {-better:.0f} nats better"
 
     def _leader(self, answer: TrackedEstimate) -> Hypothesis:
         """The leading hypothesis where the answer has it."""
@@ -420,7 +459,7 @@ class Tracker:
             self._watch.carry(motion)
             return
         state.belief, state.hypotheses, state.index, state.hand = belief, kept, frame.index, hand
-        self._velocity.update(frame.index, belief.pose)
+        self._velocity.update(frame.index, belief.pose, belief.covariance)
 
     def _learn(self, sensed: Sensed, pose: Array, switched: bool) -> None:
         """What goes with the object, where nothing tells it apart; of another pose all is learned anew."""

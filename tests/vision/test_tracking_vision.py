@@ -63,6 +63,18 @@ def test_a_velocity_fades_and_old_frames_are_not_taken():
     assert motion.index == 2
 
 
+def test_a_step_that_noise_explains_is_no_velocity():
+    motion = ConstantVelocity(np.zeros(3))
+    motion.restart(0, np.eye(4))
+    # sure along x, unsure along y
+    own = np.diag([0.0, 0.0, 0.0, 1e-10, 1e-2, 1e-10])
+    motion.update(1, poses.make_pose(None, [0.01, 0.01, 0.0]), own)
+    np.testing.assert_allclose(motion.velocity[3:], [0.01, 0.0, 0.0], atol=1e-5)
+    motion.corrected(poses.make_pose(None, [0.02, 0.0, 0.0]))
+    assert motion.pose[0, 3] == 0.02
+    assert motion.velocity[3] == pytest.approx(0.01, rel=1e-3)
+
+
 def test_vision_follows_a_carried_object(drill, sequence):
     tracks = list(track_by_vision(sequence, drill))
     assert [t.how for t in tracks] == ["started"] + ["tracked"] * 7

@@ -69,13 +69,23 @@ class ConstantVelocity:
         sigma = np.repeat([self.settings.angle, self.settings.distance], 3) * max(1, abs(steps))
         return se3.perturb(self.pose, delta, self.centre), np.diag(sigma**2)
 
-    def update(self, index: int, pose: Array) -> None:
-        """Take the pose found in frame `index`; a frame not newer than the last is not taken."""
+    def update(self, index: int, pose: Array, own: Array | None = None) -> None:
+        """Take the pose found in frame `index`, known to covariance own (6, 6), None for exactly; a frame not newer
+        than the last is not taken.
+        """
         if self.index is not None and index > self.index:
             delta = se3.difference(pose, self.pose, self.centre) / (index - self.index)
+            if own is not None:  # what noise seems to move is no velocity
+                change = np.diag(np.repeat([self.settings.angle, self.settings.distance], 3) ** 2)
+                before = self.velocity
+                delta = before + change @ np.linalg.solve(change + 2.0 * own, delta - before)
             self.velocity = delta if np.linalg.norm(delta[:3]) < FASTEST_TURN else np.zeros(6)
         if self.index is None or index > self.index:
             self.index, self.pose = index, pose
+
+    def corrected(self, pose: Array) -> None:
+        """The pose of the last frame was wrong: it is this one, and its velocity stays."""
+        self.pose = pose
 
     def coast(self, index: int) -> None:
         """No pose in this frame: the state moves on by its prediction, and slows down."""

@@ -71,7 +71,7 @@ def refine(
     if len(poses) > 1:
         nats = np.array(by_rows) if sensed.pool is None else frame_nats(poses, widths, sensed, settings)
     wide = tuple(h if k == 0 else replace(h, covariance=widths[k]) for k, h in enumerate(hypotheses))
-    after = weighed(wide, found, nats, settings.hypotheses)
+    after = weighed(wide, found, nats, settings.hypotheses, sensed.told_apart)
     first = next(k for k, pose in enumerate(found) if pose is after[0].pose)
     return Refined(after, shown[first], first != 0)
 

@@ -92,6 +92,48 @@ def test_a_doubt_takes_from_the_leader_alone():
     assert 0.81 - settings.doubted < settings.believed < settings.most_votes - settings.doubted
 
 
+def test_where_nothing_is_told_apart_a_leader_gives_way_to_what_searches_speak_for(mug):
+    leader, other = pair()
+    costs = np.array([40.0, 0.0])
+
+    def leads(votes, told_apart):
+        both = replace(leader, votes=votes[0]), replace(other, votes=votes[1])
+        after = several.weighed(both, [h.pose for h in both], costs, S, told_apart)
+        return after[0].pose[0, 0] == 1.0
+
+    assert not leads((0.9, 0.0), True)
+    assert leads((0.9, 0.0), False)
+    assert not leads((0.9, 0.5), False)
+    assert not leads((0.1, 0.1), False)
+    assert not leads((0.0, 0.0), False)
+
+
+def test_how_sure_a_search_was_stays_with_what_it_has_found(mug):
+    block = library.make("l_block")
+    lead = several.of_modes([Mode(np.eye(4), 1.0, 0.0, NARROW)], 0.0, S, several.log_odds(0.9, S))
+    found, _ = several.voted(
+        block, lead, [Mode(turned(1.5), 1.0, 0.0, NARROW)], 0.0, False, S, several.log_odds(0.05, S)
+    )
+    gap = several.strengths(found, S)[1]
+    assert gap == pytest.approx(-S.birth - np.log(19.0) - np.log(9.0))
+    for _ in range(40):
+        found = several.weighed(found, [h.pose for h in found], np.zeros(2), S)
+    # all is forgotten but that
+    assert several.strengths(found, S)[1] == pytest.approx(-np.log(19.0) - np.log(9.0), abs=0.01)
+    assert several.log_odds(0.0, S) == S.least_odds
+    assert several.log_odds(1.0, S) == S.most_odds
+
+
+def test_an_unsure_search_elsewhere_is_a_small_doubt():
+    leader, other = pair()
+    two = replace(leader, votes=1.0), other
+    lost = [1.0 - several.doubted(two, S, sure)[0].votes for sure in (0.0, 0.1, 0.5, 0.9, 1.0)]
+    assert lost == sorted(lost)
+    assert lost[0] == 0.0
+    assert lost[1] < 0.05
+    assert lost[3:] == pytest.approx([S.doubted, S.doubted])
+
+
 def test_searches_become_rare_while_they_agree_and_frequent_when_not():
     s, renewal = RenewalSettings(), Renewal()
     renewal.restart(10, s)
