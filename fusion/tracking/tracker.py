@@ -28,7 +28,7 @@ from fusion.estimation.trace import Trace
 from fusion.tracking import hypotheses as several
 from fusion.tracking.answer import NOTHING_SENSED, OUT_OF_SIGHT, TrackedEstimate, TrackSettings, as_carried, as_tracked
 from fusion.tracking.filter import Belief, Measurement, update
-from fusion.tracking.hypotheses import Hypotheses, Hypothesis
+from fusion.tracking.hypotheses import Hypotheses
 from fusion.tracking.motion import HandMotion, HandState
 from fusion.tracking.occluders import Occluders
 from fusion.tracking.slip import SlipWatch, Watched
@@ -39,6 +39,7 @@ from fusion.tracking.steps.lens import through_one_lens
 from fusion.tracking.steps.predicting import predict
 from fusion.tracking.steps.printed import as_before, as_printed
 from fusion.tracking.steps.refining import loose, measurement_of, prefers, refine, shift, solve_leader
+from fusion.tracking.steps.searching import leader_at, look_closer, search_around
 from fusion.tracking.steps.sensing import Sensed, pool_near
 from fusion.tracking.untold import Untold
 from scenes.errors import CaptureError
@@ -212,7 +213,7 @@ class Tracker:
             return answer
         vote, against = several.vote_of(alone.verdict, several.sure_of(alone), s.hypotheses), alone.verdict == "ok"
         modes = tuple(replace(m, pose=self.model.symmetries.nearest(m.pose, answer.pose)) for m in alone.modes)
-        leader = self._leader(answer)
+        leader = leader_at(answer, state)
         same = several.alike(self.model, leader, modes[0], s.hypotheses)
         better = prefers(answer, modes[0], self._sensed, s)
         if better > s.hypotheses.missed:  # it has not even found the best that is near it
@@ -236,62 +237,16 @@ class Tracker:
             self._anchor(replace(alone, pose=modes[0].pose), answer.pose)
             why += "; it goes on from there"
         if not believed or not (told_apart or answer.verdict == "ok"):
-            why += self._search_around(frame, answer)
+            why += search_around(self.model, frame, answer, self._sensed, state, self._estimated, s)
         stage = replace(alone.trace[-1], name="search anew", ms=alone.time_ms, why=why)
         answer = replace(answer, trace=(*answer.trace, stage))
         return self._believed(answer)
 
     def _look_closer(self, frame: Frame, answer: TrackedEstimate) -> TrackedEstimate:
-        """Estimate a frame that was looked at in full around its answer, where nothing tells what hides the object:
-        rows beside unknown fingers pull a track away little by little; an estimate also asks what must be seen.
-        """
-        state, s, sensed = self._state, self.settings, self._sensed
-        every = s.renewal.closer if answer.verdict != "ok" else s.renewal.closer_sure
-        if sensed is None or sensed.viewed.index != frame.index or sensed.told_apart or not len(sensed.looked.pixels):
-            return answer
-        if frame.index - state.renewal.closest < every:
-            return answer
-        state.renewal.closest = frame.index
-        try:
-            prior = Prior.isotropic(answer.pose, s.loose_angle, s.loose_distance)
-            found = self._estimated(replace(frame, prior=None), prior)
-        except CaptureError:
-            return answer
-        mode = replace(found.modes[0], pose=self.model.symmetries.nearest(found.pose, answer.pose))
-        sure, better = several.sure_of(found), -prefers(answer, mode, sensed, s)
-        why = f"{sure:.0%} sure, {state.right:.0%} before; {better:.0f} nats better"
-        if found.verdict != "lost" and sure > state.right and better > 0.0:
-            self._anchor(replace(found, pose=mode.pose), answer.pose)
-            why += "; it goes on from there"
-        stage = replace(found.trace[-1], name="look closer", ms=found.time_ms, why=why)
-        return replace(answer, trace=(*answer.trace, stage))
-
-    def _search_around(self, frame: Frame, answer: TrackedEstimate) -> str:
-        """Search a frame around a track that nothing has spoken for, or that is not `ok` where nothing tells what hides
-        the object; what came of it, in words. Only what is surely elsewhere has a vote, and less of one than what is
-        believed needs: the search began at the track, and what is near it is gladly found.
-        """
-        s = self.settings
-        prior = Prior.isotropic(answer.pose, s.renewal.around_angle, s.renewal.around_distance)
-        try:
-            found = self._estimated(replace(frame, prior=None), prior)
-        except CaptureError:
-            return ""
-        mode = replace(found.modes[0], pose=self.model.symmetries.nearest(found.pose, answer.pose))
-        better = prefers(answer, mode, self._sensed, s)
-        sure = several.sure_of(found)
-        vote = several.vote_of(found.verdict, sure, s.hypotheses)
-        vote = min(vote, s.hypotheses.most_repeated) if better <= 0.0 else 0.0
-        odds = several.log_odds(sure, s.hypotheses)
-        carried = (self._leader(answer), *self._state.hypotheses[1:])
-        if not (vote or sure > self._state.right) or several.alike(self.model, carried[0], mode, s.hypotheses):
-            return f"; nothing surer around it ({sure:.0%})"
-        self._state.hypotheses, _ = several.voted(self.model, carried, (mode,), vote, True, s.hypotheses, odds)
-        return f"; around it another, {sure:.0%} sure, {-better:.0f} nats better"
-
-    def _leader(self, answer: TrackedEstimate) -> Hypothesis:
-        """The leading hypothesis where the answer has it."""
-        return replace(self._state.hypotheses[0], pose=answer.pose, covariance=answer.modes[0].covariance)
+        """The frame estimated around its answer, where that is due; the track goes on from what is found better."""
+        return look_closer(
+            self.model, frame, answer, self._sensed, self._state, self._estimated, self._anchor, self.settings
+        )
 
     def _believed(self, answer: TrackedEstimate) -> TrackedEstimate:
         return as_believed(self.model, answer, self._state.hypotheses, self.settings)
