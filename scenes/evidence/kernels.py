@@ -20,17 +20,18 @@ import numba
 import numpy as np
 
 from scenes._numba import FUSED, spare_blas
-from scenes.evidence.prior_kernels import prior_terms
-from scenes.evidence.row_kernels import (
-    FLOOR_ABOVE,
-    FLOOR_BELOW,
-    INVERSE,
-    NARROW,
-    near_rows,
-    prepare,
-    robust,
-    silent_last,
+from scenes.evidence.block_kernels import (
+    LENGTH,
+    ROOM,
+    SUMS,
+    add_sums,
+    block_terms,
+    blocks_of,
+    is_silent,
+    lay_blocks,
 )
+from scenes.evidence.prior_kernels import prior_terms
+from scenes.evidence.row_kernels import FLOOR_ABOVE, FLOOR_BELOW, INVERSE, NARROW, PREPARED, prepare, robust
 from scenes.evidence.table import FACING, GATE_ABOVE, GATE_BELOW, OFFSET, WEIGHT
 from scenes.geometry.lattice import distance_at, led_back_at, normal_at
 
@@ -218,6 +219,47 @@ def cost_terms(lattice, rows, huber, bend, rotation, middle, prior, need, hessia
 
 
 @numba.njit(cache=True, nogil=True)
+def sort_rows(rows, blur, blur_normal):
+    """A table (n, COLUMNS) as the kernels work on it: prepared rows with a normal; the other rows in blocks, and how
+    many; and of those the ones that say nothing where they are outside, in blocks, and how many.
+    """
+    prepared = prepare(rows, blur, blur_normal)
+    counts = np.zeros(3, dtype=np.int64)
+    for n in range(prepared.shape[0]):
+        counts[0 if prepared[n, NARROW] > 0.0 else (2 if is_silent(prepared[n]) else 1)] += 1
+    speaking, silent = blocks_of(counts[1]), blocks_of(counts[2])
+    lay_blocks(prepared, False, speaking)
+    lay_blocks(prepared, True, silent)
+    contacts = np.zeros((counts[0], PREPARED))
+    k = 0
+    for n in range(prepared.shape[0]):
+        if prepared[n, NARROW] > 0.0:
+            contacts[k] = prepared[n]
+            k += 1
+    return contacts, speaking, counts[1], silent, counts[2]
+
+
+@numba.njit(cache=True, nogil=True)
+def table_terms(
+    lattice, table, near, huber, bend, rotation, middle, prior, need, hessian, gradient, scratch, rooms, nodes, sums
+):
+    """cost_terms of a whole table: prepared rows with a normal, the other rows in blocks and how many. near: such
+    blocks of rows more, and how many. rooms, nodes, sums: see block_kernels.block_terms.
+    """
+    contacts, speaking, count = table
+    others, more = near
+    total = cost_terms(lattice, contacts, huber, bend, rotation, middle, prior, need, hessian, gradient, scratch)
+    sums[:] = 0.0
+    if count > 0:
+        total += block_terms(lattice, speaking, count, huber, rotation, middle, need, rooms, nodes, sums)
+    if more > 0:
+        total += block_terms(lattice, others, more, huber, rotation, middle, need, rooms, nodes, sums)
+    if need and count + more > 0:
+        add_sums(sums, hessian, gradient)
+    return total
+
+
+@numba.njit(cache=True, nogil=True)
 def cost_poses(lattice, rows, stage, prior, rotations, middles, costs):
     """Costs (b,) of poses, without derivatives.
 
@@ -228,13 +270,27 @@ def cost_poses(lattice, rows, stage, prior, rotations, middles, costs):
     scratch = np.zeros((10, 3))
     hessian = np.zeros((6, 6))
     gradient = np.zeros(6)
-    prepared, speaking = silent_last(prepare(rows, blur, blur_normal))
-    active = prepared.copy()
+    rooms, nodes, sums = np.zeros((2, ROOM)), np.zeros((2, LENGTH), dtype=np.int32), np.zeros(SUMS)
+    contacts, speaking, count, silent, more = sort_rows(rows, blur, blur_normal)
+    table, others = (contacts, speaking, count), (silent, more)
     for b in range(rotations.shape[0]):
-        # one-sided rows that are outside cost nothing
-        k, _ = near_rows(lattice, prepared, speaking, rotations[b], middles[b], 0.0, active)
-        costs[b] = cost_terms(
-            lattice, active[:k], huber, bend, rotations[b], middles[b], prior, False, hessian, gradient, scratch
+        rotation, middle = rotations[b], middles[b]
+        costs[b] = table_terms(
+            lattice,
+            table,
+            others,
+            huber,
+            bend,
+            rotation,
+            middle,
+            prior,
+            False,
+            hessian,
+            gradient,
+            scratch,
+            rooms,
+            nodes,
+            sums,
         )
 
 
@@ -242,6 +298,24 @@ def cost_poses(lattice, rows, stage, prior, rotations, middles, costs):
 def terms_at(lattice, rows, stage, prior, rotation, middle, hessian, gradient):
     """Cost at one pose; fills hessian (6, 6) and gradient (6,). Arguments as of cost_poses."""
     blur, blur_normal, huber, bend = stage
-    prepared = prepare(rows, blur, blur_normal)
     scratch = np.zeros((10, 3))
-    return cost_terms(lattice, prepared, huber, bend, rotation, middle, prior, True, hessian, gradient, scratch)
+    rooms, nodes, sums = np.zeros((2, ROOM)), np.zeros((2, LENGTH), dtype=np.int32), np.zeros(SUMS)
+    contacts, speaking, count, silent, more = sort_rows(rows, blur, blur_normal)
+    table, others = (contacts, speaking, count), (silent, more)
+    return table_terms(
+        lattice,
+        table,
+        others,
+        huber,
+        bend,
+        rotation,
+        middle,
+        prior,
+        True,
+        hessian,
+        gradient,
+        scratch,
+        rooms,
+        nodes,
+        sums,
+    )

@@ -10,8 +10,8 @@ import math
 import numba
 import numpy as np
 
-from scenes.evidence.kernels import cost_terms
-from scenes.evidence.row_kernels import near_rows, prepare, silent_last
+from scenes.evidence.block_kernels import LENGTH, ROOM, SUMS, blocks_of, near_blocks
+from scenes.evidence.kernels import sort_rows, table_terms
 from scenes.geometry.rotation_kernels import exp_times
 
 # Levenberg-Marquardt: start, factors and limits of the damping (relative to the Hessian's own diagonal).
@@ -78,14 +78,29 @@ def align_poses(lattice, rows, stage, prior, limits, rotations, middles, costs, 
     floor = np.zeros(6)
     rotation = np.zeros((3, 3))
     middle = np.zeros(3)
-    prepared, speaking = silent_last(prepare(rows, blur, blur_normal))
-    active = prepared.copy()
+    rooms, nodes, sums = np.zeros((2, ROOM)), np.zeros((2, LENGTH), dtype=np.int32), np.zeros(SUMS)
+    contacts, speaking, told, silent, quiet = sort_rows(rows, blur, blur_normal)
+    table, near = (contacts, speaking, told), blocks_of(quiet)
     for b in range(rotations.shape[0]):
-        k, lever = near_rows(lattice, prepared, speaking, rotations[b], middles[b], REACH, active)
+        k, lever = near_blocks(lattice, silent, quiet, rotations[b], middles[b], REACH, rooms, nodes, near)
         # how far (m) a row left out may have come since
         spent = 0.0
-        cost = cost_terms(
-            lattice, active[:k], huber, bend, rotations[b], middles[b], prior, True, hessian, gradient, scratch
+        cost = table_terms(
+            lattice,
+            table,
+            (near, k),
+            huber,
+            bend,
+            rotations[b],
+            middles[b],
+            prior,
+            True,
+            hessian,
+            gradient,
+            scratch,
+            rooms,
+            nodes,
+            sums,
         )
         damping = DAMPING_START
         count = 0
@@ -119,9 +134,23 @@ def align_poses(lattice, rows, stage, prior, limits, rotations, middles, costs, 
             travel = shorten * (angle * (lever + spent) + distance)
             begun = STEEPEST * (spent + travel) > REACH
             if begun:
-                k, lever = near_rows(lattice, prepared, speaking, rotation, middle, REACH, active)
-            new_cost = cost_terms(
-                lattice, active[:k], huber, bend, rotation, middle, prior, True, new_hessian, new_gradient, scratch
+                k, lever = near_blocks(lattice, silent, quiet, rotation, middle, REACH, rooms, nodes, near)
+            new_cost = table_terms(
+                lattice,
+                table,
+                (near, k),
+                huber,
+                bend,
+                rotation,
+                middle,
+                prior,
+                True,
+                new_hessian,
+                new_gradient,
+                scratch,
+                rooms,
+                nodes,
+                sums,
             )
             if new_cost <= cost:
                 spent = 0.0 if begun else spent + travel

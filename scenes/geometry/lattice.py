@@ -16,7 +16,7 @@ import numpy as np
 from scenes._numba import FUSED
 
 # Nodes are addressed by the lower corner of their cell; the last cell ends this little before the last node.
-_INSIDE = 1e-4
+END = 1e-4
 # A gradient shorter than this has no direction.
 _SHORTEST = 1e-12
 # Nodes are found by unsigned numbers, which need no test for counting from the end.
@@ -36,9 +36,9 @@ def distance_at(values, origin, spacing, x, y, z):
     u = (x - origin[0]) * inverse
     v = (y - origin[1]) * inverse
     w = (z - origin[2]) * inverse
-    cu = _clamp(u, nx - 1 - _INSIDE)
-    cv = _clamp(v, ny - 1 - _INSIDE)
-    cw = _clamp(w, nz - 1 - _INSIDE)
+    cu = _clamp(u, nx - 1 - END)
+    cv = _clamp(v, ny - 1 - END)
+    cw = _clamp(w, nz - 1 - END)
     i = int(cu)
     j = int(cv)
     k = int(cw)
@@ -73,7 +73,7 @@ def distance_at(values, origin, spacing, x, y, z):
     ov = v - cv
     ow = w - cw
     beyond = ou * ou + ov * ov + ow * ow
-    if beyond > 4.0 * _INSIDE * _INSIDE:
+    if beyond > 4.0 * END * END:
         length = math.sqrt(beyond)
         d += length * spacing
         # the clamped coordinates no longer move the interpolated part
@@ -91,9 +91,9 @@ def value_at(values, origin, spacing, x, y, z):
     u = (x - origin[0]) * inverse
     v = (y - origin[1]) * inverse
     w = (z - origin[2]) * inverse
-    cu = _clamp(u, nx - 1 - _INSIDE)
-    cv = _clamp(v, ny - 1 - _INSIDE)
-    cw = _clamp(w, nz - 1 - _INSIDE)
+    cu = _clamp(u, nx - 1 - END)
+    cv = _clamp(v, ny - 1 - END)
+    cw = _clamp(w, nz - 1 - END)
     i = int(cu)
     j = int(cv)
     k = int(cw)
@@ -113,7 +113,7 @@ def value_at(values, origin, spacing, x, y, z):
     ov = v - cv
     ow = w - cw
     beyond = ou * ou + ov * ov + ow * ow
-    if beyond > 4.0 * _INSIDE * _INSIDE:
+    if beyond > 4.0 * END * END:
         d += math.sqrt(beyond) * spacing
     return d
 
@@ -142,9 +142,9 @@ def normal_at(values, origin, spacing, x, y, z, gradient, hessian):
     cu = (x - origin[0]) * inverse
     cv = (y - origin[1]) * inverse
     cw = (z - origin[2]) * inverse
-    u = _clamp(cu, nx - 1 - _INSIDE)
-    v = _clamp(cv, ny - 1 - _INSIDE)
-    w = _clamp(cw, nz - 1 - _INSIDE)
+    u = _clamp(cu, nx - 1 - END)
+    v = _clamp(cv, ny - 1 - END)
+    w = _clamp(cw, nz - 1 - END)
     i = int(u)
     j = int(v)
     k = int(w)
@@ -217,7 +217,7 @@ def normals(values, origin, spacing, points, out):
 _FARTHEST = 1e100
 
 # A seen point beyond the far side of a wall is led back towards the camera in so many steps, doubled.
-_STEPS = 4
+STEPS = 4
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FUSED)
@@ -238,7 +238,7 @@ def seen_distance_at(values, origin, spacing, step, x, y, z, vx, vy, vz):
 @numba.njit(cache=True, nogil=True, fastmath=FUSED)
 def led_back_at(values, origin, spacing, step, x, y, z, vx, vy, vz):
     """seen_distance_at of a point whose nearest surface is known to look away from the camera."""
-    for _ in range(_STEPS):
+    for _ in range(STEPS):
         d, gx, gy, gz = distance_at(values, origin, spacing, x - step * vx, y - step * vy, z - step * vz)
         along = gx * vx + gy * vy + gz * vz
         if along < 0.0:
