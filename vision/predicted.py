@@ -105,18 +105,48 @@ class Prediction:
     outline in one colour, as far as it does; agree: within the tolerance; past: seen through, or under a table; hidden:
     behind something that is not the robot's hand; behind_hand: the hand explains it; outline: of the border, where the
     seen surface runs on smoothly beyond it. count: rays that met the object inside the image. area: of the outline
-    (px^2) that they tell of, what the image's border cuts off included.
+    (px^2) that they tell of, what the image's border cuts off included. shares (n, SUMS): in the columns of
+    predicted_kernels.
     """
 
-    seen: Array
+    shares: Array
     beyond: Array
-    agree: Array
-    past: Array
-    hidden: Array
-    behind_hand: Array
-    outline: Array
-    count: NDArray[np.int64]
     area: Array
+
+    @property
+    def seen(self) -> Array:
+        """(n,)."""
+        return self.shares[:, kernels.SEEN]
+
+    @property
+    def agree(self) -> Array:
+        """(n,)."""
+        return self.shares[:, kernels.AGREE]
+
+    @property
+    def past(self) -> Array:
+        """(n,)."""
+        return self.shares[:, kernels.PAST]
+
+    @property
+    def hidden(self) -> Array:
+        """(n,)."""
+        return self.shares[:, kernels.BEHIND]
+
+    @property
+    def behind_hand(self) -> Array:
+        """(n,)."""
+        return self.shares[:, kernels.BEHIND_HAND]
+
+    @property
+    def outline(self) -> Array:
+        """(n,)."""
+        return self.shares[:, kernels.OUTLINE]
+
+    @property
+    def count(self) -> Array:
+        """(n,)."""
+        return self.shares[:, kernels.HITS]
 
 
 @dataclass(frozen=True)
@@ -220,12 +250,16 @@ class Predictor:
         s = self.settings
         if not self.sees or not len(candidates):
             return np.zeros(len(candidates))
-        p = self.predict(candidates, side)
+        assert self.camera is not None
+        p, out = self.predict(candidates, side), np.zeros(len(candidates))
         hidden = s.hidden if self._pieces is None else s.hidden_by_unknown
-        cost = s.cells * (s.past * p.past + hidden * p.hidden - s.seen * (p.seen - p.beyond)) + s.runs_on * p.outline
-        cost = cost * self._size(candidates, p)
-        # an object that is nowhere in the image is hidden by the image's border
-        return np.where(p.count > 0, cost, s.cells * s.hidden)
+        usual = self.model.mean_outline * self.camera.fx * self.camera.fy
+        nats, cells = (s.seen, s.past, hidden, s.runs_on), (s.cells, s.cell, s.least_cells)
+        centroid = self.model.centroid
+        kernels.cost_of_shares(
+            np.ascontiguousarray(candidates), centroid, p.shares, p.beyond, p.area, usual, nats, cells, out
+        )
+        return out
 
     def predict(self, candidates: Array, side: int | None = None) -> Prediction:
         """What becomes of the predicted pixels of each pose (n, 4, 4); side: rays along the outline's box."""
@@ -243,36 +277,11 @@ class Predictor:
         flat = view.seen.ravel(), view.state.ravel(), view.past.ravel(), view.fade.ravel()
         limits = s.smooth, s.smooth_share, self.reach, s.plane_margin, s.plane_sigmas
         kernels.sum_up(view.u, view.v, *self.known, limits, *flat, sums)
-        # where nothing is read little is known: surfaces that give no reading are the object's or not
-        total = np.maximum(sums[:, kernels.HITS] - s.unread * sums[:, kernels.UNREAD], 1.0)
-        # what the image's border hides is hidden, too: the corner of an object tells little of it
-        total = total / np.maximum(view.inside, 1e-3)
-        shares = sums / total[:, None]
-        seen, beyond = shares[:, kernels.SEEN], np.zeros(len(candidates))
+        total, area, beyond = np.zeros((3, len(candidates)))
+        kernels.share_out(view.u, view.v, view.inside, s.unread, sums, total, area)
         if self._pieces is not None:
-            seen, beyond = self._bounded(view, self._pieces, total)
-        pixel = np.ptp(view.u, axis=1) * np.ptp(view.v, axis=1) / max(side - 1, 1) ** 2
-        return Prediction(
-            seen=seen,
-            beyond=beyond,
-            agree=shares[:, kernels.AGREE],
-            past=shares[:, kernels.PAST],
-            hidden=shares[:, kernels.BEHIND] + 1.0 - view.inside,
-            behind_hand=shares[:, kernels.BEHIND_HAND],
-            outline=sums[:, kernels.OUTLINE],
-            count=sums[:, kernels.HITS].astype(np.int64),
-            area=total * pixel,
-        )
-
-    def _size(self, candidates: Array, picture: Prediction) -> Array:
-        """(n,) share of all cells that the outline of each pose (n, 4, 4) amounts to: its area beside the object's from
-        a usual side, at its distance, and beside what as many cells need. Shares alone would have a can's end that
-        nothing hides tell as much as its side of which a hand hides a third.
-        """
-        assert self.camera is not None
-        s, distance = self.settings, np.maximum((candidates[:, :3] @ np.append(self.model.centroid, 1.0))[:, 2], 1e-3)
-        usual = self.model.mean_outline * self.camera.fx * self.camera.fy / distance**2
-        return np.clip(picture.area / np.maximum(usual, s.cells * s.cell), s.least_cells, 1.0)
+            sums[:, kernels.SEEN], beyond = self._bounded(view, self._pieces, total)
+        return Prediction(sums, beyond, area)
 
     def _bounded(self, view: View, pieces: NDArray[np.int64], total: Array) -> tuple[Array, Array]:
         """(n,) share seen, of each piece no more than what bounds its word; and how much of that is of pieces of one
@@ -301,11 +310,8 @@ class Predictor:
         u, v = np.zeros((2, count, side), dtype=np.int64)
         rays, index = np.zeros((count * side**2, 6), np.float32), np.zeros(count * side**2, dtype=np.int64)
         inside = np.zeros(count)
-        rotations, translations = (np.ascontiguousarray(candidates[:, :3, k]) for k in (slice(3), 3))
-        middle = self.model.surface.middle
-        k = kernels.outline_rays(
-            self._points, rotations, translations, self.known[1], middle, u, v, rays, index, inside
-        )
+        middle, poses = self.model.surface.middle, np.ascontiguousarray(candidates)
+        k = kernels.outline_rays(self._points, poses, self.known[1], middle, u, v, rays, index, inside)
         met = self.model.surface.cast_local(rays[:k])
         expected, seen, past, fade = np.zeros((4, count, side**2))
         state = np.zeros((count, side**2), dtype=np.uint8)

@@ -27,19 +27,19 @@ _NEAREST = 1e-3
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def outline_rays(points, rotations, translations, camera, middle, u, v, rays, index, inside):
+def outline_rays(points, poses, camera, middle, u, v, rays, index, inside):
     """Pixels u, v (n, side) over the box of each pose's outline; fills rays and index, and returns how many rays.
 
-    points (m, 3): of the surface, object frame. rotations (n, 3, 3), translations (n, 3): camera_from_object. camera:
-    fx, fy, cx, cy, width, height. middle (3,): what the ray caster takes off its points. rays (n side^2, 6): origin and
-    direction with z = 1, object frame about the middle, of the pixels in the image; index: where among all they belong.
+    points (m, 3): of the surface, object frame. poses (n, 4, 4): camera_from_object. camera: fx, fy, cx, cy, width,
+    height. middle (3,): what the ray caster takes off its points. rays (n side^2, 6): origin and direction with z = 1,
+    object frame about the middle, of the pixels in the image; index: where among all they belong.
     inside (n,): share of the points that project into the image.
     """
     fx, fy, cx, cy, width, height = camera
     side = u.shape[1]
     count = 0
-    for n in range(rotations.shape[0]):
-        r, t = rotations[n], translations[n]
+    for n in range(poses.shape[0]):
+        r, t = poses[n], poses[n, :3, 3]
         low_u = low_v = math.inf
         high_u = high_v = -math.inf
         ahead = True
@@ -216,6 +216,53 @@ def sum_up(u, v, image, camera, noise, limits, seen, state, past, fade, out):
                     lead = seen[k] + slope * (1.0 + reach / max(step, 1))
                     running += _leads_to(image, camera, noise, column, row, lead, room, plane_margin, plane_sigmas)
         out[n, OUTLINE] = running / max(edges, 1)
+
+
+@numba.njit(cache=True, nogil=True)
+def share_out(u, v, inside, unread, sums, total, area):
+    """Make shares of what the rays of each pose add up to, sums (n, SUMS), in place; fills total (n,): rays of which
+    shares are taken, and area (n,): of the outline (px^2) that they tell of, what the image's border cuts off included.
+
+    Where nothing is read little is known: surfaces that give no reading are the object's or not, so that this share of
+    them, unread, is left out. What the image's border hides is hidden, too: the corner of an object tells little of it.
+    u, v (n, side), inside (n,): as of outline_rays.
+    """
+    side = u.shape[1]
+    for n in range(sums.shape[0]):
+        seen = max(inside[n], 1e-3)
+        total[n] = max(sums[n, HITS] - unread * sums[n, UNREAD], 1.0) / seen
+        for k in (SEEN, AGREE, PAST, BEHIND, BEHIND_HAND):
+            sums[n, k] /= total[n]
+        sums[n, BEHIND] += 1.0 - inside[n]
+        across = float((u[n].max() - u[n].min()) * (v[n].max() - v[n].min()))
+        area[n] = total[n] * across / max(side - 1, 1) ** 2
+
+
+@numba.njit(cache=True, nogil=True)
+def cost_of_shares(poses, centroid, shares, beyond, area, outline, nats, cells, out):
+    """Fill out (n,) with what poses (n, 4, 4) cost by shares (n, SUMS), and beyond (n,): of what is seen, on what goes
+    on beyond the outline.
+
+    An outline counts by its area (n,) (px^2) beside the object's from a usual side at its distance, and beside what as
+    many cells need: shares alone would have a can's end that nothing hides tell as much as its side of which a hand
+    hides a third. outline: that usual area at a distance of a metre. nats: of a cell that is seen, seen past and
+    hidden, and of an outline over which a surface runs on. cells: of a whole outline, pixels (px^2) that one has at
+    least, and the least share of them that a small outline amounts to.
+    """
+    seen, past, hidden, runs_on = nats
+    count, pixels, least = cells
+    for n in range(poses.shape[0]):
+        if not shares[n, HITS] > 0.0:
+            # an object that is nowhere in the image is hidden by the image's border
+            out[n] = count * hidden
+            continue
+        z = poses[n, 2, 3]
+        for i in range(3):
+            z += poses[n, 2, i] * centroid[i]
+        usual = outline / max(z, 1e-3) ** 2
+        size = min(max(area[n] / max(usual, count * pixels), least), 1.0)
+        of_cells = past * shares[n, PAST] + hidden * shares[n, BEHIND] - seen * (shares[n, SEEN] - beyond[n])
+        out[n] = size * (count * of_cells + runs_on * shares[n, OUTLINE])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

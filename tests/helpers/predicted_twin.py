@@ -4,6 +4,8 @@ import numpy as np
 
 from scenes.geometry import poses as se3
 from scenes.geometry.cameras import is_reading
+from vision import predicted_kernels as kernels
+from vision.predicted import Prediction
 
 
 def predicted(found, pose, side):
@@ -41,6 +43,30 @@ def predicted(found, pose, side):
     sums = [x.sum() / total for x in (fade, near, past_share, hidden, by_hand & ~past)]
     sums[3] += 1.0 - share
     return *sums, runs_on(found, hit, near, read, seen, u, v, side), int(hit.sum())
+
+
+def size(found, candidates, picture):
+    """(n,) share of all cells that the outline of each pose (n, 4, 4) amounts to."""
+    s, distance = found.settings, se3.apply(candidates, found.model.centroid[None])[:, 0, 2]
+    usual = found.model.mean_outline * found.camera.fx * found.camera.fy / np.maximum(distance, 1e-3) ** 2
+    return np.clip(picture.area / np.maximum(usual, s.cells * s.cell), s.least_cells, 1.0)
+
+
+def cost(found, candidates, picture):
+    """(n,) nats of poses (n, 4, 4), nobody's pieces."""
+    s, p = found.settings, picture
+    shares = s.past * p.past + s.hidden * p.hidden - s.seen * p.seen
+    whole = size(found, candidates, p) * (s.cells * shares + s.runs_on * p.outline)
+    return np.where(p.count > 0, whole, s.cells * s.hidden)
+
+
+def picture(seen=0.9, agree=0.95, past=0.0, hidden=0.0, behind_hand=0.0, outline=0.0):
+    """A predicted picture of one pose by its shares."""
+    shares = np.zeros((1, kernels.SUMS))
+    columns = kernels.HITS, kernels.SEEN, kernels.AGREE, kernels.PAST, kernels.BEHIND, kernels.BEHIND_HAND
+    shares[0, list(columns)] = 200.0, min(seen, 0.95 * agree), agree, past, hidden, behind_hand
+    shares[0, kernels.OUTLINE] = outline
+    return Prediction(shares, np.zeros(1), np.array([9e3]))
 
 
 def in_image(found, pose):

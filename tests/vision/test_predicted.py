@@ -68,6 +68,9 @@ def test_the_kernels_say_what_plain_arrays_say(lab_frame, drill, rng, known):
         columns = got.seen, got.agree, got.past, got.hidden, got.behind_hand, got.outline, got.count
         expected = [predicted_twin.predicted(found, pose, side) for pose in candidates]
         np.testing.assert_allclose(np.array(columns).T, expected, atol=1e-9)
+        np.testing.assert_allclose(
+            found.costs(candidates, side), predicted_twin.cost(found, candidates, got), atol=1e-9
+        )
 
 
 def test_the_cost_rises_with_distance_from_the_truth(rng):
@@ -124,7 +127,8 @@ def test_an_outline_counts_by_its_size_not_only_by_its_share():
     far = poses.make_pose(None, 11.0 * middle) @ side
     where = np.array([side, end, far])
     picture = looking.predict(where)
-    size = looking._size(where, picture)
+    size = predicted_twin.size(looking, where, picture)
+    np.testing.assert_allclose(looking.costs(where), predicted_twin.cost(looking, where, picture), atol=1e-9)
     assert size[0] > 1.5 * size[1] > 0.0
     assert size[2] == PredictionSettings().least_cells
     # as many pixels as a renderer draws

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from commands import refused, run
 from made_frames import plain_view
+from predicted_twin import picture
 from scipy.stats import gamma
 
 from fusion.estimation.answer import ContactResidual, Mode
@@ -31,7 +32,6 @@ from scenes.evidence.align import Prior
 from scenes.files.schema import complaints
 from scenes.recordings.captures import write_capture
 from scenes.synthesis.library import make
-from vision.predicted import Prediction
 
 
 @pytest.fixture(scope="module")
@@ -119,15 +119,7 @@ def test_a_batch_has_it(capsys, tmp_path, capture):
 
 def shown(agree, past=0.0):
     """A predicted picture of which a share agrees, and a share is seen past."""
-    return Prediction(
-        np.array([agree]),
-        np.zeros(1),
-        np.array([agree]),
-        np.array([past]),
-        *np.zeros((3, 1)),
-        np.array([200]),
-        np.array([9e3]),
-    )
+    return picture(agree=agree, past=past)
 
 
 def test_what_contradicts_an_answer_widens_it_but_not_what_a_prior_told():

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from predicted_twin import picture
 
 from fusion import estimate
 from fusion.estimation.asked import Asked
@@ -27,7 +28,6 @@ from scenes.geometry import poses
 from scenes.synthesis import library
 from scenes.synthesis.recording import synthesize_frames
 from scenes.synthesis.settings import SynthesisSettings
-from vision.predicted import Prediction
 
 SETTINGS = SynthesisSettings(rgb=False)
 
@@ -254,13 +254,6 @@ def test_a_joint_solution_that_the_picture_refuses_is_not_taken(drill):
     assert np.sqrt(kept.covariance[3, 3]) > 0.019  # as wide as the two are apart
     near = poses.make_pose(None, [0.002, 0.0, 0.0]) @ start
     assert guarded(pool, [result(near)], [start], None, EstimateSettings())[0].pose is near
-
-
-def picture(**shares):
-    usual = {"seen": 0.9, "beyond": 0.0, "agree": 0.95, "past": 0.0, "hidden": 0.0, "behind_hand": 0.0, "outline": 0.0}
-    values = usual | shares
-    values["seen"] = min(values["seen"], 0.95 * values["agree"])
-    return Prediction(*(np.array([values[k]]) for k in values), np.array([200]), np.array([9e3]))
 
 
 def confidence(*answer):
