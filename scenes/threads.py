@@ -66,7 +66,9 @@ def run_chunks(work: Callable[[slice], None], count: int, smallest: int = 1) -> 
     For compiled kernels that release the interpreter lock and write to disjoint parts of their outputs. Twice as many
     chunks as threads evens out poses that take longer; the result does not depend on how the work was cut.
     """
-    threads = min(thread_count(), max(1, count // max(1, smallest)))
+    # most calls are too small for a second thread: then nobody asks how many there are
+    parts = max(1, count // max(1, smallest))
+    threads = 1 if parts == 1 else min(thread_count(), parts)
     if threads <= 1:
         if count:
             work(slice(0, count))

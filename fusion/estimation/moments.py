@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation.solve.kernels import log_mixture
 from scenes.evidence.align import AlignSettings, Prior, align, costs, terms
 from scenes.evidence.search import thin
 from scenes.evidence.table import GATE_ABOVE, SIGMA_NORMAL, TOUCH, Evidence, stack
@@ -159,11 +160,10 @@ def _sampled_on(
 
 def _log_mixture(z: Array, proposals: list[tuple[Array, Array]], counts: NDArray[np.int64]) -> Array:
     """Log density (n,) of the mixture of Gaussians (mean, lower factor), `counts` of each, up to a constant."""
-    parts = []
-    for (mean, factor), count in zip(proposals, counts):
-        white = np.linalg.solve(factor, (z - mean).T)
-        parts.append(np.log(count) - 0.5 * np.sum(white**2, axis=0) - np.log(np.abs(np.diag(factor))).sum())
-    return np.asarray(np.logaddexp.reduce(parts, axis=0), dtype=np.float64)
+    means, factors = (np.array([proposal[k] for proposal in proposals]) for k in (0, 1))
+    out = np.zeros(len(z))
+    log_mixture(np.ascontiguousarray(z), means, factors, counts.astype(np.float64), out)
+    return out
 
 
 def _weighted(z: Array, weights: Array) -> tuple[Array, Array]:

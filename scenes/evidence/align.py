@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,8 @@ Array = NDArray[np.float64]
 
 # Blurs of at least so many spacings of the coarser lattice are looked up there: at 1.5 costs differ by half a nat.
 COARSE = 1.5
+# A prior that says nothing, as the kernels take it.
+NO_PRIOR = np.eye(3), np.zeros(3), np.zeros((6, 6))
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,15 @@ class Prior:
         if not (sigma_angle > 0 and sigma_distance > 0):
             raise InputError(f"prior: expected sigmas above 0, got {sigma_angle} rad and {sigma_distance} m")
         return Prior(pose, np.diag([sigma_angle**-2] * 3 + [sigma_distance**-2] * 3))
+
+    @cached_property
+    def checked(self) -> tuple[Array, Array, Array]:
+        """Rotation (3, 3), translation (3,) and information (6, 6), in order in memory."""
+        shapes = np.shape(self.pose), np.shape(self.information)
+        if shapes != ((4, 4), (6, 6)) or not (np.isfinite(self.pose).all() and np.isfinite(self.information).all()):
+            raise InputError(f"prior: expected a finite pose (4, 4) and information (6, 6), got shapes {shapes}")
+        information = np.ascontiguousarray(self.information, dtype=np.float64)
+        return np.ascontiguousarray(self.pose[:3, :3]), np.ascontiguousarray(self.pose[:3, 3]), information
 
 
 @dataclass(frozen=True)
@@ -106,19 +119,16 @@ def lattice_of(model: ObjectModel, blur: float = 0.0) -> tuple:
 def prior_of(model: ObjectModel, prior: Prior | None) -> tuple:
     """A prior as the kernels take it: rotation, place of the centroid, information (zeros for None)."""
     if prior is None:
-        return np.eye(3), np.zeros(3), np.zeros((6, 6))
-    shapes = np.shape(prior.pose), np.shape(prior.information)
-    if shapes != ((4, 4), (6, 6)) or not (np.isfinite(prior.pose).all() and np.isfinite(prior.information).all()):
-        raise InputError(f"prior: expected a finite pose (4, 4) and information (6, 6), got shapes {shapes}")
-    middle = prior.pose[:3, :3] @ model.centroid + prior.pose[:3, 3]
-    rotation = np.ascontiguousarray(prior.pose[:3, :3])
-    return rotation, middle, np.ascontiguousarray(prior.information, dtype=np.float64)
+        return NO_PRIOR
+    rotation, translation, information = prior.checked
+    return rotation, rotation @ model.centroid + translation, information
 
 
 def _scene(model: ObjectModel, evidence: Evidence, prior: Prior | None, settings: AlignSettings) -> tuple:
     """The arguments that all kernels begin with: lattice, rows, stage, prior."""
     rows = np.ascontiguousarray(evidence.rows, dtype=np.float64)
-    if rows.ndim != 2 or rows.shape[1] != COLUMNS or not np.isfinite(rows).all():
+    # a number that is not finite makes their sum so: no array of answers
+    if rows.ndim != 2 or rows.shape[1] != COLUMNS or not math.isfinite(rows.sum()):
         raise InputError(f"alignment: expected finite evidence of {COLUMNS} columns, got shape {rows.shape}")
     stage = float(settings.blur), float(settings.blur_normal), float(settings.huber), float(settings.bend)
     return lattice_of(model, settings.blur if settings.coarsely else 0.0), rows, stage, prior_of(model, prior)

@@ -18,6 +18,7 @@ from scenes.evidence.table import (
     GATE_BELOW,
     SIGMA,
     SIGMA_NORMAL,
+    WEIGHT,
 )
 
 # Columns of a prepared row beside those of scenes.evidence.table: 1 / sigma under the blur, the variance of its normal
@@ -132,3 +133,33 @@ def log_above_one(e):
     p = p * y + 1.0 / 3.0
     p = p * y + 1.0
     return 2.0 * z * p
+
+
+@numba.njit(cache=True, nogil=True)
+def thin_rows(rows, sense, touch, most, out, senses):
+    """Fill out (n, COLUMNS) and senses (n,) with rows of a table, evenly taken, that carry the weight of all; returns
+    how many: every contact, of vision's rows most[0], and of vision's and touch's one-sided ones most[1] each.
+
+    rows (n, COLUMNS), sense (n,): a table's; touch: what `sense` is of touch.
+    """
+    k = 0
+    for group in range(4):
+        felt, silent = group == 0 or group == 3, group >= 2
+        count = 0
+        for n in range(rows.shape[0]):
+            count += (sense[n] == touch) == felt and (rows[n, GATE_ABOVE] == 0.0) == silent
+        if count == 0:
+            continue
+        kept = count if group == 0 else max(1, min(most[1] if silent else most[0], count))
+        at = taken = 0
+        for n in range(rows.shape[0]):
+            if (sense[n] == touch) != felt or (rows[n, GATE_ABOVE] == 0.0) != silent:
+                continue
+            if taken < kept and at == (taken * count) // kept:
+                out[k] = rows[n]
+                out[k, WEIGHT] *= count / kept
+                senses[k] = sense[n]
+                taken += 1
+                k += 1
+            at += 1
+    return k

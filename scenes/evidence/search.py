@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scenes.errors import InputError
 from scenes.evidence.align import Alignment, AlignSettings, Prior, align, costs
 from scenes.evidence.leader_kernels import lead
-from scenes.evidence.table import GATE_ABOVE, TOUCH, VISION, Evidence
+from scenes.evidence.row_kernels import thin_rows
+from scenes.evidence.table import TOUCH, Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 
@@ -45,21 +46,9 @@ def thin(evidence: Evidence, count: int) -> Evidence:
 
     Rows are taken evenly over the table; contacts are few and each tells another thing.
     """
-    silent = evidence.rows[:, GATE_ABOVE] == 0.0
-    chosen, factors = [], []
-    for group, most in (
-        (np.flatnonzero((evidence.sense == TOUCH) & ~silent), len(evidence)),
-        (np.flatnonzero((evidence.sense == VISION) & ~silent), count),
-        (np.flatnonzero((evidence.sense == VISION) & silent), count // 2),
-        (np.flatnonzero((evidence.sense == TOUCH) & silent), count // 2),
-    ):
-        most = max(1, min(most, len(group)))
-        if len(group):
-            chosen.append(group[(np.arange(most) * len(group)) // most])
-            factors.append(np.full(most, len(group) / most))
-    if not chosen or sum(map(len, chosen)) == len(evidence):
-        return evidence
-    return evidence.take(np.concatenate(chosen)).reweighted(np.concatenate(factors))
+    rows, senses = np.zeros_like(evidence.rows), np.zeros_like(evidence.sense)
+    kept = thin_rows(np.ascontiguousarray(evidence.rows), evidence.sense, TOUCH, (count, count // 2), rows, senses)
+    return evidence if kept == len(evidence) else Evidence(rows[:kept], senses[:kept])
 
 
 def rotation_grid(count: int, rng: np.random.Generator | None = None) -> Array:

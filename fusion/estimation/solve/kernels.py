@@ -201,3 +201,26 @@ def lay_bells(uv, columns, column, rows, row, sharpness, out):
             across[i] = math.exp(sharpness * (uv[n, 1] - rows[i]) ** 2)
         for j in range(out.shape[1]):
             out[n, j] = along[column[j]] * across[row[j]]
+
+
+@numba.njit(cache=True, nogil=True)
+def log_mixture(z, means, factors, counts, out):
+    """Fill out (n,) with the log density, up to a constant, of a mixture of Gaussians at points z (n, d): counts (k,)
+    of each, means (k, d), lower factors (k, d, d).
+    """
+    size, each = z.shape[1], np.zeros(means.shape[0])
+    white = np.zeros(size)
+    for n in range(z.shape[0]):
+        for k in range(means.shape[0]):
+            each[k] = math.log(counts[k])
+            for i in range(size):
+                total = z[n, i] - means[k, i]
+                for j in range(i):
+                    total -= factors[k, i, j] * white[j]
+                white[i] = total / factors[k, i, i]
+                each[k] -= 0.5 * white[i] * white[i] + math.log(abs(factors[k, i, i]))
+        most = each.max()
+        total = 0.0
+        for k in range(means.shape[0]):
+            total += math.exp(each[k] - most)
+        out[n] = most + math.log(total)

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import multivariate_normal
 
 from fusion.estimation.moments import MomentSettings, moments, uneven_rows
+from fusion.estimation.solve.kernels import log_mixture
 from scenes.evidence import table as evidence
 from scenes.evidence.align import Prior, align, costs
 from scenes.evidence.table import GATE_ABOVE, TOUCH, VISION
@@ -116,3 +118,15 @@ def test_few_samples_tell_nothing(prism):
     result = moments(prism, rows, found.poses[0], covariance, 0, prior, settings=MomentSettings(effective=1e9))
     assert result.widened == 0
     assert np.array_equal(result.covariance, covariance)
+
+
+def test_the_density_of_a_mixture_is_that_of_its_gaussians(rng):
+    z, means, roots = rng.normal(size=(40, 6)), rng.normal(size=(3, 6)), rng.normal(size=(3, 6, 6))
+    factors, counts, out = (
+        np.linalg.cholesky(roots @ np.swapaxes(roots, 1, 2) + np.eye(6)),
+        [5.0, 7.0, 11.0],
+        np.zeros(40),
+    )
+    log_mixture(z, means, factors, np.array(counts), out)
+    each = [multivariate_normal(m, f @ f.T).logpdf(z) + np.log(n) for m, f, n in zip(means, factors, counts)]
+    np.testing.assert_allclose(out, np.logaddexp.reduce(each) + 3.0 * np.log(2.0 * np.pi), rtol=1e-10)

@@ -180,3 +180,21 @@ def test_leaders_stand_for_poses_that_look_alike(name, rng):
         chosen, group = leaders(model, candidates, apart)
         assert np.array_equal(chosen, expected)
         assert np.array_equal(group, of)
+
+
+@pytest.mark.parametrize("count", [3, 40, 500])
+def test_rows_are_thinned_as_plain_arrays_are(rng, count):
+    rows = rng.normal(size=(150, evidence.COLUMNS))
+    rows[:, evidence.GATE_ABOVE] = rng.choice([0.0, 2.0], 150)
+    full = evidence.Evidence(rows, rng.choice([evidence.VISION, evidence.TOUCH], 150).astype(np.uint8))
+    silent, felt = rows[:, evidence.GATE_ABOVE] == 0.0, full.sense == evidence.TOUCH
+    most = (felt & ~silent, 150), (~felt & ~silent, count), (~felt & silent, count // 2), (felt & silent, count // 2)
+    chosen, factors = [], []
+    for group, limit in ((np.flatnonzero(of), limit) for of, limit in most):
+        kept = max(1, min(limit, len(group)))
+        chosen.append(group[(np.arange(kept) * len(group)) // kept])
+        factors.append(np.full(kept, len(group) / kept))
+    expected = full if count == 500 else full.take(np.concatenate(chosen)).reweighted(np.concatenate(factors))
+    few = thin(full, count)
+    np.testing.assert_array_equal(few.rows, expected.rows)
+    np.testing.assert_array_equal(few.sense, expected.sense)
