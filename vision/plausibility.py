@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scenes.geometry.cameras import is_reading
-from scenes.recordings.beliefs import CalibrationModel
+from scenes.recordings.beliefs import CalibrationModel, usual_beliefs
 from scenes.recordings.frames import Frame
 from vision.look.hand import HandView, camera_from_hand, prior_information
 
@@ -38,7 +38,7 @@ def doubts(
 
     hand: the hand as seen (vision.look.hand). Without a hand that the robot tells of, only the mask is looked at.
     """
-    settings, calibration = settings or PlausibilitySettings(), calibration or CalibrationModel()
+    settings, calibration = settings or PlausibilitySettings(), calibration or usual_beliefs().calibration
     if frame.depth is None or frame.camera is None:
         return ()
     found = []

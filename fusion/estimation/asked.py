@@ -12,7 +12,7 @@ from fusion.estimation.settings import EstimateSettings
 from scenes.errors import InputError
 from scenes.evidence.align import Prior
 from scenes.geometry import poses as se3
-from scenes.recordings.beliefs import Beliefs
+from scenes.recordings.beliefs import Beliefs, usual_beliefs
 from scenes.recordings.frames import Frame
 
 Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ class Asked:
         """As `estimate` takes it, checked; what is not said is the frame's own."""
         settings, senses = settings or EstimateSettings(), check_senses(use)
         believed = as_prior(prior if prior is not None else frame.prior, settings)
-        return Asked(senses, believed, tolerance, seed, beliefs or frame.beliefs or Beliefs(), settings)
+        return Asked(senses, believed, tolerance, seed, beliefs or frame.beliefs or usual_beliefs(), settings)
 
 
 def check_senses(use: Iterable[str]) -> frozenset[str]:

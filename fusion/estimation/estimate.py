@@ -20,7 +20,7 @@ from fusion.estimation.proposals import search_stages, starts_of
 from fusion.estimation.propose import modes_anywhere, modes_near
 from fusion.estimation.ranking import rejudged
 from fusion.estimation.search import find_modes, worth_solving
-from fusion.estimation.settings import EstimateSettings
+from fusion.estimation.settings import EstimateSettings, usual_settings
 from fusion.estimation.solve.outlined import asks_for, outlined
 from fusion.estimation.steps.facing import (
     Facing,
@@ -80,7 +80,7 @@ def estimate(
     Returns an Estimate; data that tell nothing give the verdict "lost" and a covariance that says so, not an error.
     Raises CaptureError when the sizes in the frame and the model's tell of a wrong unit.
     """
-    settings = sure_to_be_within(settings or EstimateSettings(), sure_within)
+    settings = sure_to_be_within(settings or usual_settings(), sure_within)
     check_limits(tolerance, budget_ms)
     check_scale(frame, model)
     check_print(model, settings.texture)

@@ -9,7 +9,6 @@ a pose covers but what must be seen of it (vision.predicted), with what is felt 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,7 @@ from scenes.evidence.table import GATE_ABOVE, Evidence
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import DepthModel
 from touch.held import Held
-from vision.look.looked import Looked, RowSettings, free_space_rows, surface_rows
+from vision.look.looked import Looked, RowSettings, surface_rows
 from vision.look.pixels import Pixels
 from vision.predicted import Predictor
 from vision.shown import shown_rows
@@ -151,11 +150,6 @@ class Pool:
         """Metres by which a point at the object's radius moves between two poses that go on as two."""
         return self.settings.together * self.modes.merge_share * self.model.radius
 
-    @cached_property
-    def free(self) -> Evidence:
-        """OUTSIDE rows before what was seen, wherever the object is."""
-        return free_space_rows(self.looked, self.rows)
-
     def costs(self, candidates: Array, side: int | None = None) -> Array:
         """(n,) nats of poses (n, 4, 4), up to a constant: touch, prior, and the predicted image, by `side` rays along
         each side of an outline; default as many as tell two answers apart.
@@ -270,7 +264,9 @@ class Pool:
         """`evidence` of each of poses (n, 4, 4). most: at most so many pixels and half as much of what is free,
         carrying the weight of all; 0: all.
         """
-        return shown_rows(self.predictor, poses, self.free, self.rows, self.settings.least_pixels, side, most)
+        return shown_rows(
+            self.predictor, poses, self.looked.free(self.rows), self.rows, self.settings.least_pixels, side, most
+        )
 
     def sifted(self, candidates: Array) -> Array:
         """The most promising of poses (n, 4, 4) by few rays, best first."""

@@ -6,6 +6,7 @@ What sensors are worth is not here: see `scenes.recordings.beliefs`.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 
@@ -69,3 +70,9 @@ class EstimateSettings:
     plausibility: PlausibilitySettings = field(default_factory=PlausibilitySettings)
     # How the patterns of taxel arrays tell several modes apart; None leaves it to their rows.
     patterns: RankingSettings | None = field(default_factory=RankingSettings)
+
+
+@cache
+def usual_settings() -> EstimateSettings:
+    """The settings where nobody asks for others: made once."""
+    return EstimateSettings()

@@ -63,7 +63,8 @@ class Trace:
         begin, before = time.perf_counter(), len(self._stages)
         yield running
         spent = 1e3 * (time.perf_counter() - begin) - sum(inner.ms for inner in self._stages[before:])
-        _log.debug("%s: %s", name, f"{spent:.1f} ms, {running.rows} rows, {running.why}" if run else why_not)
+        if _log.isEnabledFor(logging.DEBUG):
+            _log.debug("%s: %s", name, f"{spent:.1f} ms, {running.rows} rows, {running.why}" if run else why_not)
         self._stages.append(
             Stage(name, run, running.why if run else why_not, max(spent, 0.0), running.rows if run else 0)
         )

@@ -62,8 +62,9 @@ class Camera:
     def project(self, points: Array) -> tuple[Array, Array]:
         """Pixels (n, 2) as (u, v) and depths (n,) of camera-frame points (n, 3); u, v are NaN at z <= 0."""
         z = points[:, 2]
-        safe = np.where(z > 0, z, np.nan)
-        return np.stack([self.fx * points[:, 0] / safe + self.cx, self.fy * points[:, 1] / safe + self.cy], 1), z
+        safe, uv = np.where(z > 0, z, np.nan), np.zeros((len(points), 2))
+        uv[:, 0], uv[:, 1] = self.fx * points[:, 0] / safe + self.cx, self.fy * points[:, 1] / safe + self.cy
+        return uv, z
 
     def rays(self) -> Array:
         """(height, width, 3) directions with z = 1: depth times ray is the point."""

@@ -93,8 +93,13 @@ def make_poses(rotations: Array, translations: Array) -> Array:
 
 def inverse(pose: Array) -> Array:
     """source_from_target of each (..., 4, 4) target_from_source."""
-    rotation_t = np.swapaxes(pose[..., :3, :3], -1, -2)
     out = np.zeros_like(pose)
+    if pose.ndim == 2:
+        out[:3, :3] = pose[:3, :3].T
+        out[:3, 3] = -(out[:3, :3] @ pose[:3, 3])
+        out[3, 3] = 1.0
+        return out
+    rotation_t = np.swapaxes(pose[..., :3, :3], -1, -2)
     out[..., :3, :3] = rotation_t
     out[..., :3, 3] = -(rotation_t @ pose[..., :3, 3, None])[..., 0]
     out[..., 3, 3] = 1.0

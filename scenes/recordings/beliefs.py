@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -140,3 +141,9 @@ class Beliefs:
     def __post_init__(self) -> None:
         """Refuse what is no size."""
         check_sizes(self)
+
+
+@cache
+def usual_beliefs() -> Beliefs:
+    """What is believed where nothing is said: made and checked once."""
+    return Beliefs()

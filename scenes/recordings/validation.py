@@ -183,7 +183,8 @@ def scale_problem(frame: Frame, model: ObjectModel) -> str | None:
     points = frame.contacts.points
     if len(points) > 1:
         # of most: a fingertip that reports nonsense is one contact that is false, a unit mistaken moves them all
-        extent = 2.0 * float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
+        middle = np.array([_quantile(places, 0.5) for places in points.T])
+        extent = 2.0 * _quantile(np.linalg.norm(points - middle, axis=1), 0.5)
         if extent > SUSPICIOUS_RATIO * diameter:
             return _says("contacts spread over", extent, "an object of", diameter)
     if frame.cloud is not None and len(frame.cloud) > 1:
@@ -204,7 +205,7 @@ def _depth_problem(frame: Frame) -> str | None:
     # where most are below it the median is
     if 2 * np.count_nonzero(some < MILLIMETRES[0]) > len(some):
         return None
-    median = float(np.median(some)) if len(some) else 0.0
+    median = _quantile(some, 0.5) if len(some) else 0.0
     if median < MILLIMETRES[0]:
         return None
     return f"expected depth in metres, got a median of {median:.4g}: looks like millimetres: divide by 1000"
@@ -229,6 +230,15 @@ def _pose_problem(frame: Frame, pose: Array, model: ObjectModel, source: str) ->
     if centre[2] / middle > NEAREST_RATIO:
         return _says("depth readings about", middle, other, float(centre[2]), hint)
     return None
+
+
+def _quantile(values: NDArray, share: float) -> float:
+    """What a share of at least one value is below, between the two nearest; NumPy's own takes many times as long."""
+    place = share * (len(values) - 1)
+    low = int(place)
+    high = min(low + 1, len(values) - 1)
+    parted = np.partition(values, (low, high))
+    return float(parted[low]) + (place - low) * (float(parted[high]) - float(parted[low]))
 
 
 def _says(what: str, size: float, other: str, reference: float, hint: str | None = None) -> str:
@@ -267,5 +277,5 @@ def _depths_at(frame: Frame, centre: Array, diameter: float) -> tuple[float, flo
     patch = patch[np.isfinite(patch) & (patch > 0)]
     if len(patch) < FEWEST_POINTS:
         return None
-    nearest, middle = np.quantile(patch, (SHOWN, 0.5))
+    nearest, middle = _quantile(patch, SHOWN), _quantile(patch, 0.5)
     return float(nearest), float(middle)

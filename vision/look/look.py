@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from scenes.geometry.cameras import Camera, is_reading
 from scenes.geometry.objects import ObjectModel
-from scenes.recordings.beliefs import Beliefs
+from scenes.recordings.beliefs import Beliefs, usual_beliefs
 from scenes.recordings.frames import Frame
 from vision.look.colours import Coloured, PartingSettings
 from vision.look.hand import HandView, HandViewSettings, view_hand
@@ -84,7 +84,7 @@ def look(
     start (4, 4) camera_from_object, a coarse one, narrows the region. A frame without depth gives its cloud's points,
     one whose region is outside the image no pixels.
     """
-    settings, beliefs = settings or LookSettings(), beliefs or Beliefs()
+    settings, beliefs = settings or LookSettings(), beliefs or usual_beliefs()
     if start is not None:
         settings = replace(settings, most_inside=min(settings.most_inside, settings.most_near))
     region = find_region(frame, model, start, settings.slack, frame.mask)
@@ -252,7 +252,7 @@ def _sorted(
     if box is None:
         return nothing_seen(region, "region outside the image")
     planes = no_planes() if planes is None else planes
-    off = for_kernels(planes, (beliefs or Beliefs()).depth, settings.mask)
+    off = for_kernels(planes, (beliefs or usual_beliefs()).depth, settings.mask)
     pixels = sort_pixels(frame.depth, frame.camera, box, settings.most, region, mask, off)
     others, mine = pixels.some(OTHER, settings.most_others), pixels.some(CHOSEN, settings.most_inside)
     dropped: dict[str, int] = {}

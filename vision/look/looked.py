@@ -58,7 +58,7 @@ class Looked:
     planes: Array = field(default_factory=lambda: np.zeros((0, 6)))
     pieces: tuple[Pixels, ...] = ()
     # rows by what they were made with: several steps ask for them
-    _made: dict[tuple[DepthModel, RowSettings], Evidence] = field(
+    _made: dict[tuple[DepthModel | None, RowSettings], Evidence] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 
@@ -71,8 +71,14 @@ class Looked:
         """Rows of the object's pixels, with the space before what was seen; none without such a pixel."""
         if (depth, settings) not in self._made:
             seen = surface_rows(self, depth, settings)
-            self._made[depth, settings] = tables.stack(seen, free_space_rows(self, settings)) if len(seen) else seen
+            self._made[depth, settings] = tables.stack(seen, self.free(settings)) if len(seen) else seen
         return self._made[depth, settings]
+
+    def free(self, settings: RowSettings) -> Evidence:
+        """OUTSIDE rows before what was seen, wherever the object is."""
+        if (None, settings) not in self._made:
+            self._made[None, settings] = free_space_rows(self, settings)
+        return self._made[None, settings]
 
 
 def nothing_seen(region: Region | None, why: str | None = None, hand: HandView | None = None) -> Looked:

@@ -222,7 +222,9 @@ def _split(system: System, pose: Array, normal: Array) -> tuple[Array, Array, Ar
     # by its own widths the pose's block is a correlation, singular where a direction is known to the last digit
     variance = np.diag(inverse[POSE])
     width = 1.0 / np.sqrt(np.maximum(variance, 1e-12 * max(float(variance.max()), 1e-280)))
-    correlation = np.linalg.pinv(inverse[POSE] * width * width[:, None], rcond=1e-12, hermitian=True)
+    sizes, axes = np.linalg.eigh(inverse[POSE] * width * width[:, None])
+    known = np.abs(sizes) > 1e-12 * np.abs(sizes).max()
+    correlation = (axes[:, known] / sizes[known]) @ axes[:, known].T
     follows = system.white_xi @ ((inverse[XI] * width) @ correlation * width)
     return inverse.T @ evidence @ inverse, shared, biased, follows
 
