@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 
 # Beyond this standard deviation a rotation is as good as unknown.
 FREE_ROTATION = float(np.deg2rad(60.0))
+# Share of the posterior from which another mode is counted among those that fit.
+WORTH_COUNTING = 0.01
 
 
 def worst_sigmas(covariance: Array) -> tuple[float, float]:
@@ -40,9 +42,10 @@ def sentence(estimate: Estimate) -> str:
     if estimate.verdict == "lost":
         return "No pose explains what was sensed: the one shown is the best of a bad lot and must not be used."
     if estimate.verdict == "ambiguous":
-        if len(estimate.modes) > 1:
-            share = max(mode.weight for mode in estimate.modes)
-            return f"{len(estimate.modes)} poses fit alike; the one shown has {share:.0%} of the weight. {known}"
+        others = sum(mode.weight >= WORTH_COUNTING for mode in estimate.modes[1:])
+        if others:
+            share = estimate.modes[0].weight
+            return f"{others + 1} poses fit alike; the one shown has {share:.0%} of the weight. {known}"
         return f"The data leave some motion free. {known}"
     return known
 
