@@ -19,7 +19,7 @@ from fusion.estimation.moments import moments
 from fusion.estimation.proposals import search_stages, starts_of
 from fusion.estimation.propose import modes_anywhere, modes_near
 from fusion.estimation.ranking import rejudged
-from fusion.estimation.search import find_modes, worth_solving
+from fusion.estimation.search import find_modes, not_solved, worth_solving
 from fusion.estimation.settings import EstimateSettings, usual_settings
 from fusion.estimation.solve.outlined import asks_for, outlined
 from fusion.estimation.steps.facing import (
@@ -161,7 +161,9 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
             worth = worth_solving(found, settings.plan, settings.joint.modes)
             solved = solve_together(sensed, worth, asked)
             in_all = solved.costs - by_print(gains, len(worth))
-            modes = rejudged(model, solved.results, in_all, settings, predictor.sees)
+            # where a print was read, the modes were asked about it
+            rest = () if facing.pixels else not_solved(found, worth, float(in_all[0]))
+            modes = rejudged(model, solved.results, in_all, settings, predictor.sees, rest)
             first_of = int(np.argmin(in_all))
             searched = worth[first_of]
             best, seen = solved.results[first_of], solved.shown[first_of]

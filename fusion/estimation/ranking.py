@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -83,17 +84,24 @@ def comparable(solved: list[JointResult], settings: EstimateSettings) -> Array:
 
 
 def rejudged(
-    model: ObjectModel, solved: list[JointResult], costs: Array, settings: EstimateSettings, seen: bool
+    model: ObjectModel,
+    solved: list[JointResult],
+    costs: Array,
+    settings: EstimateSettings,
+    seen: bool,
+    beside: Sequence[Mode] = (),
 ) -> tuple[Mode, ...]:
     """The modes after the joint solution: its poses and covariances, and costs (k,); weights as the settings have
-    it for answers that have seen a picture, and for those by touch alone.
+    it for answers that have seen a picture, and for those by touch alone. beside: modes that were not solved.
     """
     told = settings.told if seen else settings.felt
     # what the solution believed of its own accord (System.width) is believed again by distinct_modes: taken out here
     weak = np.repeat([1.0, model.radius], 3) ** -2.0
-    hessians = np.array([np.linalg.inv(s.covariance) - np.diag(weak) for s in solved])
-    poses = np.array([s.pose for s in solved])
-    return distinct_modes(model, Alignment(poses, costs, hessians, np.zeros(len(solved), dtype=np.int64)), told)
+    both = [*solved, *beside]
+    hessians = np.array([np.linalg.inv(one.covariance) - np.diag(weak) for one in both])
+    poses = np.array([one.pose for one in both])
+    nats = np.concatenate([costs, [mode.cost for mode in beside]])
+    return distinct_modes(model, Alignment(poses, nats, hessians, np.zeros(len(both), dtype=np.int64)), told)
 
 
 def beyond_rows(frame: Frame, model: ObjectModel, solved: list[JointResult], settings: EstimateSettings) -> Array:

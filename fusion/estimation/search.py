@@ -206,6 +206,15 @@ def worth_solving(found: Found, settings: PlanSettings, most: int) -> list[Array
     return [*worth[: max(1, most - len(found.also))], *found.also][:most]
 
 
+def not_solved(found: Found, worth: list[Array], solved: float) -> tuple[Mode, ...]:
+    """The modes that are not among the poses that were solved: places of which nothing more is known than what the search
+    made of them. They cost as much more than the first pose's solution (nats) as they did before it.
+    """
+    first = found.modes[0]
+    rest = [mode for mode in found.modes if not any(mode.pose is pose for pose in worth)]
+    return tuple(replace(mode, cost=solved + max(mode.cost - first.cost, 0.0)) for mode in rest)
+
+
 def _displaced(model: ObjectModel, poses: Array, pose: Array) -> Array:
     """(n,) metres by which a point at the object's radius moves at most between `pose` and poses, modulo symmetry."""
     delta = se3.difference(model.symmetries.nearest(poses, pose), pose, model.centroid)

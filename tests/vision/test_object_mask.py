@@ -191,3 +191,14 @@ def test_points_on_planes_are_those_of_plain_arrays(rng):
 def poses_of_planes(rng):
     normals = poses.random_unit_vectors(2, rng)
     return np.concatenate([normals, -normals @ [[0.0], [0.0], [0.8]]], axis=1)
+
+
+def test_a_hand_that_is_alone_in_the_image_is_no_wall():
+    """Nothing is read behind it: most readings lie near some plane, which fills little of the image."""
+    frame, _, model, place = wall_frame(0.0, 0.001)
+    near = np.zeros(frame.depth.shape, dtype=bool)
+    near[200:280, 260:420] = True  # what a palm and a forearm would be
+    alone = replace(frame, depth=np.where(near | frame.mask, frame.depth, 0.0).astype(np.float32), mask=None)
+    assert len(find_planes(frame, MaskSettings(), DepthModel(), 0.2))
+    assert not len(find_planes(alone, MaskSettings(), DepthModel(), 0.1))
+    assert object_mask(alone, model, start=place).sum() > 0.9 * frame.mask.sum()

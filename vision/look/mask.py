@@ -38,9 +38,11 @@ class MaskSettings:
     slack: float = 0.035
     # Pixels of the whole image among which the hand is looked for, where nobody has yet.
     most_hand: int = 8000
-    # A plane holds this share of the readings or is none; so many triples of points are tried, on so many points,
+    # A plane holds this share of the readings, and fills this share of the image, or is none: table and wall filled 29 %
+    # and more in all families and recordings, a hand and what it holds, alone in the image, 6 %. So many triples of points are tried, on so many points,
     # of which every so manieth has a vote on them.
     plane_share: float = 0.2
+    plane_image: float = 0.12
     plane_tries: int = 200
     plane_points: int = 3000
     plane_voters: int = 3
@@ -52,7 +54,7 @@ class MaskSettings:
     # holds were one (tuning family `stranger`).
     most_planes: int = 3
     next_plane_share: float = 0.2
-    # Readings scatter about a plane at most so many times as far as is believed of the camera: beyond, it is no plane.
+    # Readings scatter about a plane less than so many times as far as is believed of the camera: else it is no plane.
     plane_most_scatter: float = 5.0
     # Readings this near (m) to the rendered hand are the hand's: smooth bias at two sigmas, and the joints' errors.
     hand_margin: float = 0.006
@@ -143,7 +145,8 @@ def _candidates(
     assert frame.camera is not None
     camera = frame.camera
     z, good = np.zeros((box[3] - box[1], box[2] - box[0])), np.zeros((box[3] - box[1], box[2] - box[0]), dtype=bool)
-    plane = find_plane(_some_points(frame, settings), settings, depth_model)
+    points, each = _some_points(frame, settings)
+    plane = find_plane(points, settings, depth_model, each=each)
     off = for_kernels(np.zeros((0, 6)) if plane is None else plane[None], depth_model, settings)
     ball = (0.0, 0.0, 0.0, np.inf) if region is None else (*(float(x) for x in region.centre), float(region.radius))
     lens = camera.fx, camera.fy, camera.cx, camera.cy
@@ -183,11 +186,11 @@ def find_planes(frame: Frame, settings: MaskSettings, depth_model: DepthModel, e
     A plane: see `find_plane`. Behind the first there is nothing; a further one may be a box's side, beside which more
     is seen.
     """
-    points, found = _some_points(frame, settings), np.zeros((0, 6))
-    left = points
+    points, each = _some_points(frame, settings)
+    found, left = np.zeros((0, 6)), points
     for k in range(settings.most_planes):
         share = settings.plane_share if not k else settings.next_plane_share * len(points) / max(len(left), 1)
-        plane = find_plane(left, settings, depth_model, share)
+        plane = find_plane(left, settings, depth_model, share, each)
         if plane is None:
             break
         plane[5] = np.inf if not k else 0.0
@@ -200,19 +203,27 @@ def find_planes(frame: Frame, settings: MaskSettings, depth_model: DepthModel, e
     return found
 
 
-def _some_points(frame: Frame, settings: MaskSettings) -> Array:
-    """(n, 3) points of the whole image, thinned."""
+def _some_points(frame: Frame, settings: MaskSettings) -> tuple[Array, float]:
+    """(n, 3) points of the whole image, thinned, and the share of the image that each stands for."""
     assert frame.depth is not None
     assert frame.camera is not None
     box = (0, 0, frame.camera.width, frame.camera.height)
-    return read_pixels(frame.depth, frame.camera, box, settings.plane_points).points
+    read = read_pixels(frame.depth, frame.camera, box, settings.plane_points)
+    return read.points, read.area / max(frame.camera.width * frame.camera.height, 1)
 
 
 def find_plane(
-    points: Array, settings: MaskSettings, depth_model: DepthModel, least_share: float | None = None
+    points: Array,
+    settings: MaskSettings,
+    depth_model: DepthModel,
+    least_share: float | None = None,
+    each: float = 1.0,
 ) -> Array | None:
     """(6,) the plane that most of the points (n, 3) lie on; None when there is no such plane, or when much is seen
     beyond it.
+
+    A hand and what it holds are none: each, the share of the image that a point stands for, says how much of it the
+    plane fills, and what scatters as far as a hand does is no camera's noise.
 
     Unit normal towards the camera and offset, height = n . p + o; how many times as far as is believed of the camera
     they scatter about it, 1 at least; and how far behind it (m) there is nothing else, inf. least_share: of the points;
@@ -250,6 +261,8 @@ def find_plane(
     if share <= (settings.plane_share if least_share is None else least_share) or beyond >= 0.5 * share:
         return None
     scatter = _scatter(height, tolerance, points[:, 2], depth_model, settings)
+    if chosen.sum() * each < settings.plane_image or scatter >= settings.plane_most_scatter:
+        return None
     return np.concatenate([normal, [offset, scatter, np.inf]])
 
 
@@ -264,7 +277,7 @@ def _scatter(height: Array, tolerance: Array, z: Array, depth_model: DepthModel,
         return 1.0
     sigma = np.hypot(depth_model.independent_sigma(z[behind]), settings.plane_margin / settings.plane_sigmas)
     seen = float(median(-height[behind] / sigma)) / 0.6745
-    return float(np.clip(seen, 1.0, settings.plane_most_scatter))
+    return float(max(seen, 1.0))
 
 
 def _hand_pixels(
