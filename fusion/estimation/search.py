@@ -207,7 +207,7 @@ def worth_solving(found: Found, settings: PlanSettings, most: int) -> list[Array
 
 
 def not_solved(found: Found, worth: list[Array], solved: float) -> tuple[Mode, ...]:
-    """The modes that are not among the poses that were solved: places of which nothing more is known than what the search
+    """The modes that are not among the poses that were solved: places of which no more is known than what the search
     made of them. They cost as much more than the first pose's solution (nats) as they did before it.
     """
     first = found.modes[0]
