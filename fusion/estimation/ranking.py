@@ -39,7 +39,7 @@ def joint_costs(
     touch that may be used.
 
     Where no hand is seen that ties calibration and depth, a solution may be costlier than its start (4, 4), which is
-    the same objective's with nothing off: then the valley is as likely as that.
+    the same objective's with nothing off: see `settled_share`.
     """
     poses = np.array([s.pose for s in solved])
     if pool.predictor.sees:
@@ -48,7 +48,8 @@ def joint_costs(
             np.array([s.as_seen for s in solved])
         )
         if hand is None:
-            costs = np.minimum(costs, pool.costs(np.array(starts[: len(solved)])))
+            worse = np.maximum(costs - pool.costs(np.array(starts[: len(solved)])), 0.0)
+            costs = costs - (1.0 - settings.settled_share) * worse
     else:
         costs = comparable(solved, settings) + sight.costs(poses)
     return np.asarray(costs + beyond_rows(frame, pool.model, solved, settings))

@@ -41,8 +41,9 @@ class JointSettings:
     negligible: float = 2e-3
     # Share of a contact's sigma by which its normal may have been felt elsewhere on a bent surface (AlignSettings).
     bend: float = 1.0
-    # Modes that are solved (the rest of the posterior is negligible), and candidates for choosing the level.
-    modes: int = 5
+    # Modes that are solved, and candidates for choosing the level. The right one was sixth to tenth in one of 60 frames
+    # without a start.
+    modes: int = 8
     # Pixels between inducing points of the bias, in correlation lengths, and the most of them.
     spacing: float = 1.2
     most_inducing: int = 80
