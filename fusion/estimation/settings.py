@@ -43,10 +43,10 @@ class EstimateSettings:
     # calibration and depth are off, which the picture does not know; most of those up to here were
     # nearer to the truth than where they began (54 solutions of tuning families).
     most_worse: float = 35.0
-    # Share of that difference which a solution costs more than where it began, where no hand ties calibration and depth.
-    # Of many places in clutter some agree by chance, and lose it where the rows end: a wrong one lost 3 to 10 nats, the
-    # right one none (frames of another generator, held by hands that nobody has a model of: with 0, three right answers
-    # of 60 fewer; with 1, one fewer; on the tuning families all three are the same).
+    # Share of that difference which a solution costs more than where it began, where no hand ties calibration and
+    # depth. Of many places in clutter some agree by chance, and lose it where the rows end: a wrong one lost 3 to 10
+    # nats, the right one none (frames of another generator, held by hands that nobody has a model of: with 0, three
+    # right answers of 60 fewer; with 1, one fewer; on the tuning families all three are the same).
     settled_share: float = 0.5
     look: LookSettings = field(default_factory=LookSettings)
     touch: TouchSettings = field(default_factory=TouchSettings)
