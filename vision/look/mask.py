@@ -39,8 +39,8 @@ class MaskSettings:
     # Pixels of the whole image among which the hand is looked for, where nobody has yet.
     most_hand: int = 8000
     # A plane holds this share of the readings, and fills this share of the image, or is none: table and wall filled
-    # 29 % and more in all families and recordings, a hand and what it holds, alone in the image, 6 %. So many triples of
-    # points are tried, on so many points, of which every so manieth has a vote on them.
+    # 29 % and more in all families and recordings, a hand and what it holds, alone in the image, 6 %. So many triples
+    # of points are tried, on so many points, of which every so manieth has a vote on them.
     plane_share: float = 0.2
     plane_image: float = 0.12
     plane_tries: int = 200
