@@ -1,8 +1,9 @@
 """The outline as evidence of a pose: gradient and Gauss-Newton matrix in its tangent space, like any other rows.
 
 A place of the predicted outline moves across the image with the pose; where the colours change on the line through it
-says how far. What all lines share is solved for with them and left out of what they tell: the image may be shifted
-against depth (registration), and the whole outline may be seen too fat (blur, the mesh).
+says how far, and once it is near, the step in brightness there says it to a tenth of a pixel. What all lines share is
+solved for with them and left out of what they tell: the image may be shifted against depth (registration), the whole
+outline may be seen too fat (blur, the mesh), and rounded edges fade into what is darker behind them.
 """
 
 from __future__ import annotations
@@ -15,13 +16,17 @@ from numpy.typing import NDArray
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
-from vision.contour import kernels
+from vision.contour import edge_kernels, kernels
+from vision.contour.edges import EdgeSettings, edges_near
 from vision.contour.lines import Lines, LineSettings, lines_across
 from vision.contour.outline import Outline, OutlineSettings, inner_depths, outline_of
 from vision.look.pixels import median
 from vision.predicted import Predictor
 
 Array = NDArray[np.float64]
+
+# Of a squared standard normal, one over its median.
+BY_MEDIAN = 2.198
 
 # Share of what is believed of common errors that is left in while the frame is asked for them: keeps what it does not
 # tell from being divided by zero.
@@ -37,27 +42,42 @@ class ContourSettings:
     own: bool = True
     # Times that the outline is drawn and read, anew only where the last time moved it by more than this (px); and
     # Gauss-Newton steps of each.
-    rounds: int = 3
-    anew: float = 0.7
+    rounds: int = 4
+    anew: float = 0.35
     steps: int = 4
+    # Standard deviations (px) of a step in brightness beyond its fit, one for each Gauss-Newton step that ends the last
+    # round: the pose is off by a pixel when they are fitted, and what the first ones leave tells edges from others.
+    sharp: tuple[float, ...] = (0.8, 0.5, 0.3, 0.2)
+    # Where steps scatter by this factor more than their fits say (variance, by the median), the image has a pattern of
+    # its own, a projector's dots on every line, or the mesh another outline, and steps are not used.
+    most_scatter: float = 3.0
     # Standard deviations (px) of a shift of the image against depth: of a grey image, which is a depth camera's own,
     # and of a colour camera's, brought to it by a calibration that leaves 1 to 3 px (by judgement, and widened where a
     # frame shows more); of an outline that is fatter than predicted, and of a line beyond what its colours say.
     shift: float = 0.25
     shift_colour: float = 1.5
-    fatter: float = 0.2
+    fatter: float = 0.4
     floor: float = 0.25
+    # A rounded edge turns away from the light, so that one that is brighter than what is behind it seems to end early:
+    # measured at true poses, by 0.2 px on `d435` and by 1.7 px on `dots`, where a face that ends at a sharp edge is off
+    # by 0.1 px. Standard deviation (px) of that where it turns away altogether, for all lines together, and for each
+    # step by itself.
+    rounded: float = 2.0
+    rounded_each: float = 1.0
     # Lines within this distance (px) of each other say the same: measured, neighbours 4 px apart correlate by a half.
     apart: float = 8.0
     # Side (px) of the blocks of the image within which lines may share more than that; and as how many blocks that
     # show how far blocks disagree the belief counts, that of the mesh's own error: as in the covariance.
     block: float = 24.0
-    believed_blocks: float = 8.0
+    believed_blocks: float = 3.0
     # Share of lines that are wrong, and the standard deviation (px) of the Gaussian within which a line is read.
     outliers: float = 0.2
     window: float = 2.5
-    # Fewer open lines than this tell nothing.
+    # Fewer open lines than this tell nothing, nor do they where less than this share of them is clear: what is read
+    # there is noise. At 0 to 60 % hidden 25 % of the lines are clear at least, on `dots`, on the other tuning families
+    # 32 %; 4 % where a drill lies in its hand's shade.
     least: int = 10
+    clear: float = 0.15
     # Places across the outline (px, inside negative) where nothing may be in front of it, and those inside at which the
     # object's own depth is looked up, for it bulges towards the camera.
     looked: tuple[float, ...] = (-6.0, -3.0, 0.0, 3.0, 6.0)
@@ -75,6 +95,10 @@ class ContourSettings:
     # change an outline by as little as light and blur do. Of 1 the outline took the depth of recorded frames from 1.24
     # to 1.82 mm off the surface, of 0.3 it leaves it at that with the same overlap with masks; `d435` gains by it.
     distance_share: float = 0.3
+    # Factor on the variance of all else, as it is weighed against the outline. At true poses of the tuning families the
+    # chi-square of lines is a quarter of what they say, that of all else twice as much: of 1, 1.5, 2 and 3 the first
+    # gives away what lines know of `d435` and `lab`, the last two follow the dots of `dots`.
+    others: float = 1.5
     # Probability that the lines together read another outline than the object's (a finger's, a shade's), which moves
     # the covariance alone: of 0, 0.02, 0.05 and 0.1 what made the true errors of 214 answers of the tuning families
     # likeliest, as a Student distribution whose degrees of freedom it raised.
@@ -83,6 +107,7 @@ class ContourSettings:
     most_moved: float = 22.5
     outline: OutlineSettings = field(default_factory=OutlineSettings)
     lines: LineSettings = field(default_factory=LineSettings)
+    edges: EdgeSettings = field(default_factory=EdgeSettings)
 
 
 class ContourEvidence:
@@ -108,14 +133,19 @@ class ContourEvidence:
             self.why_not = "no colour image" if frame.rgb is None else "no depth image beside the colours"
             return
         camera = frame.camera
-        outline = outline_of(model, camera, pose, s.outline)
+        outline, rounded = outline_of(model, camera, pose, s.outline), np.zeros(0)
         if len(outline):
-            outline = outline.take(~_hidden(outline, model, frame, predictor, pose, s))
+            inner = inner_depths(model, camera, pose, outline, s.bulge)
+            is_open = ~_hidden(outline, inner, predictor, s)
+            rounded = _rounded(outline, inner[0], camera.fx, -s.bulge[0])[is_open]
+            outline = outline.take(is_open)
         if len(outline) < s.least:
             self.why_not = f"only {len(outline)} places of the outline in view"
             return
         self.lines = lines_across(frame.rgb, outline, s.lines)
         self.why_not = self.lines.why_not
+        if not self.why_not and self.lines.clear < s.clear * len(outline):
+            self.why_not = f"the outline is clear on {self.lines.clear} of {len(outline)} lines only"
         place, normal, focal = outline.points, outline.normals, np.array([camera.fx, camera.fy])
         z = place[:, 2]
         # how far a place moves along its normal (px) when the surface's point moves (m)
@@ -123,13 +153,14 @@ class ContourEvidence:
         slope /= z[:, None]
         centre = pose[:3, :3] @ model.centroid + pose[:3, 3]
         self.jacobian = np.concatenate([se3.cross(place - centre, slope), slope], axis=1)
-        self.common = np.concatenate([normal, np.ones((len(place), 1))], axis=1)
+        self._fades = np.where(_brighter(self.lines), rounded, 0.0)
+        self.common = np.concatenate([normal, np.ones((len(place), 1)), self._fades[:, None]], axis=1)
         self._rows = np.concatenate([self.jacobian, self.common], axis=1)
         self._scale = float(median(camera.fx / z))
         self._mesh = mesh_sigma * self._scale
         fatter = np.hypot(s.fatter, self._mesh)
         self.shift = s.shift if self.lines.grey else s.shift_colour
-        self.believed = np.array([self.shift, self.shift, fatter]) ** 2.0
+        self.believed = np.array([self.shift, self.shift, fatter, s.rounded]) ** 2.0
         self.common_information = np.diag(1.0 / self.believed)
         alone = np.zeros(len(place))
         kernels.neighbours(outline.places, 0.5 * s.apart, alone)
@@ -137,7 +168,8 @@ class ContourEvidence:
         blocks = np.floor(outline.places / s.block).astype(np.int64)
         blocks -= blocks.min(axis=0)
         self._block = blocks[:, 0] * (int(blocks[:, 1].max()) + 1) + blocks[:, 1]
-        self._common, self._apart = np.zeros(3), 0.0
+        self._common, self._apart = np.zeros(len(self.believed)), 0.0
+        self._edges, self._sharp, self._scatter = np.zeros((0, 2)), 0.0, 1.0
 
     @property
     def beside(self) -> float:
@@ -151,13 +183,18 @@ class ContourEvidence:
         """Lines that are open."""
         return 0 if self.lines is None else len(self.lines)
 
-    def terms(self, delta: Array, others: tuple[Array, Array] | None = None) -> tuple[Array, Array]:
+    def terms(self, delta: Array, others: tuple[Array, Array] | None = None, sharp: float = 0.0) -> tuple[Array, Array]:
         """Gradient (6,) and Gauss-Newton matrix (6, 6) of the lines' cost (nats) at the pose moved by delta (6,).
 
         What the lines share is marginalised. Each line is the Gaussian that stands for it where it is expected, with
         the probability that it is none of the wrong ones as its weight. others: gradient and matrix of all else there;
-        where they are given, what the lines are worth in all is learned first (see `_register` and `_temper`).
+        where they are given, what the lines are worth in all is learned first (see `_register` and `_temper`). sharp:
+        standard deviation (px) of the steps in brightness that are next to where the lines are read the first time that
+        it is not 0, beyond their fits; they stand for their lines.
         """
+        self._sharp = sharp
+        if sharp > 0.0 and not len(self._edges):
+            self._edges = self._steps(delta)
         left, weight = self._weighted(delta)
         if others is not None:
             self._register(left, weight, *others)
@@ -173,10 +210,11 @@ class ContourEvidence:
         return gradient, 0.5 * (hessian + hessian.T)
 
     def _summed(self, left: Array, weight: Array) -> tuple[Array, Array]:
-        """Gauss-Newton matrix (9, 9) and gradient (9,) of lines that are off by left (n,) px with weight (n,), by a
+        """Gauss-Newton matrix (10, 10) and gradient (10,) of lines that are off by left (n,) px with weight (n,), by a
         pose's move and what all lines share.
         """
-        whole, pull = np.zeros((9, 9)), np.zeros(9)
+        size = self._rows.shape[1]
+        whole, pull = np.zeros((size, size)), np.zeros(size)
         kernels.sum_up(self._rows, weight, left, whole, pull)
         return whole, pull
 
@@ -184,8 +222,15 @@ class ContourEvidence:
         """Make all lines less sure by as much as their pulls scatter more than they should, by the median of the lines;
         and those of a block of the image together no surer than whole blocks disagree: the mesh's own error, patterns,
         shades and a projector's dots are shared beyond neighbours. By how much, is believed of meshes and seen here.
+
+        Steps by themselves: of a projector's dots they are fitted as well as of an edge, and are then off by far more.
         """
         off = left + self.common @ self._common
+        if self._sharp > 0.0:
+            found_edge = np.isfinite(self._edges[:, 1])
+            if found_edge.sum() >= self.settings.least:
+                squares = np.square(off[found_edge]) / self._variance()[found_edge]
+                self._scatter = max(1.0, BY_MEDIAN * float(median(squares)))
         found, information = np.zeros(3), np.zeros(int(self._block.max()) + 1)
         # a pose and the lines' common errors fit five of an outline's blocks, about
         kernels.misfit(off, weight, self.share, self.alone, self._block, 5, found, information)
@@ -209,7 +254,7 @@ class ContourEvidence:
         inverse = np.linalg.inv(hessian)
         found, spread = -(inverse @ pull)[6:8], np.diag(inverse)[6:8]
         shown = 0.5 * float(found @ found - spread.sum())
-        self.common_information = np.diag(1.0 / np.maximum(self.believed, [shown, shown, 0.0]))
+        self.common_information = np.diag(1.0 / np.maximum(self.believed, [shown, shown, *self.believed[2:]]))
 
     def _weighted(self, delta: Array) -> tuple[Array, Array]:
         """How far (n,) px each predicted place, moved by delta (6,), is from what its line says, what all share left
@@ -222,7 +267,23 @@ class ContourEvidence:
         widths = s.window, s.floor, wrong
         given = self.lines.log_p, self.lines.lowest, self._rows, np.concatenate([delta, self._common])
         kernels.weigh(*given, widths, self.share, left, weight)
+        if self._sharp > 0.0 and self._scatter <= s.most_scatter:
+            variance = self._scatter * self._variance()
+            edge_kernels.weigh(self._edges, variance, *given[2:], wrong, self.share, left, weight)
         return left, weight
+
+    def _steps(self, delta: Array) -> Array:
+        """(n, 2) the step next to where each line is read at the pose moved by delta (6,) (see `edges_near`)."""
+        assert self.lines is not None
+        expected = self._rows @ np.concatenate([delta, self._common])
+        mean, precision = np.zeros(len(self.lines)), np.zeros(len(self.lines))
+        kernels.sites(self.lines.log_p, self.lines.lowest, expected, self.settings.window, mean, precision)
+        return edges_near(self.lines, np.where(precision > 0.0, mean, np.nan), self.settings.edges)
+
+    def _variance(self) -> Array:
+        """(n,) of the steps (px^2), were their scatter what it is said to be; inf where a line has none."""
+        each = self.settings.rounded_each * self._fades
+        return np.asarray(np.square(self._edges[:, 1]) + self._sharp**2 + np.square(each))
 
     def uncertain(self, covariance: Array) -> str:
         """Why a pose with this covariance (6, 6) about the centroid is known too little for the lines to be read where
@@ -233,6 +294,10 @@ class ContourEvidence:
         if spread <= self.settings.lines.reach:
             return ""
         return f"the outline is known to {spread:.0f} px only, and is looked for within {self.settings.lines.reach} px"
+
+    def farthest(self, delta: Array) -> float:
+        """How far (px) a move by delta (6,) shifts the line across itself that it shifts most."""
+        return float(np.abs(self.jacobian @ delta).max())
 
     def shift_of(self, delta: Array) -> float:
         """How far (px, root mean square) a move by delta (6,) shifts the outline across itself."""
@@ -261,15 +326,32 @@ class ContourEvidence:
         return f"the image's outline is {size:.0f} px beside where depth has it: image and depth may not be registered"
 
 
-def _hidden(
-    outline: Outline, model: ObjectModel, frame: Frame, predictor: Predictor, pose: Array, settings: ContourSettings
-) -> NDArray[np.bool_]:
-    """(n,) whether something is in front of the outline's places, or beside them nearer than the object."""
-    assert frame.camera is not None
-    nearest = inner_depths(model, frame.camera, pose, outline, settings.bulge)
+def _hidden(outline: Outline, inner: Array, predictor: Predictor, settings: ContourSettings) -> NDArray[np.bool_]:
+    """(n,) whether something is in front of the outline's places, or beside them nearer than the object, whose depth
+    (m) inside of them is inner (k, n).
+    """
+    nearest = np.minimum(inner.min(axis=0), outline.points[:, 2])
     across = np.array(settings.looked)[:, None, None] * outline.normals[None]
     # what touches the object on the outer side may lie over it, unless it is the robot's own hand, which is drawn
     room = settings.touching * (np.array(settings.looked) > 0.0) if not predictor.told_apart else np.zeros(len(across))
     beyond = (nearest[None] + room[:, None]).ravel()
     hides = predictor.hides((outline.places[None] + across).reshape(-1, 2), beyond)
     return np.asarray(hides.reshape(len(across), -1).any(axis=0))
+
+
+def _rounded(outline: Outline, inner: Array, focal: float, inside: float) -> Array:
+    """(n,) how far the surface has turned away at the outline's places: one less the cosine of its incidence between
+    them and `inside` (px) of them, where its depth is inner (n,) m. 0 for a face that ends at a sharp edge and faces
+    the camera.
+    """
+    there = np.isfinite(inner)
+    fall = np.where(there, outline.points[:, 2] - np.where(there, inner, 0.0), 0.0)
+    slope = fall * focal / (inside * outline.points[:, 2])
+    return np.asarray(1.0 - 1.0 / np.sqrt(1.0 + np.square(slope)))
+
+
+def _brighter(lines: Lines) -> NDArray[np.bool_]:
+    """(n,) whether the image is brighter inside of an outline than beyond it, by the levels of eight pixels each."""
+    middle = lines.samples.shape[1] // 2
+    levels = lines.samples[:, middle - 8 : middle + 9].sum(axis=2, dtype=np.int64)
+    return np.asarray(levels[:, :8].sum(axis=1) > levels[:, 9:].sum(axis=1))

@@ -79,9 +79,9 @@ def weigh(log_p, lowest, rows, moved, widths, share, left, weight):
     """Fill left (n,): how far (px) each place is from what its line says (see `sites`), what all lines share left in,
     and weight (n,) of each line.
 
-    rows (n, 9): how a place's offset changes with a pose's move and with what all lines share, and moved (9,) by how
-    much these do. widths: of the Gaussian within which a line is read (px); of a line beyond what its colours say (px,
-    standard deviation); odds that it is wrong, times its density there. share (n,): of each line.
+    rows (n, m): how a place's offset changes with a pose's move, six of them, and with what all lines share, and moved
+    (m,) by how much these do. widths: of the Gaussian within which a line is read (px); of a line beyond what its
+    colours say (px, standard deviation); odds that it is wrong, times its density there. share (n,): of each line.
     """
     window, floor, wrong = widths
     n = len(log_p)
@@ -90,7 +90,7 @@ def weigh(log_p, lowest, rows, moved, widths, share, left, weight):
         for k in range(6):
             left[i] += rows[i, k] * moved[k]
         expected[i] = left[i]
-        for k in range(6, 9):
+        for k in range(6, rows.shape[1]):
             expected[i] += rows[i, k] * moved[k]
     sites(log_p, lowest, expected, window, mean, precision)
     for i in range(n):

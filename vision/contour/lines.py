@@ -61,19 +61,26 @@ class LineSettings:
 @dataclass(frozen=True)
 class Lines:
     """log_p (n, m): log probability of the offsets lowest, lowest + 1, ... (px) on the lines of an outline. edges (n,
-    2 reach + 1): how much the image changes across each whole offset, 0 to 1, whatever the colours. grey: the image has
-    no colours, as that of an infra-red camera. why_not: why it tells nothing; "" when it does.
+    2 reach + 1): how much the image changes across each whole offset, 0 to 1, whatever the colours. samples (n, k, c):
+    the image at every whole offset, k // 2 the outline's own. grey: the image has no colours, as that of an infra-red
+    camera. why_not: why it tells nothing; "" when it does.
     """
 
     outline: Outline
     log_p: Array
     lowest: float
     edges: Array
+    samples: NDArray[np.uint8]
     grey: bool = False
     why_not: str = ""
 
     def __len__(self) -> int:
         return len(self.outline)
+
+    @property
+    def clear(self) -> int:
+        """Lines whose own samples look like their sides: the others' tables are even."""
+        return int((np.ptp(self.log_p, axis=1) > 0.0).sum())
 
 
 def is_grey(image: NDArray[np.uint8]) -> bool:
@@ -100,15 +107,16 @@ def lines_across(image: NDArray[np.uint8], outline: Outline, settings: LineSetti
     read = cv2.remap(part, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     colours = np.asarray(read, dtype=np.uint8)
     log_p = np.zeros((len(outline), 2 * s.reach + 2))
+    samples = colours.reshape(*colours.shape[:2], -1)
     why_not, edges = _looked_over(colours, s)
     if why_not:
-        return Lines(outline, log_p, -s.reach - 0.5, edges, grey, why_not)
+        return Lines(outline, log_p, -s.reach - 0.5, edges, samples, grey, why_not)
     bins, count = _binned(colours, grey, s)
     ratios, group = _ratios(bins, count, offsets, outline, grey, s)
     sides = np.zeros((len(outline), 2))
     kernels.offset_tables(bins, ratios, group, s.temper, s.beyond, np.array(s.near), log_p, sides)
     log_p[(sides[:, 0] < s.clear) | (sides[:, 1] > -s.clear)] = -np.log(log_p.shape[1])
-    return Lines(outline, log_p, -s.reach - 0.5, edges, grey)
+    return Lines(outline, log_p, -s.reach - 0.5, edges, samples, grey)
 
 
 def _extent(values: NDArray[np.uint8]) -> tuple[float, float]:

@@ -86,10 +86,9 @@ def outline_of(model: ObjectModel, camera: Camera, pose: Array, settings: Outlin
 
 
 def inner_depths(model: ObjectModel, camera: Camera, pose: Array, outline: Outline, across: tuple[float, ...]) -> Array:
-    """(n,) least depth (m) of the object at the outline's places and `across` (px along the normal) from them."""
+    """(k, n) depth (m) of the object `across` (px along the normal, k) from the outline's places; inf beside it."""
     inside = (outline.places[None] + np.array(across)[:, None, None] * outline.normals[None]).reshape(-1, 2)
-    depths = Caster(model, camera, pose).depth(inside).reshape(len(across), len(outline))
-    return np.minimum(depths.min(axis=0), outline.points[:, 2])
+    return Caster(model, camera, pose).depth(inside).reshape(len(across), len(outline))
 
 
 class Caster:

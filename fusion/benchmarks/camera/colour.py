@@ -34,12 +34,12 @@ Array = NDArray[np.float64]
 # Hidden shares that are asked: beyond, little of an outline is left.
 MOST_HIDDEN = 0.6
 # Families where nothing is said of others: those that may be tuned on, but not the one without an error to mend.
-USUAL = ("d435", "lab", "loose", "desk")
+USUAL = ("d435", "dots", "lab", "loose", "desk")
 # Start of a recorded frame: as far off (rad, m) as a tracker or a hand in view leaves it.
 START = (float(np.deg2rad(5.0)), 0.010)
 # What was asked: how much lower errors are on cameras imitated from their optics (a share), how far the centroid is
 # off across the ray (m), processor time (ms), overlap with masks, residual of depth over that without.
-OPTICAL = ("d435", "d455", "xtion", "azure-kinect", "l515")
+OPTICAL = ("d435", "dots", "d455", "xtion", "azure-kinect", "l515")
 LOWER, LATERAL, MORE_MS, OVERLAP, RESIDUAL = 0.25, 0.0005, 5.0, 0.93, 1.0
 SENSES = {"fused": ("vision", "touch"), "vision": ("vision",)}
 

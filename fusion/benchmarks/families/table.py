@@ -17,6 +17,7 @@ from scenes.errors import unknown
 from scenes.geometry.cameras import Camera
 from scenes.synthesis.noise.depth import DepthNoise
 from scenes.synthesis.noise.presets import PRESETS, NoisePreset, RobotNoise, TouchNoise
+from scenes.synthesis.optics.settings import Imager, Matcher, Pattern, PatternCamera
 
 TUNING, REPORT = "tuning", "report"
 RECORDED = "recorded"
@@ -112,7 +113,21 @@ ROUGH = NoisePreset(
     ),
     RobotNoise(float(np.deg2rad(0.5)), 0.0034, float(np.deg2rad(0.5))),
 )
-OWN_PRESETS = {preset.name: preset for preset in (WORKSHOP, WORN, ROUGH)}
+# A structured-light camera that nobody sells, whose image is as full of its pattern's dots as theirs, every number of
+# it another than theirs: to be tuned on.
+_DOTS = PatternCamera(
+    "dots",
+    baseline=0.064,
+    pattern=Pattern(density=27000.0, radius=0.0011, spread=0.4, haze=0.08, haze_grain=0.4, power=0.4),
+    imager=Imager(
+        blur=0.7, ambient=0.08, speckle=0.16, bits=9, read_noise=16.0, exposure=(0.03, 1.4), overexposed=0.025
+    ),
+    matcher=Matcher(method="block", window=11, disparities=112, step=1 / 10, median=0, uniqueness=10),
+    nearest=0.35,
+    farthest=4.0,
+)
+DOTS = NoisePreset("dots", _DOTS, PRESETS["lab"].touch, PRESETS["lab"].robot)
+OWN_PRESETS = {preset.name: preset for preset in (WORKSHOP, WORN, ROUGH, DOTS)}
 
 
 @dataclass(frozen=True)
@@ -178,6 +193,7 @@ FAMILIES: dict[str, Family] = {
         _tuned("lab", "lab", "a laboratory, errors by formulas", hand="five-finger", levels=ALL_LEVELS),
         _tuned("loose", "lab", "fingers that no model tells of", occluders="fingers", levels=LEVELS[:-1]),
         _tuned("d435", "d435", "active stereo from its optics, a robot hand", hand="five-finger", rig="lab"),
+        _tuned("dots", "dots", "structured light from its optics, dots on every line", hand="five-finger", rig="lab"),
         _tuned(
             "desk",
             "lab",

@@ -1,7 +1,8 @@
 """The answer moved to where the image shows its outline, as far as everything else lets it. Camera frame, metres.
 
 The joint solution leaves a Gaussian of the pose, all else marginalised; the lines across the outline add theirs to it
-and are read anew where it leads. What else was sensed weighs as its model says. How wrong it may be beyond its model
+and are read anew where it leads, and where that ends, the steps next to them. What else was sensed weighs less than its
+model says, by a constant. How wrong it may be beyond its model
 (pulls that scatter more than they should) is part of the covariance, but no weight: estimated from a few patches of an
 image, it is too uncertain to be one. Distance and tilt are mostly left to depth: what an outline seems to tell of them
 is how fat it looks. So the covariance follows the gain that was used, optimal or not (Joseph form).
@@ -58,13 +59,14 @@ def outlined(
     wider = _positive(mode.covariance - solved.covariance)
     lateral = _across(mode.pose, model.centroid, how.distance_share)
     known = solved.independent + lateral @ solved.shared @ lateral.T + wider
-    information = np.asarray(np.linalg.inv(known), dtype=np.float64)
+    information = np.asarray(np.linalg.inv(how.others * known), dtype=np.float64)
     hessian, lines = np.zeros((6, 6)), 0
-    at = mode.pose
+    at, reach = mode.pose, how.lines.reach
     for turn in range(how.rounds):
         evidence = ContourEvidence(frame, model, pool.predictor, at, mesh_sigma, how)
         why_not = evidence.why_not
         if turn == 0:
+            first = evidence
             why_not = why_not or evidence.uncertain(mode.covariance) or evidence.unregistered(mode.covariance)
         if why_not:
             return Outlined(mode, solved, 0, why_not)
@@ -75,10 +77,20 @@ def outlined(
             others = information @ (before + delta)
             gradient, hessian = evidence.terms(delta, (others, information) if step > 0 else None)
             delta = delta - np.linalg.solve(information + hessian, gradient + others)
+        last = turn == how.rounds - 1 or evidence.shift_of(delta) < how.anew
+        for sharp in how.sharp if last else ():
+            others = information @ (before + delta)
+            gradient, hessian = evidence.terms(delta, (others, information), sharp)
+            delta = delta - np.linalg.solve(information + hessian, gradient + others)
         at = se3.perturb(at, delta, model.centroid)
-        if evidence.shift_of(delta) < how.anew:
+        if last:
             break
     moved = se3.difference(at, mode.pose, model.centroid)
+    farthest = first.farthest(moved)
+    if farthest > reach:
+        # walked there, round by round, from edge to edge: a handle along itself
+        why = f"the outline would move by {farthest:.0f} px, and is looked for within {reach} px"
+        return Outlined(mode, solved, 0, why)
     tension = float(moved @ np.linalg.solve(mode.covariance, moved))
     as_seen = se3.perturb(solved.as_seen, moved, model.centroid)
     worse = _worse(pool, (mode.pose, at), (solved.as_seen, as_seen))

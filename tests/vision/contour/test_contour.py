@@ -228,6 +228,14 @@ def test_an_object_of_the_colour_of_its_ground_says_little():
     assert np.trace(evidence.terms(np.zeros(6))[1]) < 0.1 * np.trace(telling.terms(np.zeros(6))[1])
 
 
+def test_an_image_of_noise_says_nothing():
+    frame, model = coloured("drill")
+    noise = np.random.default_rng(1).integers(0, 256, frame.rgb.shape).astype(np.uint8)
+    evidence = evidence_at(replace(frame, rgb=noise), model, frame.camera_from_object_truth)
+    assert "lines only" in evidence.why_not
+    assert evidence_at(frame, model, frame.camera_from_object_truth).lines.clear > 50
+
+
 def test_settings_have_room_for_what_they_read():
     s = LineSettings()
     assert s.near[1] <= s.reach
