@@ -32,10 +32,9 @@ class Regression:
 
     Tuned on answers to frames of all nine tuning families (docs/evaluation.md; `palpate fit-confidence`), with a start
     and without: the product of both factors of the probability, at tolerances of 3, 5 and 10 mm, by maximum likelihood,
-    factors held to the sign that they must have. Touch alone: 1984 answers, 352 frames, with earlier covariances that
-    were a little wider. With a picture: the mean of that fit and of one to 982 answers and 177 frames with today's: as
-    likely as the second, and of more frames. What a fit states of a family that was left out is 1.7 % (352 frames) to
-    3.7 % off (177; by chance alone 1.7; touch alone 4.5 to 10 %; in report families touch states 18.8 % too much).
+    factors held to the sign that they must have: 1408 answers with a picture and 576 by touch alone, to 352 frames.
+    What a fit states of a family that was left out is 2.1 % off (by chance alone 1.2; touch alone 3 and 7 %, with a
+    start and without).
     """
 
     # Of the logarithm of the first mode's odds, with those that look like it, against the others, within `most_odds`.
@@ -119,31 +118,31 @@ class ConfidenceSettings:
     sure: float = 0.95
     # Whether the first mode is the right one, with a picture of it and by touch alone.
     seen: Regression = Regression(
-        weight=0.0842,
-        alone=1.49,
-        agree=21.3,
-        visible=0.291,
-        sharp=2.61,
-        past=-36.1,
-        hidden=-1.41,
-        behind_hand=0.126,
-        outline=-34.6,
-        touch=4.58,
-        outliers=-3.47,
-        contact_nats=-0.449,
-        spread=-1.22,
-        anywhere=-1.52,
-        constant=-2.42,
-        nearest=0.589,
+        weight=0.1013,
+        near=0.3018,
+        agree=25.95,
+        visible=0.1513,
+        sharp=1.255,
+        past=-19.58,
+        hidden=-0.8761,
+        behind_hand=0.7833,
+        outline=-34.47,
+        touch=3.84,
+        outliers=-1.543,
+        contact_nats=-0.5253,
+        spread=-0.3701,
+        anywhere=-0.8188,
+        constant=-0.8145,
+        nearest=0.5887,
     )
     felt: Regression = Regression(
-        weight=0.209,
-        outliers=-7.72,
-        contact_nats=-0.336,
-        blunt=-3.4,
-        far=1.83,
-        constant=1.36,
-        nearest=0.481,
+        weight=0.1763,
+        near=0.484,
+        outliers=-3.246,
+        blunt=-2.394,
+        far=2.006,
+        constant=0.816,
+        nearest=0.6548,
     )
     # Share of the picture above which agreement speaks for an answer, and the most of what is seen past and of the
     # outline that runs on (shares) that speaks against one: cameras that blend edges draw surfaces on.

@@ -229,13 +229,13 @@ def test_touch_alone_is_likelier_near_than_a_wide_spread_has_it(box):
     pose = np.eye(4)
     pose[2, 3] = 0.6
 
-    def right(sigma, outlier=False):
+    def right(sigma, outliers=0):
         mode = Mode(pose, 0.99, 0.0, np.diag(np.repeat([sigma / box.radius, sigma], 3) ** 2))
-        felt = tuple(ContactResidual(f"tip {i}", 0.3, 2.0, outlier and i == 0, 0.9) for i in range(5))
+        felt = tuple(ContactResidual(f"tip {i}", 0.3, 2.0, i < outliers, 0.9) for i in range(5))
         return chances(box, (mode,), None, felt, 5.0)
 
     narrow, usual, wide, wider = (right(share * box.radius) for share in (0.005, 0.03, 0.2, 0.4))
     assert narrow[0] == usual[0] < wide[0] < wider[0]
     stated = [right * near for right, near in (narrow, usual, wide, wider)]
     assert stated == sorted(stated, reverse=True)
-    assert right(0.001, outlier=True)[0] < 0.85 * narrow[0]
+    assert right(0.001, outliers=3)[0] < 0.95 * right(0.001, outliers=1)[0] < 0.95 * narrow[0]
