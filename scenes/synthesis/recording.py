@@ -23,7 +23,7 @@ from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.depth_cameras import DEPTH_CAMERAS
 from scenes.recordings.frames import Contacts, EmptyRegions, Frame, GelImage, Wrench
-from scenes.synthesis.grasping.hiding import Placements, place
+from scenes.synthesis.grasping.hiding import Placement, place
 from scenes.synthesis.loose_fingers import random_contacts
 from scenes.synthesis.noise import presets as noise_models
 from scenes.synthesis.noise.presets import LastingErrors, NoisePreset
@@ -66,19 +66,19 @@ def synthesize(
     taxels: str | Array = "fingertip",
     scene: str | Staging | None = None,
     mesh_error: str | None = None,
-    placements: Placements | None = None,
+    placement: Placement | None = None,
 ) -> Capture:
     """Make frames as `synthesize_frames` does, write them as a capture, and read it back.
 
-    mesh_error: the capture's model is not quite the object that is seen and felt (see staging.mesh_errors). placements:
-    of sequences that differ in seed and motion alone, so that a grasp is planned once. Raises InputError as
+    mesh_error: the capture's model is not quite the object that is seen and felt (see staging.mesh_errors). placement:
+    of several sequences, so that their grasp is planned once; None to draw this one's own. Raises InputError as
     `synthesize_frames`, CaptureError when the folder cannot be written.
     """
     from scenes.recordings.captures import read_capture, write_capture
 
     settings = settings or SynthesisSettings()
     recording = _Recording(model, hand, occlusion, touch, noise, seed, occluders, settings, taxels, scene)
-    recording.placements = placements
+    recording.placement = placement
     given = believed(model, mesh_error, seed)
     given = with_print(given) if recording.staging.printed else given
     named = noise_models.preset(noise).name
@@ -174,7 +174,7 @@ class _Recording:
         self.renderer = Renderer({"object": (model.vertices, model.faces)})
         self.stage = Stage(self.renderer, model, settings, self.staging)
         self.motion_notes: dict[str, Any] = {}
-        self.placements: Placements | None = None
+        self.placement: Placement | None = None
 
     def frames(self, count: int, motion: str | None, settings: MotionSettings | None = None) -> Iterator[Frame]:
         """All frames, made as they are asked for."""
@@ -208,10 +208,8 @@ class _Recording:
             raise InputError(f"motion: expected a hand that carries the object, got occluders {self.occluders!r}")
         plan, *children = np.random.SeedSequence(self.seed).spawn(count + 1)
         rng = np.random.default_rng(plan)
-        if self.placements is None:
-            grasp, camera_from_hand = self._placed(rng)
-        else:
-            grasp, camera_from_hand = self.placements.placed(self.seed, rng, self._placed)
+        shared = self.placement
+        grasp, camera_from_hand = self._placed(rng) if shared is None else shared.placed(self._placed)
         camera = self.settings.camera
         steps, self.motion_notes = plan_motion(
             motion, count, grasp, camera_from_hand, self.hand, self.model, camera, rng, settings

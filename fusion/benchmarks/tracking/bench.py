@@ -1,8 +1,8 @@
 """Sequences of an object in a hand: carried, turned, slipping, let go, shaken, out of view. Who follows it, how well?
 
 Captures of scenes.synthesis.motion by family, no mask: every motion in every family with a hand. An object is held by
-one grasp in all motions of a trial, each made once and followed by every method; each object and trial has a camera's
-and a robot's errors of its own. Methods that need a start get the capture's own, 16 degrees and 33 mm off (T1 section
+one grasp in all motions of a trial, each made once, with a camera's and a robot's errors of its own, and followed by
+every method. Methods that need a start get the capture's own, 16 degrees and 33 mm off (T1 section
 4.3), in the first frame only; "estimate" has no memory and gets such a start in every frame that it is asked of. The
 particle filter begins from what vision found in the first frame; a track that is "begun" is made to believe a wrong
 pose in the first. A frame is lost when its ADD-S is above 10 mm, and wrong above 5 mm.
@@ -130,8 +130,8 @@ def _claims(tracked: Tracked) -> list[Claim]:
         out.append(Claim(f"wrong but ok, % of tracked frames, {name}", share, 1.0, False, 1))
     for name, tally in motions.items():
         mean = float(np.mean([x for x in tally.nees if np.isfinite(x)] or [np.nan]))
-        out.append(Claim(f"NEES / 6, mean, {name}", mean, 0.7, True))
-        out.append(Claim(f"NEES / 6, mean, {name}", mean, 1.5, False))
+        out.append(Claim(f"NEES / dof, mean, {name}", mean, 0.7, True))
+        out.append(Claim(f"NEES / dof, mean, {name}", mean, 1.5, False))
     begun = sum(len(t.doubted) for t in wrong)
     if begun:
         doubted = sum(x <= DOUBTED_IN for t in wrong for x in t.doubted)

@@ -9,13 +9,14 @@ from fusion.benchmarks.families.table import FAMILIES
 from fusion.benchmarks.printing.tables import own_seed
 from fusion.benchmarks.tracking.sequences import OCCLUSION, recorded
 from fusion.benchmarks.tracking.tally import Tally, follow
-from scenes.synthesis.grasping.hiding import Placements
+from scenes.synthesis.grasping.hiding import Placement
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One object held by one grasp, with its camera's and robot's errors, in every motion. family: its name; number: of
-    the trial; seed: of the benchmark; folder: where captures are kept, None keeps none.
+    """One object held by one grasp in every motion, each with a camera's and a robot's errors of its own.
+
+    family: its name; number: of the trial; seed: of the benchmark; folder: where captures are kept, None keeps none.
     """
 
     family: str
@@ -45,11 +46,11 @@ class Followed:
 def follow_cell(cell: Cell) -> list[Followed]:
     """Every sequence of a cell, followed by every method."""
     family = FAMILIES[cell.family]
-    seed = own_seed(cell.seed, *cell.key)
-    hidden, places = min(OCCLUSION, max(family.levels)), Placements()
+    hidden, placement = min(OCCLUSION, max(family.levels)), Placement(own_seed(cell.seed, *cell.key))
     out = []
     for motion in cell.motions:
-        made = recorded(cell.name, motion, cell.frames, seed, cell.folder, hidden, family=family, placements=places)
+        seed = own_seed(cell.seed, *cell.key, motion)
+        made = recorded(cell.name, motion, cell.frames, seed, cell.folder, hidden, family=family, placement=placement)
         tallies = None
         if made is not None:
             tallies = {method: Tally() for method in cell.methods}

@@ -26,7 +26,7 @@ COLUMNS = (
     Column("ok"),
     Column("new starts", 0),
     Column("frames lost"),
-    Column("NEES / 6"),
+    Column("NEES / dof"),
     Column("mean"),
     Column("processor ms", 1),
     Column("wall ms", 1),
@@ -39,7 +39,7 @@ def errors_table(motion: str, tallies: dict[str, Tally], refused: int) -> Table:
     table = Table(
         f"{motion}: error, lost and wrong frames, time",
         COLUMNS,
-        note="NEES / 6: median and mean over frames, 0.9 and 1 are right. At the end: median rotation of the last"
+        note="NEES / dof: median and mean over frames, 0.9 and 1 are right. At the end: median rotation of the last"
         f" {END} answers. Frames lost: median length of a loss that ended. Times of all but the first frame,"
         f" segmentation included. estimate: every {SINGLE_EVERY}th frame, with a start."
         + (f" {refused} sequences could not be made: no grasp hides the object by as much." if refused else ""),
@@ -122,7 +122,7 @@ def _all(tracked: Tracked, method: str) -> tuple[np.ndarray, np.ndarray]:
 def by_family(tracked: Tracked) -> Table:
     """The track alone, family by family over all motions."""
     columns = [Column("family"), Column("frames", 0), Column("median ADD-S mm"), Column("wrong but ok"), Column("ok")]
-    columns += [Column("NEES / 6, mean"), Column("median"), Column("processor ms", 1), Column("mean ", 1)]
+    columns += [Column("NEES / dof, mean"), Column("median"), Column("processor ms", 1), Column("mean ", 1)]
     table = Table("The track by family, all motions together", columns)
     for family in dict.fromkeys(family for family, _ in tracked):
         own = Tally()
@@ -147,7 +147,7 @@ def by_family(tracked: Tracked) -> Table:
 
 def by_motion(tracked: Tracked) -> Table:
     """The track alone, motion by motion over all families."""
-    columns = [Column("motion"), Column("frames", 0), Column("wrong but ok"), Column("ok"), Column("NEES / 6, mean")]
+    columns = [Column("motion"), Column("frames", 0), Column("wrong but ok"), Column("ok"), Column("NEES / dof, mean")]
     columns += [Column("rotation at the end"), Column("single frames")]
     table = Table("The track by motion, all families together", columns)
     for motion in dict.fromkeys(motion for _, motion in tracked):

@@ -30,12 +30,13 @@ SLIP_DELAY = 3
 
 @dataclass
 class Tally:
-    """One method on one kind of motion: frame, ADD-S (m), rotation (rad), NEES / 6, and whether it was ok, of each
-    answer; wall and processor ms of all but the first; rotations and ADD-S (m) at the ends of sequences; runs: frames
-    from a loss until the object is found again; doubted, righted: frames from a wrong beginning until no longer ok,
-    until right; never: wrong beginnings that were not righted; still_wrong_ok: answers after such a beginning that are
-    wrong and ok; new starts; slips, those said in time and false alarms, as a slip and as a motion in the hand; frames
-    without a slip.
+    """One method on one kind of motion.
+
+    frame, ADD-S (m), rotation (rad), NEES per degree of freedom, and whether it was ok, of each answer; wall and
+    processor ms of all but the first; rotations and ADD-S (m) at the ends of sequences; runs: frames from a loss until
+    the object is found again; doubted, righted: frames from a wrong beginning until no longer ok, until right; never:
+    wrong beginnings that were not righted; still_wrong_ok: answers after such a beginning that are wrong and ok; new
+    starts; slips, those said in time and false alarms, as a slip and as a motion in the hand; frames without a slip.
     """
 
     frame: list[int] = field(default_factory=list)
@@ -75,11 +76,13 @@ def follow(
     tally: Tally, method: str, model: ObjectModel, frames: list[Frame], notes: dict[str, Any], seed: int
 ) -> None:
     """Give a method the frames and count what it says."""
+    from fusion.benchmarks.strata import freedom
     from fusion.truth.errors import Judge
 
     judge = Judge(model)
     step = stepper(method, model, seed)
     said, errors = [], []
+    count = freedom(model.symmetries)
     for frame in frames:
         wall, cpu = time.perf_counter(), time.process_time()
         answer = step(frame)
@@ -94,7 +97,7 @@ def follow(
         tally.frame.append(frame.index)
         tally.add_s.append(error.add_s)
         tally.rotation.append(error.rotation)
-        tally.nees.append(error.nees / 6)
+        tally.nees.append(error.nees / count)
         tally.ok.append(answer.ok)
         if frame is not frames[0]:  # the first is a search, and compiles
             tally.wall.append(1e3 * wall)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,35 +25,38 @@ Array = NDArray[np.float64]
 
 # Below this hidden share the later grasps tried are those of three fingers (no unit).
 FEW_FINGERS_BELOW = 0.35
+# Draws of a placement that several sequences share, before all of them are refused.
+MOST_DRAWS = 3
 
 
-class Placements:
-    """Grasps and views by the seed that draws them, all of one object, hand, hidden share, scene and settings.
-
-    Sequences that differ in motion alone share them, and to plan a grasp takes longer than to make their frames.
+class Placement:
+    """A grasp and a view of it, found once for several sequences of one object, hand, hidden share, scene and settings:
+    to plan a grasp takes longer than to make a sequence's frames. Its draws are its own, so that all else is drawn anew
+    in each sequence.
     """
 
-    def __init__(self) -> None:
-        self._found: dict[int, tuple[tuple[Grasp, Array] | InputError, dict[str, Any]]] = {}
+    def __init__(self, seed: int) -> None:
+        """seed: of its draws."""
+        self.seed = seed
+        self._found: tuple[Grasp, Array] | None = None
+        self._left = MOST_DRAWS
+        self._refusal = InputError("a placement: nothing was drawn")
 
-    def placed(
-        self, seed: int, rng: np.random.Generator, find: Callable[[np.random.Generator], tuple[Grasp, Array]]
-    ) -> tuple[Grasp, Array]:
-        """What find makes of rng, which `seed` has begun, or made of it before; rng is then as find left it. Raises the
-        InputError that find raised.
+    def placed(self, find: Callable[[np.random.Generator], tuple[Grasp, Array]]) -> tuple[Grasp, Array]:
+        """What find makes of the draws, or has made of them before. Raises its InputError, each time, where none of a
+        few draws hides as much as is asked.
         """
-        if seed not in self._found:
-            found: tuple[Grasp, Array] | InputError
-            try:
-                found = find(rng)
-            except InputError as error:
-                found = error
-            self._found[seed] = found, dict(rng.bit_generator.state)
-        found, state = self._found[seed]
-        rng.bit_generator.state = state
-        if isinstance(found, InputError):
-            raise found
-        return found
+        while self._found is None and self._left:
+            self._draw(find)
+        if self._found is None:
+            raise self._refusal
+        return self._found
+
+    def _draw(self, find: Callable[[np.random.Generator], tuple[Grasp, Array]]) -> None:
+        try:
+            self._found = find(np.random.default_rng([self.seed, self._left]))
+        except InputError as error:
+            self._refusal, self._left = error, self._left - 1
 
 
 def place(
