@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 
 from fusion.estimation.answer import Estimate, Stage
@@ -14,15 +12,34 @@ _log = logging.getLogger(__name__)
 
 
 class _Running:
-    """The stage under way: `note` says what it worked on."""
+    """The stage under way: `note` says what it worked on. Of a trace's list `stages`, those that are added before it
+    ends are within it.
+    """
 
-    def __init__(self) -> None:
-        self.rows = 0
-        self.why = ""
+    __slots__ = ("_before", "_begin", "_name", "_run", "_stages", "_why_not", "rows", "why")
+
+    def __init__(self, stages: list[Stage], name: str, run: bool, why_not: str) -> None:
+        self._stages, self._name, self._run, self._why_not = stages, name, run, why_not
+        self._before, self._begin = len(stages), time.perf_counter()
+        self.rows, self.why = 0, ""
 
     def note(self, rows: int, why: str) -> None:
         """Rows of evidence used, and a few words on the outcome."""
         self.rows, self.why = rows, why
+
+    def __enter__(self) -> _Running:
+        """As it is."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """List it, unless it failed."""
+        if kind is not None:
+            return
+        spent = 1e3 * (time.perf_counter() - self._begin) - sum(inner.ms for inner in self._stages[self._before :])
+        why, rows = (self.why, self.rows) if self._run else (self._why_not, 0)
+        if _log.isEnabledFor(logging.DEBUG):
+            _log.debug("%s: %s", self._name, f"{spent:.1f} ms, {rows} rows, {why}" if self._run else why)
+        self._stages.append(Stage(self._name, self._run, why, max(spent, 0.0), rows))
 
 
 class Trace:
@@ -53,18 +70,9 @@ class Trace:
         stages = tuple(Stage(name, False, why) if s.name == name and not s.ran else s for s in answer.trace)
         return replace(answer, trace=stages)
 
-    @contextmanager
-    def stage(self, name: str, run: bool, why_not: str) -> Iterator[_Running]:
+    def stage(self, name: str, run: bool, why_not: str) -> _Running:
         """Time a stage. A stage that is not run still passes through (on nothing) and is listed as skipped.
 
         Stages within it are listed before it, and their time is theirs.
         """
-        running = _Running()
-        begin, before = time.perf_counter(), len(self._stages)
-        yield running
-        spent = 1e3 * (time.perf_counter() - begin) - sum(inner.ms for inner in self._stages[before:])
-        if _log.isEnabledFor(logging.DEBUG):
-            _log.debug("%s: %s", name, f"{spent:.1f} ms, {running.rows} rows, {running.why}" if run else why_not)
-        self._stages.append(
-            Stage(name, run, running.why if run else why_not, max(spent, 0.0), running.rows if run else 0)
-        )
+        return _Running(self._stages, name, run, why_not)
