@@ -28,6 +28,8 @@ from vision.shown_kernels import shown_rays
 
 Array = NDArray[np.float64]
 
+# So many poses, or fewer, are asked for again: those that are solved together, before and after.
+_FEW = 8
 # Stands for an image that is not there.
 _NO_IMAGE = np.zeros((0, 0))
 
@@ -221,7 +223,7 @@ class Predictor:
         self._depth = np.ascontiguousarray(frame.depth, np.float32) if seeing else None
         self.belief = depth
         self._points = model.sample_surface(self.settings.bounding)[0]
-        # of one pose at a time: what was asked of it is asked again
+        # of one pose at a time, and of few: what was asked of them is asked again
         self._views: dict[tuple[bytes, int], View] = {}
         self._predicted: dict[tuple[bytes, int], Prediction] = {}
         self._hand = _NO_IMAGE, _NO_IMAGE
@@ -264,7 +266,7 @@ class Predictor:
     def predict(self, candidates: Array, side: int | None = None) -> Prediction:
         """What becomes of the predicted pixels of each pose (n, 4, 4); side: rays along the outline's box."""
         side = self.settings.side if side is None else side
-        if len(candidates) > 1:
+        if len(candidates) > _FEW:
             return self._summed(candidates, side)
         key = candidates.tobytes(), side
         if key not in self._predicted:
@@ -313,8 +315,9 @@ class Predictor:
         middle, poses = self.model.surface.middle, np.ascontiguousarray(candidates)
         k = kernels.outline_rays(self._points, poses, self.known[1], middle, u, v, rays, index, inside)
         met = self.model.surface.cast_local(rays[:k])
-        expected, seen, past, fade = np.zeros((4, count, side**2))
-        state = np.zeros((count, side**2), dtype=np.uint8)
+        shape = count, side**2
+        expected, seen, past, fade = np.zeros((4, count * side**2))
+        state = np.zeros(count * side**2, dtype=np.uint8)
         kernels.compare_pixels(
             met,
             index[:k],
@@ -331,9 +334,10 @@ class Predictor:
                 s.plane_margin,
                 s.plane_sigmas,
             ),
-            *(values.ravel() for values in (expected, seen, state, past, fade)),
+            *(expected, seen, state, past, fade),
         )
-        return View(u, v, expected, seen, state, past, fade, inside)
+        expected, seen, past, fade = (values.reshape(shape) for values in (expected, seen, past, fade))
+        return View(u, v, expected, seen, state.reshape(shape), past, fade, inside)
 
     @cached_property
     def known(self) -> tuple[tuple[NDArray[Any], ...], tuple[float, ...], tuple[float, ...]]:
