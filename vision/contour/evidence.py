@@ -70,6 +70,7 @@ class ContourSettings:
     # show how far blocks disagree the belief counts, that of the mesh's own error: as in the covariance.
     block: float = 24.0
     believed_blocks: float = 3.0
+    believed_blocks_colour: float = 8.0
     # Share of lines that are wrong, and the standard deviation (px) of the Gaussian within which a line is read.
     outliers: float = 0.2
     window: float = 2.5
@@ -97,8 +98,10 @@ class ContourSettings:
     distance_share: float = 0.3
     # Factor on the variance of all else, as it is weighed against the outline. At true poses of the tuning families the
     # chi-square of lines is a quarter of what they say, that of all else twice as much: of 1, 1.5, 2 and 3 the first
-    # gives away what lines know of `d435` and `lab`, the last two follow the dots of `dots`.
+    # gives away what lines know of `d435` and `lab`, the last two follow the dots of `dots`. A colour camera's image
+    # is turned, scaled and bent against depth in ways that no family draws, and counts, blocks and all, as it is said.
     others: float = 1.5
+    others_colour: float = 1.0
     # Probability that the lines together read another outline than the object's (a finger's, a shade's), which moves
     # the covariance alone: of 0, 0.02, 0.05 and 0.1 what made the true errors of 214 answers of the tuning families
     # likeliest, as a Student distribution whose degrees of freedom it raised.
@@ -236,7 +239,8 @@ class ContourEvidence:
         kernels.misfit(off, weight, self.share, self.alone, self._block, 5, found, information)
         ratio, apart, beyond = found
         self._apart = float(apart)
-        prior = self.settings.believed_blocks
+        s = self.settings
+        prior = s.believed_blocks if self.lines is not None and self.lines.grey else s.believed_blocks_colour
         apart = (prior * self._mesh**2 + beyond * apart) / (prior + beyond)
         self.share = self.alone / ratio / (1.0 + apart * information)[self._block]
 

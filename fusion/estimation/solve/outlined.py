@@ -59,7 +59,9 @@ def outlined(
     wider = _positive(mode.covariance - solved.covariance)
     lateral = _across(mode.pose, model.centroid, how.distance_share)
     known = solved.independent + lateral @ solved.shared @ lateral.T + wider
-    information = np.asarray(np.linalg.inv(how.others * known), dtype=np.float64)
+    assert frame.rgb is not None
+    others_count = how.others if is_grey(frame.rgb[::4, ::4]) else how.others_colour
+    information = np.asarray(np.linalg.inv(others_count * known), dtype=np.float64)
     hessian, lines = np.zeros((6, 6)), 0
     at, reach = mode.pose, how.lines.reach
     for turn in range(how.rounds):
