@@ -98,7 +98,7 @@ def rejudged(
     told = settings.told if seen else settings.felt
     # what the solution believed of its own accord (System.width) is believed again by distinct_modes: taken out here
     weak = np.repeat([1.0, model.radius], 3) ** -2.0
-    both = [*solved, *beside]
+    both: list[JointResult | Mode] = [*solved, *beside]
     hessians = np.array([np.linalg.inv(one.covariance) - np.diag(weak) for one in both])
     poses = np.array([one.pose for one in both])
     nats = np.concatenate([costs, [mode.cost for mode in beside]])
