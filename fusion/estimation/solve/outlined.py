@@ -55,13 +55,12 @@ def outlined(
 
     mesh_sigma (m): what the mesh leaves out of the object. The mode may be wider than its solution: as sampled.
     """
-    model, how = pool.model, settings.contour
+    assert frame.rgb is not None
+    model, how = pool.model, settings.contour.of(is_grey(frame.rgb[::4, ::4]))
     wider = _positive(mode.covariance - solved.covariance)
     lateral = _across(mode.pose, model.centroid, how.distance_share)
     known = solved.independent + lateral @ solved.shared @ lateral.T + wider
-    assert frame.rgb is not None
-    others_count = how.others if is_grey(frame.rgb[::4, ::4]) else how.others_colour
-    information = np.asarray(np.linalg.inv(others_count * known), dtype=np.float64)
+    information = np.asarray(np.linalg.inv(how.others * known), dtype=np.float64)
     hessian, lines = np.zeros((6, 6)), 0
     at, reach = mode.pose, how.lines.reach
     for turn in range(how.rounds):
