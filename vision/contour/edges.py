@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class EdgeSettings:
-    """How steps are fitted. On the tuning families `d435`, `lab`, `dots` and `rough`; of most of these, twice or half
+    """How steps are fitted. Tuned on the families `d435`, `lab`, `dots` and `rough`; of most of these, twice or half
     as much made no difference.
     """
 
