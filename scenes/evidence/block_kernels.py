@@ -22,7 +22,7 @@ from scenes.evidence.row_kernels import (
     log_above_one,
 )
 from scenes.evidence.table import FACING, GATE_ABOVE, GATE_BELOW, OFFSET, WEIGHT
-from scenes.geometry.lattice import END, STEPS
+from scenes.geometry.lattice import END, STEPS, trilinear
 
 # Rows of a block, and of what a processor does at once (the last ones of a block are filled up to a multiple of it).
 LENGTH, LANES = 64, 8
@@ -186,19 +186,7 @@ def interpolate(count, room, spacing):
         a, b, c = room[CA + i], room[CB + i], room[CC + i]
         d000, d001, d010, d011 = room[N0 + i], room[N1 + i], room[N2 + i], room[N3 + i]
         d100, d101, d110, d111 = room[N4 + i], room[N5 + i], room[N6 + i], room[N7 + i]
-        c00 = d000 + (d001 - d000) * c
-        c01 = d010 + (d011 - d010) * c
-        c10 = d100 + (d101 - d100) * c
-        c11 = d110 + (d111 - d110) * c
-        c0 = c00 + (c01 - c00) * b
-        c1 = c10 + (c11 - c10) * b
-        d = c0 + (c1 - c0) * a
-        gx = (c1 - c0) * inverse
-        gy = ((c01 - c00) * (1.0 - a) + (c11 - c10) * a) * inverse
-        gz = (
-            ((d001 - d000) * (1.0 - b) + (d011 - d010) * b) * (1.0 - a)
-            + ((d101 - d100) * (1.0 - b) + (d111 - d110) * b) * a
-        ) * inverse
+        d, gx, gy, gz = trilinear(d000, d001, d010, d011, d100, d101, d110, d111, a, b, c, inverse)
         ou, ov, ow = room[OU + i], room[OV + i], room[OW + i]
         beyond = ou * ou + ov * ov + ow * ow
         outside = beyond > 4.0 * END * END
@@ -242,13 +230,22 @@ def step_back(count, there, other, step):
 
 
 @numba.njit(cache=True, nogil=True)
-def lead_back(count, room, other, nodes, places, values, lattice):
+def look_up(count, room, nodes, flat, lattice):
+    """Fill in the room distance and gradient at its points in the lattice's frame. nodes (LENGTH,): working room; flat:
+    the lattice's values in one row; lattice: as of kernels.cost_terms.
+    """
+    values, origin, spacing, _, _ = lattice
+    find_cells(count, room, nodes, origin, spacing, values.shape)
+    fetch(count, room, nodes, flat, values.shape)
+    interpolate(count, room, spacing)
+
+
+@numba.njit(cache=True, nogil=True)
+def lead_back(count, room, other, nodes, places, flat, lattice):
     """Rows of the room whose nearest surface looks away from where they were seen, as lattice.led_back_at has them.
     other: a second room; nodes, places (LENGTH,): working room.
     """
-    nodes_of, origin, spacing, step, _ = lattice
-    shape = nodes_of.shape
-    listed = 0
+    step, listed = lattice[3], 0
     for i in range(count):
         if room[ALONG + i] > 0.0:
             places[listed] = i
@@ -260,9 +257,7 @@ def lead_back(count, room, other, nodes, places, values, lattice):
             return
         whole = rows_in(listed, 0)
         step_back(listed, whole, other, step)
-        find_cells(whole, other, nodes, origin, spacing, shape)
-        fetch(whole, other, nodes, values, shape)
-        interpolate(whole, other, spacing)
+        look_up(whole, other, nodes, flat, lattice)
         left = 0
         for k in range(listed):
             vx, vy, vz = other[VX + k], other[VY + k], other[VZ + k]
@@ -386,14 +381,11 @@ def block_terms(lattice, blocks, count, huber, rotation, middle, need, rooms, no
 
     lattice, huber: as of kernels.cost_terms. rooms (2, ROOM), nodes (2, LENGTH): working room.
     """
-    values, origin, spacing, _, centroid = lattice
-    shape, flat, room, total = values.shape, values.reshape(-1), rooms[0], 0.0
+    flat, room, total = lattice[0].reshape(-1), rooms[0], 0.0
     for b in range((count + LENGTH - 1) // LENGTH):
         block, whole = blocks[b], rows_in(count, b)
-        place(block, whole, room, rotation, middle, centroid)
-        find_cells(whole, room, nodes[0], origin, spacing, shape)
-        fetch(whole, room, nodes[0], flat, shape)
-        interpolate(whole, room, spacing)
+        place(block, whole, room, rotation, middle, lattice[4])
+        look_up(whole, room, nodes[0], flat, lattice)
         view(block, whole, room, rotation)
         lead_back(whole, room, rooms[1], nodes[0], nodes[1], flat, lattice)
         total += weigh_limited(block, whole, room, huber) if huber > 0.0 else weigh(block, whole, room)
@@ -408,16 +400,13 @@ def near_blocks(lattice, silent, count, rotation, middle, reach, rooms, nodes, n
     surface or nearer to it than reach (m); returns how many, and how far (m) the farthest row left out is from the
     pose's middle.
     """
-    values, origin, spacing, _, centroid = lattice
-    shape, flat, room = values.shape, values.reshape(-1), rooms[0]
+    flat, room = lattice[0].reshape(-1), rooms[0]
     k = 0
     lever = 0.0
     for b in range((count + LENGTH - 1) // LENGTH):
         block, whole = silent[b], rows_in(count, b)
-        place(block, whole, room, rotation, middle, centroid)
-        find_cells(whole, room, nodes[0], origin, spacing, shape)
-        fetch(whole, room, nodes[0], flat, shape)
-        interpolate(whole, room, spacing)
+        place(block, whole, room, rotation, middle, lattice[4])
+        look_up(whole, room, nodes[0], flat, lattice)
         for i in range(min(count - b * LENGTH, LENGTH)):
             if room[D + i] > reach + block[OFFSETS + i]:
                 x, y, z = room[YX + i], room[YY + i], room[YZ + i]

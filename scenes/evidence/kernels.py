@@ -240,14 +240,23 @@ def sort_rows(rows, blur, blur_normal):
 
 
 @numba.njit(cache=True, nogil=True)
-def table_terms(
-    lattice, table, near, huber, bend, rotation, middle, prior, need, hessian, gradient, scratch, rooms, nodes, sums
-):
+def working_room():
+    """What `table_terms` works in: once for many poses."""
+    return np.zeros((10, 3)), np.zeros((2, ROOM)), np.zeros((2, LENGTH), dtype=np.int32), np.zeros(SUMS)
+
+
+@numba.njit(cache=True, nogil=True)
+def table_terms(lattice, table, near, losses, pose, prior, need, derivatives, room):
     """cost_terms of a whole table: prepared rows with a normal, the other rows in blocks and how many. near: such
-    blocks of rows more, and how many. rooms, nodes, sums: see block_kernels.block_terms.
+    blocks of rows more, and how many. losses: huber, bend. pose: rotation, middle. derivatives: hessian, gradient.
+    room: see `working_room`.
     """
     contacts, speaking, count = table
     others, more = near
+    huber, bend = losses
+    rotation, middle = pose
+    hessian, gradient = derivatives
+    scratch, rooms, nodes, sums = room
     total = cost_terms(lattice, contacts, huber, bend, rotation, middle, prior, need, hessian, gradient, scratch)
     sums[:] = 0.0
     if count > 0:
@@ -267,55 +276,19 @@ def cost_poses(lattice, rows, stage, prior, rotations, middles, costs):
     cost_terms.
     """
     blur, blur_normal, huber, bend = stage
-    scratch = np.zeros((10, 3))
-    hessian = np.zeros((6, 6))
-    gradient = np.zeros(6)
-    rooms, nodes, sums = np.zeros((2, ROOM)), np.zeros((2, LENGTH), dtype=np.int32), np.zeros(SUMS)
+    derivatives, room = (np.zeros((6, 6)), np.zeros(6)), working_room()
     contacts, speaking, count, silent, more = sort_rows(rows, blur, blur_normal)
     table, others = (contacts, speaking, count), (silent, more)
     for b in range(rotations.shape[0]):
-        rotation, middle = rotations[b], middles[b]
-        costs[b] = table_terms(
-            lattice,
-            table,
-            others,
-            huber,
-            bend,
-            rotation,
-            middle,
-            prior,
-            False,
-            hessian,
-            gradient,
-            scratch,
-            rooms,
-            nodes,
-            sums,
-        )
+        pose = rotations[b], middles[b]
+        costs[b] = table_terms(lattice, table, others, (huber, bend), pose, prior, False, derivatives, room)
 
 
 @numba.njit(cache=True, nogil=True)
 def terms_at(lattice, rows, stage, prior, rotation, middle, hessian, gradient):
     """Cost at one pose; fills hessian (6, 6) and gradient (6,). Arguments as of cost_poses."""
     blur, blur_normal, huber, bend = stage
-    scratch = np.zeros((10, 3))
-    rooms, nodes, sums = np.zeros((2, ROOM)), np.zeros((2, LENGTH), dtype=np.int32), np.zeros(SUMS)
     contacts, speaking, count, silent, more = sort_rows(rows, blur, blur_normal)
     table, others = (contacts, speaking, count), (silent, more)
-    return table_terms(
-        lattice,
-        table,
-        others,
-        huber,
-        bend,
-        rotation,
-        middle,
-        prior,
-        True,
-        hessian,
-        gradient,
-        scratch,
-        rooms,
-        nodes,
-        sums,
-    )
+    losses, pose, derivatives = (huber, bend), (rotation, middle), (hessian, gradient)
+    return table_terms(lattice, table, others, losses, pose, prior, True, derivatives, working_room())

@@ -10,8 +10,8 @@ import math
 import numba
 import numpy as np
 
-from scenes.evidence.block_kernels import LENGTH, ROOM, SUMS, blocks_of, near_blocks
-from scenes.evidence.kernels import sort_rows, table_terms
+from scenes.evidence.block_kernels import blocks_of, near_blocks
+from scenes.evidence.kernels import sort_rows, table_terms, working_room
 from scenes.geometry.rotation_kernels import exp_times
 
 # Levenberg-Marquardt: start, factors and limits of the damping (relative to the Hessian's own diagonal).
@@ -68,7 +68,6 @@ def align_poses(lattice, rows, stage, prior, limits, rotations, middles, costs, 
     """
     blur, blur_normal, huber, bend = stage
     iterations, tolerance_angle, tolerance_distance, radius, longest_angle, longest_distance = limits
-    scratch = np.zeros((10, 3))
     hessian = np.zeros((6, 6))
     gradient = np.zeros(6)
     new_hessian = np.zeros((6, 6))
@@ -78,30 +77,16 @@ def align_poses(lattice, rows, stage, prior, limits, rotations, middles, costs, 
     floor = np.zeros(6)
     rotation = np.zeros((3, 3))
     middle = np.zeros(3)
-    rooms, nodes, sums = np.zeros((2, ROOM)), np.zeros((2, LENGTH), dtype=np.int32), np.zeros(SUMS)
+    room, losses = working_room(), (huber, bend)
+    _, rooms, nodes, _ = room
     contacts, speaking, told, silent, quiet = sort_rows(rows, blur, blur_normal)
     table, near = (contacts, speaking, told), blocks_of(quiet)
     for b in range(rotations.shape[0]):
         k, lever = near_blocks(lattice, silent, quiet, rotations[b], middles[b], REACH, rooms, nodes, near)
         # how far (m) a row left out may have come since
         spent = 0.0
-        cost = table_terms(
-            lattice,
-            table,
-            (near, k),
-            huber,
-            bend,
-            rotations[b],
-            middles[b],
-            prior,
-            True,
-            hessian,
-            gradient,
-            scratch,
-            rooms,
-            nodes,
-            sums,
-        )
+        pose = rotations[b], middles[b]
+        cost = table_terms(lattice, table, (near, k), losses, pose, prior, True, (hessian, gradient), room)
         damping = DAMPING_START
         count = 0
         while count < iterations:
@@ -135,23 +120,8 @@ def align_poses(lattice, rows, stage, prior, limits, rotations, middles, costs, 
             begun = STEEPEST * (spent + travel) > REACH
             if begun:
                 k, lever = near_blocks(lattice, silent, quiet, rotation, middle, REACH, rooms, nodes, near)
-            new_cost = table_terms(
-                lattice,
-                table,
-                (near, k),
-                huber,
-                bend,
-                rotation,
-                middle,
-                prior,
-                True,
-                new_hessian,
-                new_gradient,
-                scratch,
-                rooms,
-                nodes,
-                sums,
-            )
+            pose, derivatives = (rotation, middle), (new_hessian, new_gradient)
+            new_cost = table_terms(lattice, table, (near, k), losses, pose, prior, True, derivatives, room)
             if new_cost <= cost:
                 spent = 0.0 if begun else spent + travel
                 gain = cost - new_cost

@@ -28,6 +28,27 @@ def _clamp(value, upper):
     return min(max(value, 0.0), upper)
 
 
+@numba.njit(inline="always")
+def trilinear(d000, d001, d010, d011, d100, d101, d110, d111, a, b, c, inverse):
+    """The value between eight nodes at shares a, b, c of a cell along each axis, and its gradient by the inverse of the
+    cell's side.
+    """
+    c00 = d000 + (d001 - d000) * c
+    c01 = d010 + (d011 - d010) * c
+    c10 = d100 + (d101 - d100) * c
+    c11 = d110 + (d111 - d110) * c
+    c0 = c00 + (c01 - c00) * b
+    c1 = c10 + (c11 - c10) * b
+    d = c0 + (c1 - c0) * a
+    gx = (c1 - c0) * inverse
+    gy = ((c01 - c00) * (1.0 - a) + (c11 - c10) * a) * inverse
+    gz = (
+        ((d001 - d000) * (1.0 - b) + (d011 - d010) * b) * (1.0 - a)
+        + ((d101 - d100) * (1.0 - b) + (d111 - d110) * b) * a
+    ) * inverse
+    return d, gx, gy, gz
+
+
 @numba.njit(cache=True, nogil=True, fastmath=FUSED)
 def distance_at(values, origin, spacing, x, y, z):
     """Signed distance and its gradient at one point: (d, gx, gy, gz)."""
@@ -56,19 +77,7 @@ def distance_at(values, origin, spacing, x, y, z):
     d101 = np.float64(values[ih, jl, kh])
     d110 = np.float64(values[ih, jh, kl])
     d111 = np.float64(values[ih, jh, kh])
-    c00 = d000 + (d001 - d000) * c
-    c01 = d010 + (d011 - d010) * c
-    c10 = d100 + (d101 - d100) * c
-    c11 = d110 + (d111 - d110) * c
-    c0 = c00 + (c01 - c00) * b
-    c1 = c10 + (c11 - c10) * b
-    d = c0 + (c1 - c0) * a
-    gx = (c1 - c0) * inverse
-    gy = ((c01 - c00) * (1.0 - a) + (c11 - c10) * a) * inverse
-    gz = (
-        ((d001 - d000) * (1.0 - b) + (d011 - d010) * b) * (1.0 - a)
-        + ((d101 - d100) * (1.0 - b) + (d111 - d110) * b) * a
-    ) * inverse
+    d, gx, gy, gz = trilinear(d000, d001, d010, d011, d100, d101, d110, d111, a, b, c, inverse)
     ou = u - cu
     ov = v - cv
     ow = w - cw

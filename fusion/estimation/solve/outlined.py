@@ -1,11 +1,11 @@
 """The answer moved to where the image shows its outline, as far as everything else lets it. Camera frame, metres.
 
 The joint solution leaves a Gaussian of the pose, all else marginalised; the lines across the outline add theirs to it
-and are read anew where it leads, and where that ends, the steps next to them. What else was sensed weighs less than its
-model says, by a constant. How wrong it may be beyond its model
-(pulls that scatter more than they should) is part of the covariance, but no weight: estimated from a few patches of an
-image, it is too uncertain to be one. Distance and tilt are mostly left to depth: what an outline seems to tell of them
-is how fat it looks. So the covariance follows the gain that was used, optimal or not (Joseph form).
+and are read anew where it leads, and where that ends in a depth camera's own image, the steps next to them. What else
+was sensed weighs less there than its model says, by a constant. How wrong it may be beyond its model (pulls that
+scatter more than they should) is part of the covariance, but no weight: estimated from a few patches of an image, it is
+too uncertain to be one. Distance and tilt are mostly left to depth: what an outline seems to tell of them is how fat it
+looks. So the covariance follows the gain that was used, optimal or not (Joseph form).
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from dataclasses import replace
 from numpy import float64
 from numpy.typing import NDArray
 
-from fusion.estimation.answer import Estimate
+from fusion.estimation.answer import Estimate, Mode
 from fusion.tracking import hypotheses as several
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
 from fusion.tracking.hypotheses import Hypothesis
@@ -56,12 +56,11 @@ def look_closer(
     if frame.index - renewal.closest < every:
         return answer
     renewal.closest = frame.index
-    try:
-        prior = Prior.isotropic(answer.pose, s.loose_angle, s.loose_distance)
-        found = estimated(replace(frame, prior=None), prior)
-    except CaptureError:
+    prior = Prior.isotropic(answer.pose, s.loose_angle, s.loose_distance)
+    looked = _looked_around(model, frame, answer, prior, estimated)
+    if looked is None:
         return answer
-    mode = replace(found.modes[0], pose=model.symmetries.nearest(found.pose, answer.pose))
+    found, mode = looked
     sure, better = several.sure_of(found), -prefers(answer, mode, sensed, s)
     why = f"{sure:.0%} sure, {state.right:.0%} before; {better:.0f} nats better"
     if found.verdict != "lost" and sure > state.right and better > 0.0:
@@ -86,11 +85,10 @@ def search_around(
     """
     s = settings
     prior = Prior.isotropic(answer.pose, s.renewal.around_angle, s.renewal.around_distance)
-    try:
-        found = estimated(replace(frame, prior=None), prior)
-    except CaptureError:
+    looked = _looked_around(model, frame, answer, prior, estimated)
+    if looked is None:
         return ""
-    mode = replace(found.modes[0], pose=model.symmetries.nearest(found.pose, answer.pose))
+    found, mode = looked
     better, sure = prefers(answer, mode, sensed, s), several.sure_of(found)
     vote = several.vote_of(found.verdict, sure, s.hypotheses)
     vote = min(vote, s.hypotheses.most_repeated) if better <= 0.0 else 0.0
@@ -100,3 +98,16 @@ def search_around(
     carried, odds = (leader, *state.hypotheses[1:]), several.log_odds(sure, s.hypotheses)
     state.hypotheses, _ = several.voted(model, carried, (mode,), vote, True, s.hypotheses, odds)
     return f"; around it another, {sure:.0%} sure, {-better:.0f} nats better"
+
+
+def _looked_around(
+    model: ObjectModel, frame: Frame, answer: TrackedEstimate, prior: Prior, estimated: Estimated
+) -> tuple[Estimate, Mode] | None:
+    """What the frame says by itself around the track, and its first mode the way round that the track has it; None for
+    a frame that no estimate should be made of, which the track itself has got on without.
+    """
+    try:
+        found = estimated(replace(frame, prior=None), prior)
+    except CaptureError:
+        return None
+    return found, replace(found.modes[0], pose=model.symmetries.nearest(found.pose, answer.pose))
