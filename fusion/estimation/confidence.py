@@ -30,11 +30,11 @@ Array = NDArray[np.float64]
 class Regression:
     """Factors of a logistic regression, no unit: what each observation adds to the log odds that a mode is right.
 
-    Tuned on answers to frames of all nine tuning families (docs/evaluation.md; `palpate fit-confidence`), with a start
-    and without: the product of both factors of the probability, at tolerances of 3, 5 and 10 mm, by maximum likelihood,
-    factors held to the sign that they must have: 1408 answers with a picture and 576 by touch alone, to 352 frames.
-    What a fit states of a family that was left out is 2.1 % off (by chance alone 1.2; touch alone 3 and 7 %, with a
-    start and without).
+    Tuned on answers to frames of all tuning families but `dots` (docs/evaluation.md; `palpate fit-confidence`), with a
+    start and without: the product of both factors of the probability, at tolerances of 3, 5 and 10 mm, by maximum
+    likelihood, factors held to the sign that they must have: 1408 answers with a picture and 576 by touch alone, to 352
+    frames. What a fit states of a family that was left out is 2.1 % off (by chance alone 1.2; touch alone 7 and 3 %,
+    with a start and without).
     """
 
     # Of the logarithm of the first mode's odds, with those that look like it, against the others, within `most_odds`.
