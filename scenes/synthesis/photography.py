@@ -11,7 +11,8 @@ from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer, shade
 from scenes.synthesis.noise import presets as noise_models
-from scenes.synthesis.noise.presets import DepthErrors, DepthNoise, NoisePreset
+from scenes.synthesis.noise.colour_camera import colour_image
+from scenes.synthesis.noise.presets import DepthErrors, DepthNoise, LastingErrors, NoisePreset
 from scenes.synthesis.optics.units import CameraUnit
 from scenes.synthesis.settings import SynthesisSettings
 
@@ -30,28 +31,32 @@ def photograph(
     preset: NoisePreset,
     rng: np.random.Generator,
     settings: SynthesisSettings,
-    errors: DepthErrors | CameraUnit | None = None,
+    errors: LastingErrors | None = None,
 ) -> dict[str, Any]:
     """depth, and rgb and mask when asked for, of a scene of camera_from_mesh poses.
 
-    A camera imitated from its optics delivers its infra-red image as rgb, grey, unless settings.infrared is off.
+    A camera imitated from its optics delivers its infra-red image as rgb, grey, unless settings.infrared is off or a
+    colour camera of the preset's is beside it. errors: those that last.
     """
     rendering = renderer.render(settings.camera, scene)
     infrared = None
     if isinstance(preset.depth, DepthNoise):
-        lasting = errors if isinstance(errors, DepthErrors) else None
+        lasting = errors.depth if errors is not None and isinstance(errors.depth, DepthErrors) else None
         depth = noise_models.observe_depth(rendering, settings.camera, preset, rng, lasting)
     else:
         from scenes.synthesis.optics import take
 
-        unit = errors if isinstance(errors, CameraUnit) else None
+        unit = errors.depth if errors is not None and isinstance(errors.depth, CameraUnit) else None
         shot = take(renderer, scene, settings.camera, preset.depth, rng, unit)
         depth, infrared = shot.depth, shot.infrared
     depth = np.where(depth < settings.depth_unit * np.iinfo(np.uint16).max, depth, 0.0)  # what 16 bits can hold
     image: dict[str, Any] = {"depth": (np.rint(depth / settings.depth_unit) * settings.depth_unit).astype(np.float32)}
     if settings.mask:
         image["mask"] = rendering.mask("object")
-    if settings.rgb and settings.infrared and infrared is not None:
+    if settings.rgb and preset.colour is not None:
+        lasting_colour = None if errors is None else errors.colour
+        image["rgb"] = colour_image(renderer, scene, settings.camera, preset.colour, rng, lasting_colour)
+    elif settings.rgb and settings.infrared and infrared is not None:
         image["rgb"] = np.repeat(infrared[..., None], 3, axis=2)
     elif settings.rgb:
         image["rgb"] = shade(rendering, {name: _colour(name) for name in scene})

@@ -287,9 +287,8 @@ class _Recording:
             around = self.stage.around(scene, rng)
             if self.clutter:
                 around |= self._stand_about({**scene, **around}, rng)
-        depth_errors = None if errors is None else errors.depth
         whole = {**scene, **around}
-        image = photograph(whole, self.renderer, self.preset, rng, self.settings, depth_errors)
+        image = photograph(whole, self.renderer, self.preset, rng, self.settings, errors)
         # ink is nearly clear in infra-red light, which cameras imitated from their optics deliver
         if self.staging.printed and "rgb" in image and isinstance(self.preset.depth, noise_models.DepthNoise):
             image["rgb"] = printed(image["rgb"], whole, self.renderer, self.settings.camera, self.model)

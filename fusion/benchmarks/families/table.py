@@ -15,6 +15,7 @@ import numpy as np
 
 from scenes.errors import unknown
 from scenes.geometry.cameras import Camera
+from scenes.synthesis.noise.colour_camera import ColourCamera
 from scenes.synthesis.noise.depth import DepthNoise
 from scenes.synthesis.noise.presets import PRESETS, NoisePreset, RobotNoise, TouchNoise
 from scenes.synthesis.optics.settings import Imager, Matcher, Pattern, PatternCamera
@@ -127,7 +128,9 @@ _DOTS = PatternCamera(
     farthest=4.0,
 )
 DOTS = NoisePreset("dots", _DOTS, PRESETS["lab"].touch, PRESETS["lab"].robot)
-OWN_PRESETS = {preset.name: preset for preset in (WORKSHOP, WORN, ROUGH, DOTS)}
+# Active stereo with a colour camera beside it whose calibration is off, as in most recordings that are published.
+STUDIO = NoisePreset("studio", PRESETS["d435"].depth, PRESETS["lab"].touch, PRESETS["lab"].robot, colour=ColourCamera())
+OWN_PRESETS = {preset.name: preset for preset in (WORKSHOP, WORN, ROUGH, DOTS, STUDIO)}
 
 
 @dataclass(frozen=True)
@@ -194,6 +197,13 @@ FAMILIES: dict[str, Family] = {
         _tuned("loose", "lab", "fingers that no model tells of", occluders="fingers", levels=LEVELS[:-1]),
         _tuned("d435", "d435", "active stereo from its optics, a robot hand", hand="five-finger", rig="lab"),
         _tuned("dots", "dots", "structured light from its optics, dots on every line", hand="five-finger", rig="lab"),
+        _tuned(
+            "studio",
+            "studio",
+            "active stereo and a colour camera beside it that is out of calibration; the mesh has dents",
+            hand="five-finger",
+            mesh_error="dented",
+        ),
         _tuned(
             "desk",
             "lab",

@@ -5,7 +5,7 @@ Depth images are in `depth_noise`. Metres, radians, newtons.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.geometry.rendering import Rendering
 from scenes.recordings.frames import DEFAULT_SIGMA_NORMAL, DEFAULT_SIGMA_POINT, Contacts
+from scenes.synthesis.noise.colour_camera import ColourCamera, ColourErrors, draw_colour_errors
 from scenes.synthesis.noise.depth import (
     DepthErrors,
     DepthNoise,
@@ -113,6 +114,8 @@ class NoisePreset:
     depth: DepthNoise | OpticalCamera = field(default_factory=DepthNoise)
     touch: TouchNoise = field(default_factory=TouchNoise)
     robot: RobotNoise = field(default_factory=RobotNoise)
+    # A colour camera beside depth; None where the image is in perfect registration, as a depth camera's own is.
+    colour: ColourCamera | None = None
 
 
 # A fingertip force/torque sensor of 12 mm after taring: offsets of 20 mN and 0.1 N mm, drifting by a tenth of that.
@@ -261,6 +264,7 @@ class LastingErrors:
 
     depth: see DepthErrors, CameraUnit. camera_from_robot (4, 4), see camera_from_robot_error. joints: name -> rad. tip:
     offset of all contacts (m), tips: of each sensor's (m). wrenches: sensor -> (6,) offset of force, torque (N, N m).
+    colour: of a colour camera beside depth.
     """
 
     depth: DepthErrors | CameraUnit
@@ -269,12 +273,13 @@ class LastingErrors:
     tip: float
     tips: dict[str, float]
     wrenches: dict[str, Array]
+    colour: ColourErrors | None = None
 
     def drifted(self, noise: TouchNoise, rng: np.random.Generator) -> LastingErrors:
         """The same one frame later: wrench sensors have drifted."""
         step = np.repeat([noise.force_drift, noise.torque_drift], 3)
         wrenches = {name: offset + step * rng.normal(size=6) for name, offset in self.wrenches.items()}
-        return LastingErrors(self.depth, self.camera_from_robot, self.joints, self.tip, self.tips, wrenches)
+        return replace(self, wrenches=wrenches)
 
 
 def draw_lasting_errors(
@@ -290,6 +295,7 @@ def draw_lasting_errors(
         noise.touch.offset * rng.normal(),
         {name: noise.touch.shape * rng.normal() for name in sensors},
         {name: step * rng.normal(size=6) for name in sensors},
+        None if noise.colour is None else draw_colour_errors(noise.colour, rng),
     )
 
 

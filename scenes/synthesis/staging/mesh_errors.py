@@ -34,6 +34,10 @@ WAVELENGTH = (0.4, 1.2)
 BENT_WAVES = 7
 BENT_SIGMA = 0.0016
 BENT_WAVELENGTH = (0.25, 0.9)
+# A mesh that is nearly right, as a good scan leaves it: dents and bumps of less than a millimetre, shorter ones too.
+DENTED_WAVES = 10
+DENTED_SIGMA = 0.0006
+DENTED_WAVELENGTH = (0.15, 0.7)
 
 
 def believed(model: ObjectModel, error: str | None, seed: int = 0) -> ObjectModel:
@@ -68,6 +72,11 @@ def _scan(model: ObjectModel, rng: np.random.Generator) -> tuple[Array, Faces]:
 def _bent(model: ObjectModel, rng: np.random.Generator) -> tuple[Array, Faces]:
     vertices, faces = _evenly_cut(model)
     return _waved(model, vertices, BENT_WAVES, BENT_WAVELENGTH, BENT_SIGMA, rng), faces
+
+
+def _dented(model: ObjectModel, rng: np.random.Generator) -> tuple[Array, Faces]:
+    vertices, faces = _evenly_cut(model)
+    return _waved(model, vertices, DENTED_WAVES, DENTED_WAVELENGTH, DENTED_SIGMA, rng), faces
 
 
 def _waved(
@@ -149,5 +158,6 @@ _MAKERS: dict[str, Callable[[ObjectModel, np.random.Generator], tuple[Array, Fac
     "scaled": _scaled,
     "scan": _scan,
     "bent": _bent,
+    "dented": _dented,
 }
 NAMES = tuple(_MAKERS)
