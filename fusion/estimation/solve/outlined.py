@@ -74,9 +74,11 @@ def outlined(
         lines = evidence.count
         before = se3.difference(at, mode.pose, model.centroid)
         delta = np.zeros(6)
+        wide = how.wide * evidence.spread_of(known) if turn == 0 else 0.0
         for step in range(how.steps):
             others = information @ (before + delta)
-            gradient, hessian = evidence.terms(delta, (others, information) if step > 0 else None)
+            window = max(how.window, wide * 0.5**step)
+            gradient, hessian = evidence.terms(delta, (others, information) if step > 0 else None, window=window)
             delta = delta - np.linalg.solve(information + hessian, gradient + others)
         last = turn == how.rounds - 1 or evidence.shift_of(delta) < how.anew
         for sharp in how.sharp if last else ():
@@ -104,7 +106,8 @@ def outlined(
     mesh = mesh_spread(model, mesh_sigma**2, settings.joint)
     spread = kept @ _positive(mode.covariance - mesh) @ kept.T + inverse @ hessian @ inverse + mesh
     # or it was another outline that was read: then the pose is as unknown as before, and off by the move, too
-    spread = (1.0 - how.another) * spread + how.another * (mode.covariance + np.outer(moved, moved))
+    another = how.another + how.unclear * evidence.unclear
+    spread = (1.0 - another) * spread + another * (mode.covariance + np.outer(moved, moved))
     why = f"{lines} lines across it, moved by {1e3 * float(np.linalg.norm(moved[3:])):.1f} mm, {worse:+.1f} nats"
     calibrated = replace(solved, xi=solved.xi + solved.follows @ moved)
     moved_mode = replace(mode, pose=at, covariance=0.5 * (spread + spread.T))

@@ -47,6 +47,20 @@ def test_the_outline_has_its_say_and_keeps_the_answer_honest(held):
     assert np.array_equal(after.pose, estimate(held, model, settings=COLOUR).pose)
 
 
+def test_where_lines_are_unclear_the_answer_is_less_sure(held):
+    """Half of the picture grey noise, on which no border is clear."""
+    model = library.make("bottle")
+    noise = np.random.default_rng(4).integers(90, 110, held.rgb.shape).astype(np.uint8)
+    half = np.where((np.arange(held.rgb.shape[1]) < held.rgb.shape[1] // 2)[None, :, None], held.rgb, noise)
+    wary = replace(COLOUR, contour=replace(COLOUR.contour, unclear=0.8))
+    sure = replace(COLOUR, contour=replace(COLOUR.contour, unclear=0.0))
+    for rgb in (held.rgb, half):
+        frame = replace(held, rgb=rgb)
+        least, most = (estimate(frame, model, settings=one) for one in (sure, wary))
+        assert np.array_equal(least.pose, most.pose)
+        assert np.trace(most.covariance) >= np.trace(least.covariance)
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [

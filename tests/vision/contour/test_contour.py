@@ -233,7 +233,11 @@ def test_an_image_of_noise_says_nothing():
     noise = np.random.default_rng(1).integers(0, 256, frame.rgb.shape).astype(np.uint8)
     evidence = evidence_at(replace(frame, rgb=noise), model, frame.camera_from_object_truth)
     assert "lines only" in evidence.why_not
-    assert evidence_at(frame, model, frame.camera_from_object_truth).lines.clear > 50
+    told = evidence_at(frame, model, frame.camera_from_object_truth)
+    assert told.lines.clear > 50
+    assert told.unclear == 1.0 - told.lines.clear / told.count
+    assert evidence.unclear > 0.8 > told.unclear
+    assert evidence_at(replace(frame, rgb=None), model, np.eye(4)).unclear == 0.0
 
 
 def test_settings_have_room_for_what_they_read():
@@ -270,6 +274,20 @@ def test_a_pose_that_may_be_anywhere_is_not_read():
     known, unknown = (np.diag([0.01] * 3 + [sigma] * 3) ** 2 for sigma in (0.001, 0.05))
     assert evidence.uncertain(known) == ""
     assert "looked for within 12 px" in evidence.uncertain(unknown)
+
+
+def test_lines_are_read_farther_away_where_the_pose_is_less_known():
+    """A border that each line has eight pixels outside: within 2.5 px it is none, within 8 px it is there."""
+    frame, model = coloured("box")
+    evidence = evidence_at(frame, model, frame.camera_from_object_truth)
+    offsets = evidence.lines.lowest + np.arange(evidence.lines.log_p.shape[1])
+    table = np.log(0.02 + np.exp(-0.5 * np.square(offsets - 8.0)))
+    evidence.lines = replace(evidence.lines, log_p=np.tile(table, (len(evidence.lines), 1)))
+    near, far = (evidence._weighted(np.zeros(6), window) for window in (0.0, 8.0))
+    assert np.median(near[1]) < 0.2 * np.median(far[1])
+    assert np.median(far[0]) == pytest.approx(-8.0, abs=1.5)
+    known = 1e-6 * np.eye(6)
+    assert evidence.spread_of(4.0 * known) == pytest.approx(2.0 * evidence.spread_of(known))
 
 
 def test_what_a_colour_image_is_shifted_by_is_learned_from_the_frame():
