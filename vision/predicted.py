@@ -225,7 +225,7 @@ class Predictor:
         self._points = model.sample_surface(self.settings.bounding)[0]
         # of one pose at a time, and of few: what was asked of them is asked again
         self._views: dict[tuple[bytes, int], View] = {}
-        self._predicted: dict[tuple[bytes, int], Prediction] = {}
+        self._predicted: dict[int, dict[bytes, tuple[Array, float, float]]] = {}
         self._hand = _NO_IMAGE, _NO_IMAGE
         if frame.camera is not None and self._depth is not None and hand is not None:
             self._hand = hand_depth(frame.camera, hand, self.settings.hand_step)
@@ -268,10 +268,16 @@ class Predictor:
         side = self.settings.side if side is None else side
         if len(candidates) > _FEW:
             return self._summed(candidates, side)
-        key = candidates.tobytes(), side
-        if key not in self._predicted:
-            self._predicted[key] = self._summed(candidates, side)
-        return self._predicted[key]
+        known = self._predicted.setdefault(side, {})
+        keys = [candidate.tobytes() for candidate in candidates]
+        if fresh := [n for n, key in enumerate(keys) if key not in known]:
+            told = self._summed(candidates if len(fresh) == len(keys) else candidates[fresh], side)
+            for k, n in enumerate(fresh):
+                known[keys[n]] = told.shares[k], told.beyond[k], told.area[k]
+            if len(fresh) == len(keys):
+                return told
+        shares, beyond, area = zip(*(known[key] for key in keys))
+        return Prediction(np.array(shares), np.array(beyond), np.array(area))
 
     def _summed(self, candidates: Array, side: int) -> Prediction:
         view = self.view(candidates, side)

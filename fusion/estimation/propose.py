@@ -25,6 +25,7 @@ from scenes.words import counted
 Array = NDArray[np.float64]
 
 CONVINCED = "what was proposed convinces"
+AGREED = "a glance found nothing likelier"
 
 
 class Competition:
@@ -37,6 +38,10 @@ class Competition:
         self.fitted: Alignment | None = None
         self.convinced = False
         self.proposed = 0
+        # nats by which the last draws around the best were likelier
+        self.gained = 0.0
+        # why nothing more need be asked, where somebody found that out
+        self.why = ""
         self._felt: Array | None = None
 
     def enter(self, source: str, propose: Callable[[], Array], why_not: str = "", most: int | None = None) -> None:
@@ -51,12 +56,14 @@ class Competition:
             self._compete(poses, most or (self.pool.settings.fitted_in_doubt if self.modes else None))
             stage.note(len(poses), self._words)
 
-    def look_around(self) -> None:
-        """Let draws around the best compete with it: what explains what was sensed is not bettered nearby."""
-        pool, why_not = self.pool, ""
+    def look_around(self, why_not: str = "") -> None:
+        """Let draws around the best compete with it: what explains what was sensed is not bettered nearby. Skipped for
+        a reason.
+        """
+        pool = self.pool
         if not self.modes:
             why_not = "nothing was proposed"
-        elif self.explained:
+        elif not why_not and self.explained:
             why_not = "the best explains what is seen"
         with self.trace.stage("propose: around the best", not why_not, why_not) as stage:
             if why_not:
@@ -65,16 +72,31 @@ class Competition:
             drawn = walk(pool.model, before.pose[None], pool.walking, pool.rng, pool.proposals.around)
             drawn = drawn[pool.costs(drawn) < before.cost + pool.settings.promising]
             self._compete(drawn, None)
-            gained = before.cost - self.modes[0].cost
-            self.convinced = self.convinced and convinced and gained < pool.settings.bettered
-            stage.note(len(drawn), f"likelier by {gained:.1f} nats; {self._words}")
+            self.gained = before.cost - self.modes[0].cost
+            self.convinced = self.convinced and convinced and self.gained < pool.settings.bettered
+            stage.note(len(drawn), f"likelier by {self.gained:.1f} nats; {self._words}")
 
     def look_beside(self) -> None:
         """Let what the best looks like when it is turned, and draws around it, compete with it where it convinces."""
         turned = partial(self.pool.turned, self.modes[0]) if self.convinced else None
+        before, alone = self.modes, self.pool.tied and self.proposed == 1
         self.enter("the best turned", turned or (lambda: np.zeros((0, 4, 4))), "" if turned else "nothing convinces")
         if self.convinced:
-            self.look_around()
+            alone = alone and len(self.modes) == 1 and self.modes[0].cost == before[0].cost
+            self.look_around("all that was tried ended in one place" if alone else "")
+
+    def joins(self, other: Competition) -> bool:
+        """Whether another competition, which knew nothing of this one, found what is about as likely, and draws around
+        the best hardly more, so that a third would find no more; then what is left of it is left of this one, too.
+        """
+        if other.fitted is None or self.fitted is None or self.gained > self.pool.settings.hardly:
+            return False
+        if abs(other.modes[0].cost - self.modes[0].cost) > self.pool.settings.as_likely:
+            return False
+        self.fitted = self.pool.among(self.fitted.joined(other.fitted))
+        self.modes = distinct_modes(self.pool.model, self.fitted, self.pool.modes)
+        self.convinced = self.pool.convinces(self.modes)
+        return True
 
     def _compete(self, poses: Array, most: int | None) -> None:
         """Let poses (n, 4, 4) compete with what was left."""
@@ -135,9 +157,9 @@ class Competition:
         return Found(self.modes, looked_at, said, also)
 
 
-def glance(pool: Pool, rows: Evidence, starts: Array, trace: Trace) -> Found | None:
-    """What few of the starts (n, 4, 4) near a prior end in, where it explains what is seen, or convinces and is felt
-    where it is; None where that leaves a doubt: then a whole search knows nothing of it.
+def glance(pool: Pool, rows: Evidence, starts: Array, trace: Trace) -> Competition:
+    """What few of the starts (n, 4, 4) near a prior end in. It is enough where it explains what is seen, or convinces
+    and is felt where it is; where that leaves a doubt, a whole search begins without it.
     """
     asked, s = Competition(replace(pool, rng=pool.rng.spawn(1)[0]), trace), pool.settings
     asked.enter("at a glance", lambda: pool.glanced_near(rows, starts), most=s.always_fitted)
@@ -152,7 +174,8 @@ def glance(pool: Pool, rows: Evidence, starts: Array, trace: Trace) -> Found | N
         why = asked.enough
     for source in ("rows", "touch and descents", walk_of(pool)) if why else ():
         asked.enter(source, lambda: np.zeros((0, 4, 4)), why)
-    return asked.found(pool.proposals.starts_glanced) if why else None
+    asked.why = why
+    return asked
 
 
 def walk_of(pool: Pool) -> str:
@@ -184,11 +207,12 @@ def modes_near(
     assert prior is not None
     if not pool.predictor.sees:
         return find_modes(pool.model, rows, starts, stages, prior, pool.sight.costs, plan, pool.modes)
-    if plan.skipping and (glanced := glance(pool, rows, starts, trace)) is not None:
-        return glanced
+    glanced = glance(pool, rows, starts, trace) if plan.skipping else None
+    if glanced is not None and glanced.why:
+        return glanced.found(pool.proposals.starts_glanced)
     whole, asked = replace(plan, skipping=False), Competition(pool, trace)
     ends = [k for k in plan.rounds if k < len(starts)] if plan.skipping else []
-    begin = 0
+    begin, agreed = 0, False
 
     def searched(fresh: Array) -> Array:
         rank, few = pool.sight.costs, plan.refining_rows
@@ -213,12 +237,16 @@ def modes_near(
             if pool.predictor.told_apart:
                 asked.look_around()
             before, known = asked.modes, plan.skipping and (asked.trusted or asked.explained)
-            asked.enter(walk_of(pool), walked, asked.enough if known else "")
+            agreed = glanced is not None and pool.tied and asked.joins(glanced)
+            asked.enter(walk_of(pool), walked, AGREED if agreed else asked.enough if known else "")
+            if agreed:
+                begin = end
+                break
         begin = end
         # a walk from everywhere is a round, too
         if asked.convinced or (before and pool.is_same(asked.modes, before)):
             break
-    if not asked.convinced:
+    if not asked.convinced and not agreed:
         asked.look_around()
     return asked.found(begin)
 

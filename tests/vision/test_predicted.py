@@ -49,6 +49,18 @@ def test_rays_meet_what_a_renderer_draws():
     np.testing.assert_allclose(view.expected[0, hit], drawn[v, u], atol=2e-6)
 
 
+def test_of_few_poses_only_those_are_predicted_that_were_not(rng, monkeypatch):
+    frame, model = plain_view("drill"), library.make("drill")
+    truth, found = frame.camera_from_object_truth, predictor(frame, model)
+    some = np.array([poses.displaced(truth, 0.1, 0.01, model.centroid, rng) for _ in range(5)])
+    alone = [predictor(frame, model).costs(one[None])[0] for one in some]
+    cast, asked = found._cast, []
+    monkeypatch.setattr(found, "_cast", lambda many, side: asked.append(len(many)) or cast(many, side))
+    for chosen in ([0, 2], [2, 1, 0], [3, 1, 4], [4, 3], [2]):
+        np.testing.assert_array_equal(found.costs(some[chosen]), np.array(alone)[chosen])
+    assert asked == [2, 1, 2]
+
+
 @pytest.mark.parametrize("known", ["nothing", "hand", "mask", "plane", "camera"])
 def test_the_kernels_say_what_plain_arrays_say(lab_frame, drill, rng, known):
     truth = lab_frame.camera_from_object_truth

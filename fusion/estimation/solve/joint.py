@@ -128,15 +128,43 @@ def _onwards(after: Settled, level: float) -> tuple[Array, Array]:
     sensed is the same, only the shared errors' prior is as wide as the level says.
     """
     ratio, system = level / after.level, after.system
-    own = np.zeros(system.size)
-    own[6:] = 1.0
-    # at the minimum what was sensed pulls as the prior does, the other way; whitened by `after`'s level
-    matrix = after.normal + np.diag(system.width + own * (ratio**-2.0 - 1.0))
-    step = np.linalg.solve(matrix, own * after.unknown * (1.0 - ratio**-2.0))
-    unknown = (after.unknown + own * step) / ratio
+    step = _step_to(after, ratio)
     if max(np.abs(step[:3]).max(), np.abs(step[3:6]).max() / system.problem.model.radius) > FARTHEST:
         return after.pose, after.unknown / ratio
+    unknown = (after.unknown + np.concatenate([np.zeros(6), step[6:]])) / ratio
     return se3.perturb(after.pose, step[POSE], system.problem.model.centroid), unknown
+
+
+def _step_to(after: Settled, ratio: float) -> Array:
+    """(size,) from a solution to that of shared errors `ratio` times as large, whitened by `after`'s level."""
+    own = np.zeros(after.system.size)
+    own[6:] = 1.0 - ratio**-2.0
+    # at the minimum what was sensed pulls as the prior does, the other way
+    return np.asarray(np.linalg.solve(after.normal + np.diag(after.system.width - own), own * after.unknown))
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Where a solution of another level would end, not worked out: pose (4, 4) and log evidence."""
+
+    pose: Array
+    log_evidence: float
+
+
+def expected(after: Settled, level: float) -> Expected:
+    """Another level as a solution's own Gauss-Newton matrix has it: rows that would change sides on the way are not
+    asked.
+    """
+    ratio, system, free = level / after.level, after.system, after.free
+    own, scale = np.zeros(system.size), np.ones(system.size)
+    own[6:], scale[6:] = 1.0, ratio
+    step, sensed = _step_to(after, ratio), after.normal - np.diag(own)
+    unknown = (own * (after.unknown + step)) / ratio
+    before = own * after.unknown
+    cost = after.cost + 0.5 * float(step @ sensed @ step - before @ before + unknown @ unknown) - float(before @ step)
+    whole = (sensed * scale * scale[:, None] + np.diag(own + system.width))[:free, :free]
+    log_det = float(np.linalg.slogdet(whole)[1])
+    return Expected(se3.perturb(after.pose, step[POSE], system.problem.model.centroid), -cost - 0.5 * log_det)
 
 
 def answered(settled: Settled) -> JointResult:

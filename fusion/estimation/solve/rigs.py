@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.solve.joint import JointResult, answered, settle, solve
+from fusion.estimation.solve.joint import Expected, JointResult, Settled, answered, expected, settle, solve
 from fusion.estimation.solve.problem import JointProblem
+from fusion.estimation.solve.settings import JointSettings
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 
@@ -32,21 +33,43 @@ def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[Joint
     pairs = list(zip(problems, starts))[: settings.modes]
     if not problem.ties_depth:
         return [solve(one, start, 1.0) for one, start in pairs]
-    tried = [settle(problem, starts[0], settings.rigs[0].level)]
-    for rig in settings.rigs[1:]:
-        # from the second on they end so near to each other that pixels face the surface alike
-        facing = tried[1].system if len(tried) > 1 else None
-        tried.append(settle(problem, tried[-1].pose, rig.level, tried[-1], facing))
-    evidence = np.array([t.log_evidence for t in tried]) / settings.evidence_temperature
-    score = evidence + np.log([rig.share for rig in settings.rigs])
-    weights = np.exp(score - score.max())
-    weights = weights / weights.sum()
+    tried = _rigs(problem, starts[0])
+    weights = _shares([one.log_evidence for one in tried], settings)
     likely = np.flatnonzero(weights >= settings.negligible)
     usual = tried[likely[int(np.argmax(weights[likely]))]]
+    assert isinstance(usual, Settled)
     best = answered(usual)
     first = _averaged(problem.model, [tried[n].pose for n in likely], weights[likely], best)
     first = replace(first, shares=tuple(float(share) for share in weights))
     return [first, *(solve(one, start, usual.level) for one, start in pairs[1:])]
+
+
+def _rigs(problem: JointProblem, start: Array) -> list[Settled | Expected]:
+    """Where each rig ends from a start (4, 4). The first two are solved; of the others those that count, as far as the
+    second says where they end.
+    """
+    settings = problem.settings
+    tried: list[Settled | Expected] = []
+    last: Settled | None = None
+    for n, rig in enumerate(settings.rigs):
+        if last is not None and n >= settings.solved:
+            guess = expected(last, rig.level)
+            if _shares([*(one.log_evidence for one in tried), guess.log_evidence], settings)[-1] < settings.counting:
+                tried.append(guess)
+                continue
+        # from the second on they end so near to each other that pixels face the surface alike
+        facing = last.system if last is not None and n > 1 else None
+        last = settle(problem, start if last is None else last.pose, rig.level, last, facing)
+        tried.append(last)
+    return tried
+
+
+def _shares(log_evidence: list[float], settings: JointSettings) -> Array:
+    """(k,) shares of the mixture of the first k rigs."""
+    usual = np.log([rig.share for rig in settings.rigs[: len(log_evidence)]])
+    score = np.array(log_evidence) / settings.evidence_temperature + usual
+    weights = np.exp(score - score.max())
+    return np.asarray(weights / weights.sum())
 
 
 def _averaged(model: ObjectModel, poses: list[Array], weights: Array, best: JointResult) -> JointResult:

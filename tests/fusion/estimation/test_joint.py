@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion.estimation.solve.joint import solve
+from fusion.estimation.solve.joint import expected, settle, solve
 from fusion.estimation.solve.kernels import mark_near
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import _averaged, solve_modes
@@ -268,6 +268,34 @@ def test_the_level_of_shared_errors_follows_the_data(drill):
         # what a track carries on is all of the covariance, and the bias's part is a part
         assert np.linalg.eigvalsh(result.shared - result.biased).min() > -1e-9 * np.trace(result.shared)
         assert np.linalg.eigvalsh(result.unsolved).min() > 0.0
+
+
+def test_a_rig_beside_one_that_was_solved_ends_where_its_matrix_says(drill):
+    """Pose and log evidence of other levels from one solution's Gauss-Newton matrix, held against solving for them."""
+    problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-4)
+    solved = settle(problem, pose, 1.0)
+    same = expected(solved, 1.0)
+    np.testing.assert_allclose(same.pose, solved.pose, atol=1e-9)
+    assert same.log_evidence == pytest.approx(solved.log_evidence, abs=1e-3)
+    for level in (0.7, 2.0):
+        guess, there = expected(solved, level), settle(problem, solved.pose, level, solved)
+        moved = np.linalg.norm(poses.difference(there.pose, solved.pose, drill.centroid)[3:])
+        off = np.linalg.norm(poses.difference(guess.pose, there.pose, drill.centroid)[3:])
+        assert off < max(0.5 * moved, 5e-5)
+        assert guess.log_evidence == pytest.approx(there.log_evidence, abs=0.5)
+
+
+def test_a_rig_that_counts_is_solved(drill):
+    """Where all rigs are solved the answer is the same as where those are that count."""
+    problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-5)
+    off = replace(problem, seen=problem.seen.moved(poses.make_pose(None, [0.0, 0.0, 0.006])))
+    answers = [
+        solve_modes([replace(off, settings=replace(off.settings, solved=solved, counting=0.02))], [pose])[0]
+        for solved in (1, 4)
+    ]
+    assert answers[0].level == answers[1].level
+    apart = np.linalg.norm(poses.difference(answers[0].pose, answers[1].pose, drill.centroid)[3:])
+    assert apart < 0.3 * np.sqrt(np.trace(answers[1].covariance[3:, 3:]))
 
 
 def test_a_rig_that_is_not_known_widens_the_answer(drill):

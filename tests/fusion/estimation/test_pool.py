@@ -81,7 +81,7 @@ def test_a_whole_search_knows_nothing_of_a_glance_that_left_a_doubt(sensed, lab_
     pool = replace(pool, felt=tables.empty(), rng=np.random.default_rng(5))
     before = pool.rng.bit_generator.state
     starts = np.tile(lab_frame.camera_from_object_truth, (8, 1, 1))
-    assert glance(pool, sensed.seen, starts, trace := Trace()) is None
+    assert not glance(pool, sensed.seen, starts, trace := Trace()).why
     assert pool.rng.bit_generator.state == before
     assert [stage.name for stage in trace.stages] == ["propose: at a glance"]
 
@@ -94,7 +94,7 @@ def test_without_touch_a_glance_that_convinces_is_enough_where_the_hand_is_known
     monkeypatch.setattr(type(pool.predictor), "told_apart", told_apart)
     starts = np.tile(lab_frame.camera_from_object_truth, (8, 1, 1))
     found = glance(pool, sensed.seen, starts, trace := Trace())
-    assert (found is not None) == enough
+    assert bool(found.why) == enough
     asked = [stage.name for stage in trace.stages]
     assert asked[0] == "propose: at a glance"
     assert ("propose: around the best" in asked) == enough
@@ -179,12 +179,12 @@ class Rounds:
     def __init__(self, model, ends, shown=0.0):
         self.model, self.ends, self.shown, self.looked_at = model, iter(ends), shown, []
         self.settings, self.modes, self.prior = PoolSettings(), ModeSettings(), SimpleNamespace(pose=np.eye(4))
-        self.predictor = SimpleNamespace(sees=True, told_apart=True)
+        self.predictor, self.tied = SimpleNamespace(sees=True, told_apart=True), False
         self.sight = SimpleNamespace(costs=None)
         self.felt, self.held, self.rng, self.walking = tables.empty(), None, None, None
         self.proposals = ProposalSettings()
 
-    apart, is_same, held_starts = Pool.apart, Pool.is_same, Pool.held_starts
+    apart, is_same, held_starts, among = Pool.apart, Pool.is_same, Pool.held_starts, Pool.among
 
     def proposed(self, starts, stages, seen, start, descents):
         self.looked_at.append(len(starts))
@@ -237,6 +237,36 @@ def test_rounds_of_fresh_starts_end_where_nothing_new_comes(drill, monkeypatch, 
     assert pool.looked_at == looked_at
     assert found.looked_at == (sum(looked_at) or 20)
     assert why in found.why
+
+
+@pytest.mark.parametrize(("costlier", "tied", "walks"), [(1.0, True, False), (-1.0, True, False), (9.0, True, True)])
+def test_what_a_glance_and_a_round_find_as_likely_is_walked_for_no_more(drill, monkeypatch, costlier, tied, walks):
+    pool = Rounds(drill, [0.0, 0.0005])
+    pool.tied = tied
+    glanced = Competition(pool, Trace())
+    pose = poses.make_pose(None, [0.1, 0.0, 0.0])
+    glanced.fitted = Alignment(pose[None], np.array([costlier]), np.eye(6)[None], np.zeros(1, dtype=np.int64))
+    glanced.modes = (Mode(pose, 1.0, costlier, np.eye(6)),)
+    monkeypatch.setattr("fusion.estimation.propose.find_modes", pool.end)
+    monkeypatch.setattr("fusion.estimation.propose.walk", pool.walk)
+    monkeypatch.setattr("fusion.estimation.propose.glance", lambda *_: glanced)
+    starts = np.tile(np.eye(4), (320, 1, 1))
+    found = modes_near(pool, None, None, starts, search_stages(0.01, ()), PlanSettings(), trace := Trace())
+    assert next(stage.ran for stage in trace.stages if stage.name == "propose: a walk") == walks
+    # and what the glance found stays where it is likelier
+    assert (np.abs(found.modes[0].pose - pose).max() < 1e-9) == (costlier < 0.0)
+
+
+def test_what_little_is_seen_need_not_show_more_where_contacts_hold_the_object(sensed, lab_frame, monkeypatch):
+    pool, first = sensed.pool, Mode(lab_frame.camera_from_object_truth, 1.0, -8.0, 1e-6 * np.eye(6))
+    near = Prior.isotropic(first.pose, 0.2, 0.03)
+    pool = replace(pool, settings=replace(PoolSettings(), least_shown=1.01), prior=near)
+    assert pool.tied
+    assert pool.convinces((first,))
+    assert not replace(pool, prior=None).convinces((first,))
+    assert not replace(pool, felt=tables.empty()).convinces((first,))
+    monkeypatch.setattr(type(pool.predictor), "told_apart", False)
+    assert not pool.convinces((first,))
 
 
 def result(pose, scale=0.0):
