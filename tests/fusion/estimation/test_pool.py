@@ -257,6 +257,18 @@ def test_what_a_glance_and_a_round_find_as_likely_is_walked_for_no_more(drill, m
     assert (np.abs(found.modes[0].pose - pose).max() < 1e-9) == (costlier < 0.0)
 
 
+def test_a_search_that_draws_bettered_does_not_end_by_what_a_glance_found(drill):
+    pool = Rounds(drill, [])
+    asked, glanced = (Competition(pool, Trace()) for _ in range(2))
+    for one in (asked, glanced):
+        one.fitted = Alignment(np.eye(4)[None], np.zeros(1), np.eye(6)[None], np.zeros(1, dtype=np.int64))
+        one.modes = (Mode(np.eye(4), 1.0, 0.0, np.eye(6)),)
+    asked.gained = PoolSettings().hardly + 0.1
+    assert not asked.joins(glanced)
+    asked.gained = 0.0
+    assert asked.joins(glanced)
+
+
 def test_what_little_is_seen_need_not_show_more_where_contacts_hold_the_object(sensed, lab_frame, monkeypatch):
     pool, first = sensed.pool, Mode(lab_frame.camera_from_object_truth, 1.0, -8.0, 1e-6 * np.eye(6))
     near = Prior.isotropic(first.pose, 0.2, 0.03)
