@@ -179,3 +179,20 @@ def test_rounded_edges_that_are_brighter_than_the_ground_may_end_early():
     assert np.median(rounded) > 0.5
     assert np.median(sharp) < np.median(rounded)
     assert np.median(darker) == 0.0
+
+
+def test_rounded_edges_are_believed_to_end_early_where_nothing_tells():
+    """An image in which lines weigh nothing leaves what is believed; one that tells moves it to what is seen."""
+    frame, model = photographed("sphere", ground=10.0)
+    pose = frame.camera_from_object_truth
+    evidence = ContourEvidence(frame, model, Predictor(frame, model, DepthModel()), pose, 1e-4)
+    evidence.share = 1e-12 * evidence.alone
+    evidence.terms(np.zeros(6))
+    assert evidence._common == pytest.approx([0.0, 0.0, 0.0, -evidence.settings.early], abs=1e-3)
+    evidence.share = evidence.alone
+    for _ in range(4):
+        gradient, _ = evidence.terms(np.zeros(6))
+    off = evidence.common @ evidence._common
+    # what all lines share says how far the image's border is inside, whatever is believed of rounded edges
+    assert np.median(off) < 0.0
+    assert np.isfinite(gradient).all()
