@@ -86,6 +86,12 @@ class PredictionSettings:
     # Nats of a whole outline over which a surface runs on, and how far (m, and share of depth) the next pixel may be
     # from where the seen surface leads.
     runs_on: float = 60.0
+    # Where what hides the object is unknown: nats of as many borders as a whole outline has, across which the surface
+    # that agrees runs on to be what hides the object: it goes through another thing. And the most that they cost, since
+    # a finger may lie against the object smoothly. Of right poses nine in ten have up to 0.07, half of the wrong ones
+    # 0.17 and more (`stranger`, `borrowed`); 60 to 240 nats, and a most of 10 or none, are alike.
+    runs_on_within: float = 120.0
+    most_within: float = 15.0
     smooth: float = 0.003
     smooth_share: float = 0.004
     # A mask is right to so many pixels: what is seen outside of it is not the object.
@@ -106,7 +112,8 @@ class Prediction:
     seen: at the depth predicted, falling off smoothly with the difference; beyond: of these, on what goes on beyond the
     outline in one colour, as far as it does; agree: within the tolerance; past: seen through, or under a table; hidden:
     behind something that is not the robot's hand; behind_hand: the hand explains it; outline: of the border, where the
-    seen surface runs on smoothly beyond it. count: rays that met the object inside the image. area: of the outline
+    seen surface runs on smoothly beyond it; within: borders, beside as many as the outline has, across which it runs on
+    within the outline to be what hides the object. count: rays that met the object inside the image. area: of the outline
     (px^2) that they tell of, what the image's border cuts off included. shares (n, SUMS): in the columns of
     predicted_kernels.
     """
@@ -144,6 +151,11 @@ class Prediction:
     def outline(self) -> Array:
         """(n,)."""
         return self.shares[:, kernels.OUTLINE]
+
+    @property
+    def within(self) -> Array:
+        """(n,)."""
+        return self.shares[:, kernels.WITHIN]
 
     @property
     def count(self) -> Array:
@@ -256,7 +268,7 @@ class Predictor:
         p, out = self.predict(candidates, side), np.zeros(len(candidates))
         hidden = s.hidden if self._pieces is None else s.hidden_by_unknown
         usual = self.model.mean_outline * self.camera.fx * self.camera.fy
-        nats, cells = (s.seen, s.past, hidden, s.runs_on), (s.cells, s.cell, s.least_cells)
+        nats, cells = (s.seen, s.past, hidden, s.runs_on, 0.0 if self._pieces is None else s.runs_on_within, s.most_within), (s.cells, s.cell, s.least_cells)
         centroid = self.model.centroid
         kernels.cost_of_shares(
             np.ascontiguousarray(candidates), centroid, p.shares, p.beyond, p.area, usual, nats, cells, out

@@ -17,10 +17,10 @@ from scenes.geometry.cameras import FARTHEST_READING
 HIT, READ, NEAR, HIDDEN, BY_HAND = 1, 2, 4, 8, 16
 
 # Columns of what the rays of a pose add up to: rays that met the object, those of them without a reading, seen (falling
-# off with the difference), at the predicted depth, seen past, hidden, by the hand, and the share of the outline across
-# which the surface runs on.
-HITS, UNREAD, SEEN, AGREE, PAST, BEHIND, BEHIND_HAND, OUTLINE = range(8)
-SUMS = 8
+# off with the difference), at the predicted depth, seen past, hidden, by the hand, the share of the outline across
+# which the surface runs on, and beside that outline the borders within it across which it runs on to hide the object.
+HITS, UNREAD, SEEN, AGREE, PAST, BEHIND, BEHIND_HAND, OUTLINE, WITHIN = range(9)
+SUMS = 9
 
 # Nearer than this (m) before the camera nothing is projected.
 _NEAREST = 1e-3
@@ -168,7 +168,8 @@ def sum_up(u, v, image, camera, noise, limits, seen, state, past, fade, out):
 
     The surface runs on across the outline where two pixels beyond it are within smooth (m) and smooth_share (of depth)
     of where the two rays before it lead: the next ray's, and one so far on that no smeared edge reaches it. What is
-    the table's, or outside of the mask, is another thing for sure.
+    the table's, or outside of the mask, is another thing for sure. Within the outline it runs on where the next ray is
+    hidden, and seen where they lead.
     u, v (n, side), image, camera, noise: as of compare_pixels. limits: smooth (m), its share of depth, reach of an edge
     (px), margin (m) and sigmas of the plane.
     """
@@ -176,7 +177,7 @@ def sum_up(u, v, image, camera, noise, limits, seen, state, past, fade, out):
     side = u.shape[1]
     for n in range(out.shape[0]):
         begin = n * side * side
-        edges = running = 0
+        edges = running = within = 0
         for j in range(side):
             for i in range(side):
                 k = begin + j * side + i
@@ -199,23 +200,26 @@ def sum_up(u, v, image, camera, noise, limits, seen, state, past, fade, out):
                     dj, di = (way - 1, 0) if way % 2 == 0 else (0, way - 2)
                     in_grid = 0 <= j + dj < side and 0 <= i + di < side
                     beyond = k + dj * side + di
-                    if in_grid and state[beyond] & HIT:
-                        continue
-                    edges += 1
                     back = k - dj * side - di
+                    inner = in_grid and state[beyond] & HIT
+                    edges += not inner
                     if not in_grid or not 0 <= j - dj < side or not 0 <= i - di < side:
                         continue
-                    if not bits & NEAR or not state[back] & NEAR or not state[beyond] & READ:
+                    if not bits & NEAR or not state[back] & NEAR or not state[beyond] & (HIDDEN if inner else READ):
                         continue
                     slope = seen[k] - seen[back]
                     room = smooth + smooth_share * seen[k]
                     if abs(seen[beyond] - seen[k] - slope) >= room:
+                        continue
+                    if inner:
+                        within += 1
                         continue
                     step = abs(u[n, i + di] - u[n, i]) if di else abs(v[n, j + dj] - v[n, j])
                     column, row = u[n, i + di] + di * reach, v[n, j + dj] + dj * reach
                     lead = seen[k] + slope * (1.0 + reach / max(step, 1))
                     running += _leads_to(image, camera, noise, column, row, lead, room, plane_margin, plane_sigmas)
         out[n, OUTLINE] = running / max(edges, 1)
+        out[n, WITHIN] = within / max(edges, 1)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -246,10 +250,10 @@ def cost_of_shares(poses, centroid, shares, beyond, area, outline, nats, cells, 
     An outline counts by its area (n,) (px^2) beside the object's from a usual side at its distance, and beside what as
     many cells need: shares alone would have a can's end that nothing hides tell as much as its side of which a hand
     hides a third. outline: that usual area at a distance of a metre. nats: of a cell that is seen, seen past and
-    hidden, and of an outline over which a surface runs on. cells: of a whole outline, pixels (px^2) that one has at
-    least, and the least share of them that a small outline amounts to.
+    hidden, of an outline over which a surface runs on, of as many borders within it, and the most of these. cells: of a
+    whole outline, pixels (px^2) that one has at least, and the least share of them that a small outline amounts to.
     """
-    seen, past, hidden, runs_on = nats
+    seen, past, hidden, runs_on, within, most_within = nats
     count, pixels, least = cells
     for n in range(poses.shape[0]):
         if not shares[n, HITS] > 0.0:
@@ -262,7 +266,8 @@ def cost_of_shares(poses, centroid, shares, beyond, area, outline, nats, cells, 
         usual = outline / max(z, 1e-3) ** 2
         size = min(max(area[n] / max(usual, count * pixels), least), 1.0)
         of_cells = past * shares[n, PAST] + hidden * shares[n, BEHIND] - seen * (shares[n, SEEN] - beyond[n])
-        out[n] = size * (count * of_cells + runs_on * shares[n, OUTLINE])
+        by_itself = min(within * shares[n, WITHIN], most_within)
+        out[n] = size * (count * of_cells + runs_on * shares[n, OUTLINE] + by_itself)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fusion.estimation.proposals import ProposalSettings, search_stages
 from scenes.evidence import table as tables
 from scenes.evidence.align import Alignment, AlignSettings, Prior, align, costs
-from scenes.evidence.modes import Mode, ModeSettings, distinct_modes
+from scenes.evidence.modes import Mode, ModeSettings, distinct_modes, weighed
 from scenes.evidence.near_symmetries import near_symmetries, quarter_turns
 from scenes.evidence.search import SETTLED, SearchStage, leaders, search, thin
 from scenes.evidence.table import GATE_ABOVE, Evidence
@@ -37,8 +37,10 @@ Array = NDArray[np.float64]
 class PoolSettings:
     """How many poses compete, and how they are fitted to what is seen of them. Tuned on generated captures."""
 
-    # Poses that touch alone proposes.
+    # Poses that touch alone proposes; and without a start so many that it ends in are ranked by the whole objective
+    # first: many explain all of few contacts (of 50 or 150 the same were found on frames of another generator).
     by_touch: int = 8
+    felt_kept: int = 50
     # Starts near a prior from which pixels alone are descended to, the prior's own pose first, in one round after the
     # other; blurs (m) of the passes, as ICP's shrinking gates; steps of each, and rows.
     descents: tuple[int, ...] = (8, 24, 32)
@@ -131,7 +133,7 @@ class Pool:
     """What is known of the frame beyond poses: rows of touch as they are believed now, and a prior; `predictor` says
     what must be seen, `sight` quickly what is seen past. looked and depth: what pixels are worth as rows. held: the
     robot's own hand, where it is known. coloured: pieces of the image by depth and colour; no_colours: why there are
-    none.
+    none. told: what modes weigh in what is told of an answer.
     """
 
     model: ObjectModel
@@ -149,6 +151,7 @@ class Pool:
     held: Held | None = None
     coloured: tuple[Pixels, ...] = ()
     no_colours: str = ""
+    told: ModeSettings = field(default_factory=ModeSettings)
 
     @property
     def apart(self) -> float:
@@ -171,9 +174,12 @@ class Pool:
         """(n, 4, 4) poses that touch alone, and descents from near the start, propose beside a search over all rows."""
         s, parts = self.settings, []
         if (self.felt.rows[:, GATE_ABOVE] > 0).any():
+            if start is None:
+                stages = tuple(replace(stage, keep=max(stage.keep, s.felt_kept)) for stage in stages)
             felt = search(self.model, self.felt, starts, stages, self.prior, apart=0.5 * self.apart, settled=SETTLED)
-            best, _ = leaders(self.model, felt.poses, self.apart)
-            parts.append(felt.poses[best[: s.by_touch]])
+            ends = felt.poses if start is not None else felt.poses[np.argsort(self.walking(felt.poses), kind="stable")]
+            best, _ = leaders(self.model, ends, self.apart)
+            parts.append(ends[best[: s.by_touch]])
         on = seen.take(seen.rows[:, GATE_ABOVE] > 0)
         if start is not None and len(on):
             few, poses = thin(on, s.descent_rows), np.concatenate([start[None], starts[: descents - 1]])
@@ -332,6 +338,9 @@ class Pool:
         s = self.settings
         if shown is None:
             shown = s.least_shown_felt if self.tied else s.least_shown
+        if not self.predictor.told_apart:
+            # a cost that another thing may earn is worth less
+            modes = weighed(modes, self.told)
         first = modes[0]
         rivals = sum(mode.weight for mode in modes[1:] if mode.cost < first.cost + s.surely_apart)
         if first.weight < s.sure_share * (first.weight + rivals):

@@ -7,7 +7,7 @@ so that a free direction has the width of everything it could be, not infinity.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +64,13 @@ def covariance_of(model: ObjectModel, hessian: Array, settings: ModeSettings | N
     values, vectors = np.linalg.eigh(0.5 * (scaled + np.swapaxes(scaled, -1, -2)))
     inverse = (vectors / np.maximum(values, 1.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
     return np.asarray(inverse * weak * weak[:, None])
+
+
+def weighed(modes: tuple[Mode, ...], settings: ModeSettings) -> tuple[Mode, ...]:
+    """The same modes, at least one, in the same order, with the shares of the posterior that other settings give them."""
+    costs, covariances = np.array([mode.cost for mode in modes]), np.array([mode.covariance for mode in modes])
+    weights = _weights(costs, covariances, settings)
+    return tuple(replace(mode, weight=float(weight)) for mode, weight in zip(modes, weights))
 
 
 def _weights(costs: Array, covariances: Array, settings: ModeSettings) -> Array:

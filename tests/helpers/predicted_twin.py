@@ -9,7 +9,7 @@ from vision.predicted import Prediction
 
 
 def predicted(found, pose, side):
-    """Shares (seen, agree, past, hidden, behind_hand, outline) and hits of one pose (4, 4); found: a Predictor."""
+    """Shares (seen, agree, past, hidden, behind_hand, outline, within) and hits of one pose (4, 4); found: a Predictor."""
     s, camera, depth, belief = found.settings, found.camera, found._depth, found.belief
     u, v, inside = grid(found, pose, side)
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
@@ -42,7 +42,7 @@ def predicted(found, pose, side):
     total = max(hit.sum() - s.unread * (hit & ~read).sum(), 1.0) / max(share, 1e-3)
     sums = [x.sum() / total for x in (fade, near, past_share, hidden, by_hand & ~past)]
     sums[3] += 1.0 - share
-    return *sums, runs_on(found, hit, near, read, seen, u, v, side), int(hit.sum())
+    return *sums, *runs_on(found, hit, near, read, hidden, seen, u, v, side), int(hit.sum())
 
 
 def size(found, candidates, picture):
@@ -53,11 +53,14 @@ def size(found, candidates, picture):
 
 
 def cost(found, candidates, picture):
-    """(n,) nats of poses (n, 4, 4), nobody's pieces."""
+    """(n,) nats of poses (n, 4, 4), of one colour each or none."""
     s, p = found.settings, picture
-    shares = s.past * p.past + s.hidden * p.hidden - s.seen * p.seen
-    whole = size(found, candidates, p) * (s.cells * shares + s.runs_on * p.outline)
-    return np.where(p.count > 0, whole, s.cells * s.hidden)
+    hidden = s.hidden if found.told_apart else s.hidden_by_unknown
+    shares = s.past * p.past + hidden * p.hidden - s.seen * p.seen
+    smooth = s.runs_on * p.outline
+    if not found.told_apart:
+        smooth = smooth + np.minimum(s.runs_on_within * p.within, s.most_within)
+    return np.where(p.count > 0, size(found, candidates, p) * (s.cells * shares + smooth), s.cells * hidden)
 
 
 def picture(seen=0.9, agree=0.95, past=0.0, hidden=0.0, behind_hand=0.0, outline=0.0):
@@ -120,12 +123,15 @@ def nearest_around(depth, reach):
     return windows.min(axis=(2, 3))
 
 
-def runs_on(found, hit, near, read, seen, u, v, side):
-    """Share of the outline across which the surface that is seen inside goes on as it was, further than edges smear."""
+def runs_on(found, hit, near, read, hidden, seen, u, v, side):
+    """Share of the outline across which the surface that is seen inside goes on as it was, further than edges smear; and
+    beside it the borders within, where it goes on to hide.
+    """
     s = found.settings
     reach = found.reach
-    hit, near, read, seen, u, v = (np.pad(x.reshape(side, side), 1) for x in (hit, near, read, seen, u, v))
-    smooth = border = 0
+    grids = hit, near, read, hidden, seen, u, v
+    hit, near, read, hidden, seen, u, v = (np.pad(x.reshape(side, side), 1) for x in grids)
+    smooth = border = within = 0
     for axis in (0, 1):
         for step in (1, -1):
             beyond = hit & ~np.roll(hit, step, axis)
@@ -135,11 +141,12 @@ def runs_on(found, hit, near, read, seen, u, v, side):
             apart = np.abs(next_v - v) if axis == 0 else np.abs(next_u - u)
             far_u, far_v = (next_u, next_v - step * reach) if axis == 0 else (next_u - step * reach, next_v)
             lead = seen + slope * (1.0 + reach / np.maximum(apart, 1))
-            close = np.abs(np.roll(seen, step, axis) - seen - slope) < room
+            close = near & np.roll(near, -step, axis) & (np.abs(np.roll(seen, step, axis) - seen - slope) < room)
+            within += (hit & np.roll(hit & hidden, step, axis) & close).sum()
             close &= leads_to(found, far_u.ravel(), far_v.ravel(), lead.ravel(), room.ravel()).reshape(close.shape)
-            smooth += (beyond & near & np.roll(near, -step, axis) & np.roll(read, step, axis) & close).sum()
+            smooth += (beyond & np.roll(read, step, axis) & close).sum()
             border += beyond.sum()
-    return smooth / max(border, 1)
+    return smooth / max(border, 1), within / max(border, 1)
 
 
 def leads_to(found, u, v, lead, room):

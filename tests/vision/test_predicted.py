@@ -77,12 +77,37 @@ def test_the_kernels_say_what_plain_arrays_say(lab_frame, drill, rng, known):
     candidates = np.array([truth, *around, *far])
     for side in (7, 16):
         got = found.predict(candidates, side)
-        columns = got.seen, got.agree, got.past, got.hidden, got.behind_hand, got.outline, got.count
+        columns = got.seen, got.agree, got.past, got.hidden, got.behind_hand, got.outline, got.within, got.count
         expected = [predicted_twin.predicted(found, pose, side) for pose in candidates]
         np.testing.assert_allclose(np.array(columns).T, expected, atol=1e-9)
         np.testing.assert_allclose(
             found.costs(candidates, side), predicted_twin.cost(found, candidates, got), atol=1e-9
         )
+
+
+def test_a_surface_that_goes_through_the_object_is_another_thing(lab_frame, drill):
+    """What hides the object ends in a step of depth; where the surface that agrees runs on to hide it, it is not it."""
+    frame, model = plain_view("box"), library.make("box")
+    truth = frame.camera_from_object_truth
+    middle = poses.apply(truth, model.centroid[None])[0]
+    turned = poses.make_pose(poses.exp_rotation([0.0, np.deg2rad(12.0), 0.0]), np.zeros(3))
+    turned[:3, 3] = middle - turned[:3, :3] @ middle + 0.015 * middle / np.linalg.norm(middle)
+    candidates = np.array([truth, turned @ truth])
+    whole = np.zeros([-(-size // PredictionSettings().piece_step) for size in frame.depth.shape], dtype=np.int64)
+    unknown, known = predictor(frame, model, pieces=whole), predictor(frame, model)
+    found = unknown.predict(candidates)
+    assert found.within[0] == 0.0
+    assert found.within[1] > 0.15
+    # it costs that, where nobody says what hides the object
+    for looking in (unknown, known):
+        got = looking.predict(candidates)
+        np.testing.assert_allclose(
+            looking.costs(candidates), predicted_twin.cost(looking, candidates, got), atol=1e-9
+        )
+    # fingers stand in front of what they hide
+    held = predictor(replace(lab_frame, mask=None), drill).predict(lab_frame.camera_from_object_truth[None])
+    assert held.hidden[0] > 0.4
+    assert held.within[0] < 0.07
 
 
 def test_the_cost_rises_with_distance_from_the_truth(rng):

@@ -115,6 +115,7 @@ def sense(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: 
         held=_held(frame, hand),
         coloured=parted.pieces,
         no_colours=parted.why_not,
+        told=settings.told,
     )
     return Sensed(frame, viewed, touched, looked, felt, seen, tables.stack(seen, felt.rows), sight, pool)
 
