@@ -113,8 +113,8 @@ class Prediction:
     outline in one colour, as far as it does; agree: within the tolerance; past: seen through, or under a table; hidden:
     behind something that is not the robot's hand; behind_hand: the hand explains it; outline: of the border, where the
     seen surface runs on smoothly beyond it; within: borders, beside as many as the outline has, across which it runs on
-    within the outline to be what hides the object. count: rays that met the object inside the image. area: of the outline
-    (px^2) that they tell of, what the image's border cuts off included. shares (n, SUMS): in the columns of
+    within the outline to be what hides the object. count: rays that met the object inside the image. area: of the
+    outline (px^2) that they tell of, what the image's border cuts off included. shares (n, SUMS): in the columns of
     predicted_kernels.
     """
 
@@ -268,7 +268,10 @@ class Predictor:
         p, out = self.predict(candidates, side), np.zeros(len(candidates))
         hidden = s.hidden if self._pieces is None else s.hidden_by_unknown
         usual = self.model.mean_outline * self.camera.fx * self.camera.fy
-        nats, cells = (s.seen, s.past, hidden, s.runs_on, 0.0 if self._pieces is None else s.runs_on_within, s.most_within), (s.cells, s.cell, s.least_cells)
+        nats, cells = (
+            (s.seen, s.past, hidden, s.runs_on, 0.0 if self._pieces is None else s.runs_on_within, s.most_within),
+            (s.cells, s.cell, s.least_cells),
+        )
         centroid = self.model.centroid
         kernels.cost_of_shares(
             np.ascontiguousarray(candidates), centroid, p.shares, p.beyond, p.area, usual, nats, cells, out

@@ -67,7 +67,7 @@ def covariance_of(model: ObjectModel, hessian: Array, settings: ModeSettings | N
 
 
 def weighed(modes: tuple[Mode, ...], settings: ModeSettings) -> tuple[Mode, ...]:
-    """The same modes, at least one, in the same order, with the shares of the posterior that other settings give them."""
+    """The same modes, at least one, in the same order, with the shares that other settings give them."""
     costs, covariances = np.array([mode.cost for mode in modes]), np.array([mode.covariance for mode in modes])
     weights = _weights(costs, covariances, settings)
     return tuple(replace(mode, weight=float(weight)) for mode, weight in zip(modes, weights))

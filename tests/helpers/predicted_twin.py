@@ -9,7 +9,7 @@ from vision.predicted import Prediction
 
 
 def predicted(found, pose, side):
-    """Shares (seen, agree, past, hidden, behind_hand, outline, within) and hits of one pose (4, 4); found: a Predictor."""
+    """Shares (seen, agree, past, hidden, behind_hand, outline, within) and hits of a pose (4, 4); found: a Predictor."""
     s, camera, depth, belief = found.settings, found.camera, found._depth, found.belief
     u, v, inside = grid(found, pose, side)
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
@@ -124,8 +124,8 @@ def nearest_around(depth, reach):
 
 
 def runs_on(found, hit, near, read, hidden, seen, u, v, side):
-    """Share of the outline across which the surface that is seen inside goes on as it was, further than edges smear; and
-    beside it the borders within, where it goes on to hide.
+    """Share of the outline across which the surface that is seen inside goes on as it was, further than edges smear;
+    and beside it the borders within, where it goes on to hide.
     """
     s = found.settings
     reach = found.reach

@@ -101,9 +101,7 @@ def test_a_surface_that_goes_through_the_object_is_another_thing(lab_frame, dril
     # it costs that, where nobody says what hides the object
     for looking in (unknown, known):
         got = looking.predict(candidates)
-        np.testing.assert_allclose(
-            looking.costs(candidates), predicted_twin.cost(looking, candidates, got), atol=1e-9
-        )
+        np.testing.assert_allclose(looking.costs(candidates), predicted_twin.cost(looking, candidates, got), atol=1e-9)
     # fingers stand in front of what they hide
     held = predictor(replace(lab_frame, mask=None), drill).predict(lab_frame.camera_from_object_truth[None])
     assert held.hidden[0] > 0.4
