@@ -266,12 +266,9 @@ class Predictor:
             return np.zeros(len(candidates))
         assert self.camera is not None
         p, out = self.predict(candidates, side), np.zeros(len(candidates))
-        hidden = s.hidden if self._pieces is None else s.hidden_by_unknown
+        hidden, within = (s.hidden, 0.0) if self.told_apart else (s.hidden_by_unknown, s.runs_on_within)
         usual = self.model.mean_outline * self.camera.fx * self.camera.fy
-        nats, cells = (
-            (s.seen, s.past, hidden, s.runs_on, 0.0 if self._pieces is None else s.runs_on_within, s.most_within),
-            (s.cells, s.cell, s.least_cells),
-        )
+        nats, cells = (s.seen, s.past, hidden, s.runs_on, within, s.most_within), (s.cells, s.cell, s.least_cells)
         centroid = self.model.centroid
         kernels.cost_of_shares(
             np.ascontiguousarray(candidates), centroid, p.shares, p.beyond, p.area, usual, nats, cells, out

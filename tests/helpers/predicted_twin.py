@@ -9,7 +9,7 @@ from vision.predicted import Prediction
 
 
 def predicted(found, pose, side):
-    """Shares (seen, agree, past, hidden, behind_hand, outline, within) and hits of a pose (4, 4); found: a Predictor."""
+    """Shares (seen, agree, past, hidden, behind_hand, outline, within) and hits of a pose; found: a Predictor."""
     s, camera, depth, belief = found.settings, found.camera, found._depth, found.belief
     u, v, inside = grid(found, pose, side)
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
