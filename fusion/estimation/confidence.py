@@ -49,11 +49,12 @@ class Regression:
     visible: float = 0.0
     sharp: float = 0.0
     # Of the shares that are seen past, hidden by something unknown, by the robot's hand; and of the outline that runs
-    # on. Those against are capped.
+    # on, beside which of the borders within. Those against are capped.
     past: float = 0.0
     hidden: float = 0.0
     behind_hand: float = 0.0
     outline: float = 0.0
+    within: float = 0.0
     # Of there being contacts, of the share of them that are outliers, and of their cost (nats each).
     touch: float = 0.0
     outliers: float = 0.0
@@ -96,6 +97,7 @@ FEATURES = (
     Feature("hidden", -1),
     Feature("behind_hand"),
     Feature("outline", -1),
+    Feature("within", -1),
     Feature("touch", +1),
     Feature("outliers", -1, felt=True),
     Feature("contact_nats", -1, felt=True),
@@ -144,11 +146,12 @@ class ConfidenceSettings:
         constant=0.816,
         nearest=0.6548,
     )
-    # Share of the picture above which agreement speaks for an answer, and the most of what is seen past and of the
-    # outline that runs on (shares) that speaks against one: cameras that blend edges draw surfaces on.
+    # Share of the picture above which agreement speaks for an answer, and the most of what is seen past, of the outline
+    # that runs on and of borders within it (shares) that speaks against one: cameras that blend edges draw surfaces on.
     agreeing: float = 0.8
     most_past: float = 0.3
     most_outline: float = 0.15
+    most_within: float = 0.3
     # Share that agrees whose logarithm counts at least.
     least_agreeing: float = 0.02
     # Weight of the first mode and of those like it (no unit) from which nothing else is left beside them.
@@ -234,6 +237,7 @@ def observations(
         found["sharp"] = float(picture.seen[0]) / max(float(picture.agree[0]), s.least_agreeing)
         found["past"] = min(float(picture.past[0]), s.most_past)
         found["outline"] = min(float(picture.outline[0]), s.most_outline)
+        found["within"] = min(float(picture.within[0]), s.most_within)
         found["hidden"], found["behind_hand"] = float(picture.hidden[0]), float(picture.behind_hand[0])
     return found
 
