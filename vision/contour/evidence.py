@@ -135,9 +135,9 @@ class ContourSettings:
     # the covariance alone: of 0, 0.02, 0.05 and 0.1 what made the true errors of 214 answers of the tuning families
     # likeliest, as a Student distribution whose degrees of freedom it raised.
     another: float = 0.05
-    # And by how much more (a factor) where none of the lines were clear, in proportion to those that are not: what is read there
-    # may be of something else. Of 0, 0.2 and 0.4 what makes 95 % regions of `dots` by vision hold 90 % (of 83), and
-    # leaves those of `d435` at 98.
+    # And by how much more (a factor) where none of the lines were clear, in proportion to those that are not: what is
+    # read there may be of something else. Of 0, 0.2 and 0.4 what makes 95 % regions of `dots` by vision hold 90 % (of
+    # 83), and leaves those of `d435` at 98.
     unclear: float = 0.4
     # A pose is not moved by more than this (chi-square of six degrees of freedom; 22.5 is passed once in a thousand).
     most_moved: float = 22.5
