@@ -74,8 +74,8 @@ class PoolSettings:
     most_runs_on_unknown: float = 0.1
     least_agree: float = 0.8
     least_shown: float = 0.12
-    # The same near a prior where contacts hold the object and it is known what hides it: of 248 such answers of tuning
-    # families as many were right with 0, 0.05 and 0.12, but with 0 one more was missed where 2 % are seen.
+    # The same share near a prior where contacts hold the object and it is known what hides it: of 248 such answers of
+    # tuning families as many were right with 0, 0.05 and 0.12, but with 0 one more was missed where 2 % are seen.
     least_shown_felt: float = 0.05
     sure_share: float = 0.9
     # A mode that costs so many nats more than the first takes nothing from its share: where few pixels are left inside
@@ -110,7 +110,7 @@ class PoolSettings:
     glance_apart: float = 8.0
     # Nats by which one drawn around it must be likelier for the best to be in doubt after all.
     bettered: float = 2.0
-    # The same where a glance found what is as likely, for a walk to be asked after all.
+    # The same (nats) where a glance found what is as likely, for a walk to be asked after all.
     hardly: float = 1.0
     # Poses nearer to each other than this share of the distance at which modes are one go on as one.
     together: float = 0.5
