@@ -38,11 +38,23 @@ def shown_rows(
         return [_rows(predictor, view, n, free, settings, least, most)[1] for n in range(len(poses))]
     found = []
     for pose in poses:
-        shown, rows = _rows(predictor, predictor.view(pose[None], s.sides_rows[0]), 0, free, settings, least, most)
+        shown, rows = 0, Evidence(np.zeros((0, COLUMNS)), np.zeros(0, dtype=np.uint8))
+        if _would_show(predictor, pose, s.sides_rows[0]) >= s.enough_rows:
+            shown, rows = _rows(predictor, predictor.view(pose[None], s.sides_rows[0]), 0, free, settings, least, most)
         if shown < s.enough_rows:
             shown, rows = _rows(predictor, predictor.view(pose[None], s.sides_rows[1]), 0, free, settings, least, most)
         found.append(rows)
     return found
+
+
+def _would_show(predictor: Predictor, pose: Array, side: int) -> float:
+    """About how many of `side` rays along each side of the box around the outline at pose (4, 4) show the object, by
+    the few that a pose is scored by: all but those at the rim of the outline.
+    """
+    few, finer = predictor.predict(pose[None]), side / predictor.settings.side
+    across = finer * np.sqrt(few.count[0])
+    rim = 1.0 - 2.0 / max(across, 2.0)
+    return float(few.agree[0] * across**2 * rim**2)
 
 
 def _rows(
@@ -53,8 +65,10 @@ def _rows(
     chosen = np.zeros(side * side, dtype=np.int64)
     shown = kernels.shown_rays(view.state[n], side, 1, s.thin_share, chosen)
     depths = np.array(s.empty_depths)
-    room = np.zeros((side * side * len(depths), COLUMNS))
-    rows = np.zeros((settings.most + len(free) + len(room), COLUMNS))
+    # of rays that see past, as many are taken as a pose is scored by
+    room = np.zeros((min(side, s.side) ** 2 * len(depths), COLUMNS))
+    kept = most + max(1, most // 2) if most else settings.most + len(free) + len(room)
+    rows = np.zeros((kept, COLUMNS))
     count = kernels.fill_rows(
         view.u[n],
         view.v[n],

@@ -83,8 +83,8 @@ def fill_rows(u, v, view, camera, chosen, limits, noise, surface, beyond, free, 
     rows of pixels, square of the length (px) over which pixels share a bias, gates above and below. beyond: depths (m)
     behind the surface at which a ray that sees past is empty, clearance, sigma, gate, cells of an outline, and rays of
     a side by which a pose is scored. free (k, COLUMNS): more of that, wherever the object is. most: at most so many of
-    the pixels' and half as many of the other rows are taken, evenly, carrying the weight of all; 0: all. room (3
-    side^2, COLUMNS) to work in.
+    the pixels' and half as many of the other rows are taken, evenly, carrying the weight of all; 0: all. room:
+    to work in, as many rows as `beyond` has depths for each ray that it is scored by.
     """
     expected, seen, state, past = view
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]

@@ -170,7 +170,8 @@ def glance(pool: Pool, rows: Evidence, starts: Array, trace: Trace) -> Competiti
         asked.look_beside()
         why = asked.enough
     elif asked.convinced and pool.predictor.told_apart and pool.shows_most(asked.modes[0].pose):
-        asked.look_around()
+        alone = asked.proposed == 1 and len(asked.modes) == 1
+        asked.look_around("all that was tried ended in one place" if alone else "")
         why = asked.enough
     for source in ("rows", "touch and descents", walk_of(pool)) if why else ():
         asked.enter(source, lambda: np.zeros((0, 4, 4)), why)

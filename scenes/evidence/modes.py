@@ -75,6 +75,8 @@ def weighed(modes: tuple[Mode, ...], settings: ModeSettings) -> tuple[Mode, ...]
 
 def _weights(costs: Array, covariances: Array, settings: ModeSettings) -> Array:
     """Shares (n,) of the posterior, see `ModeSettings.temper`."""
+    if len(costs) == 1:
+        return np.ones(1)
     log_weights = -settings.temper * costs + 0.5 * settings.width * np.linalg.slogdet(covariances)[1]
     weights = np.exp(log_weights - log_weights.max())
     return np.asarray(weights / weights.sum())

@@ -43,6 +43,7 @@ class NearSettings:
 
 
 _FOUND: WeakKeyDictionary[ObjectModel, Array] = WeakKeyDictionary()
+_TURNS: WeakKeyDictionary[ObjectModel, Array] = WeakKeyDictionary()
 
 
 def near_symmetries(model: ObjectModel) -> Array:
@@ -96,8 +97,15 @@ def find_near_symmetries(model: ObjectModel, settings: NearSettings | None = Non
 
 def quarter_turns(model: ObjectModel) -> Array:
     """(23, 4, 4) object_from_object: the turns of a cube about the object's centroid and principal axes, the identity
-    not among them.
+    not among them; worked out at the first call for an object.
     """
+    found = _TURNS.get(model)
+    if found is None:
+        found = _TURNS[model] = _quarter_turns(model)
+    return found
+
+
+def _quarter_turns(model: ObjectModel) -> Array:
     points, _ = model.sample_surface(NearSettings().samples, seed=3)
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
     axes = axes * np.sign(np.linalg.det(axes))

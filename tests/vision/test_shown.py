@@ -76,13 +76,16 @@ def test_poses_together_say_what_each_says_alone(lab_frame, drill, rng):
         np.testing.assert_array_equal(shown_rows(found, pose[None], tables.empty(), rows, LEAST, 24)[0].rows, mine.rows)
 
 
-def test_a_finer_look_where_few_pixels_show_it(lab_frame, drill):
+def test_a_finer_look_where_few_pixels_show_it(lab_frame, drill, monkeypatch):
     truth = lab_frame.camera_from_object_truth[None]
     found, rows = Predictor(lab_frame, drill, DepthModel()), RowSettings()
     coarse, fine = found.settings.sides_rows
     on = {side: len(found.shown(truth[0], side)) for side in (coarse, fine)}
     assert on[coarse] < found.settings.enough_rows < on[fine]
+    views, seen = found.view, []
+    monkeypatch.setattr(found, "view", lambda one, side: seen.append(side) or views(one, side))
     (asked,) = shown_rows(found, truth, tables.empty(), rows, LEAST)
+    assert coarse not in seen  # few rays tell that they would be too few
     (finer,) = shown_rows(found, truth, tables.empty(), rows, LEAST, fine)
     np.testing.assert_array_equal(asked.rows, finer.rows)
 
