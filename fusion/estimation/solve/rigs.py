@@ -45,14 +45,15 @@ def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[Joint
 
 
 def _rigs(problem: JointProblem, start: Array) -> list[Settled | Expected]:
-    """Where each rig ends from a start (4, 4). The first two are solved; of the others those that count, as far as the
-    second says where they end.
+    """Where each rig ends from a start (4, 4). Where a prior holds the pose the first two are solved, and of the others
+    those that count, as far as the second says where they end.
     """
     settings = problem.settings
+    solved = len(settings.rigs) if problem.prior is None else settings.solved
     tried: list[Settled | Expected] = []
     last: Settled | None = None
     for n, rig in enumerate(settings.rigs):
-        if last is not None and n >= settings.solved:
+        if last is not None and n >= solved:
             guess = expected(last, rig.level)
             if _shares([*(one.log_evidence for one in tried), guess.log_evidence], settings)[-1] < settings.counting:
                 tried.append(guess)

@@ -30,9 +30,10 @@ class JointSettings:
     # anything is seen, and the weight of a pixel in it. A rig without shared errors, a usual one, a poor one; with one
     # in between, at 0.2 or 0.4, frames that show little of the hand took it too often, and were too sure.
     rigs: tuple[Rig, ...] = (Rig(0.25, 0.1), Rig(1.0, 0.7), Rig(2.0, 0.15), Rig(4.0, 0.05))
-    # So many rigs are solved; the others end where the last one's Gauss-Newton matrix says, but for those that have at
-    # least this share of the mixture. So told, the log evidence of the third was right to 1.2 nats in nine of ten of
-    # 335 answers of tuning families, of which a quarter counts; the share of the third was 3 % on average.
+    # Near a prior so many rigs are solved; the others end where the last one's Gauss-Newton matrix says, but for those
+    # that have at least this share of the mixture. So told, the log evidence of the third was right to 1.2 nats in nine
+    # of ten of 335 answers of tuning families, of which a quarter counts; the share of the third was 3 % on average.
+    # Without a prior a rig may end elsewhere, and tells how wide an answer is: there all are solved.
     solved: int = 2
     counting: float = 0.1
     # Weight of a pixel. Neighbours share what nothing here describes: fingers whose joints are off, flying pixels, the

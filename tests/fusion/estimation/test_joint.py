@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fusion.estimation.solve import rigs
 from fusion.estimation.solve.joint import expected, settle, solve
 from fusion.estimation.solve.kernels import mark_near
 from fusion.estimation.solve.problem import JointProblem
@@ -285,14 +286,19 @@ def test_a_rig_beside_one_that_was_solved_ends_where_its_matrix_says(drill):
         assert guess.log_evidence == pytest.approx(there.log_evidence, abs=0.5)
 
 
-def test_a_rig_that_counts_is_solved(drill):
-    """Where all rigs are solved the answer is the same as where those are that count."""
-    problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-5)
+@pytest.mark.parametrize("prior", [True, False])
+def test_a_rig_that_counts_is_solved(drill, monkeypatch, prior):
+    """The answer is the same where all rigs are solved and where those are that count; all are without a prior."""
+    problem, pose = made_problem(drill, np.random.default_rng(0), prior=prior, noise=1e-5)
     off = replace(problem, seen=problem.seen.moved(poses.make_pose(None, [0.0, 0.0, 0.006])))
-    answers = [
-        solve_modes([replace(off, settings=replace(off.settings, solved=solved, counting=0.02))], [pose])[0]
-        for solved in (1, 4)
-    ]
+    few, levels = [], [rig.level for rig in off.settings.rigs]
+    answers = []
+    for solved in (1, 4):
+        monkeypatch.setattr(rigs, "settle", lambda *given: few.append(given[2]) or settle(*given))
+        settings = replace(off.settings, solved=solved, counting=0.02)
+        answers.append(solve_modes([replace(off, settings=settings)], [pose])[0])
+    assert few[-4:] == levels
+    assert (len(few) == 8) == (not prior)
     assert answers[0].level == answers[1].level
     apart = np.linalg.norm(poses.difference(answers[0].pose, answers[1].pose, drill.centroid)[3:])
     assert apart < 0.3 * np.sqrt(np.trace(answers[1].covariance[3:, 3:]))
