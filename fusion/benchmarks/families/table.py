@@ -205,6 +205,16 @@ FAMILIES: dict[str, Family] = {
             mesh_error="dented",
         ),
         _tuned(
+            "counter",
+            "studio",
+            "the same cameras over a table: shades and a ground next to the object, something loose in front",
+            occluders="fingers",
+            scene="table",
+            touch=(),
+            mesh_error="dented",
+            levels=OPEN_LEVELS,
+        ),
+        _tuned(
             "desk",
             "lab",
             "a table-top frame, something loose in front, nothing felt",

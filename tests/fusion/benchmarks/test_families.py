@@ -98,7 +98,7 @@ def test_seeds_of_a_role_stay_in_its_range():
             assert len(set(drawn)) == 5
 
 
-@pytest.mark.parametrize("name", ["loose", "desk", "neighbours", "gripper", "gripper-unmodelled"])
+@pytest.mark.parametrize("name", ["loose", "desk", "counter", "neighbours", "gripper", "gripper-unmodelled"])
 def test_frames_are_what_the_family_says(name):
     family = replace(FAMILIES[name], lens=SMALL)
     (made,) = making.frames_of(family, family.levels[1], 1, 5, family.objects[-1:])
@@ -112,6 +112,15 @@ def test_frames_are_what_the_family_says(name):
     assert np.array_equal(again.frame.depth, frame.depth)
     (other,) = making.frames_of(family, family.levels[1], 1, 6, family.objects[-1:])
     assert not np.array_equal(other.frame.depth, frame.depth)
+
+
+def test_a_colour_camera_beside_depth_has_its_own_colours_and_a_mesh_with_dents():
+    family = replace(FAMILIES["studio"], lens=SMALL)
+    (made,) = making.frames_of(family, 0.3, 1, 5, ("box",))
+    assert made.frame.rgb.shape == (*made.frame.depth.shape, 3)
+    assert np.ptp(made.frame.rgb.astype(int), axis=2).max() > 30
+    dents = library.make("box").field.distance(made.model.vertices)
+    assert 0.0002 < np.sqrt(np.mean(dents**2)) < 0.0015
 
 
 def test_a_wrong_mesh_is_what_the_estimator_gets_and_is_judged_on():
