@@ -30,7 +30,7 @@ def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[Joint
     errors of 211 answers of the tuning families were each 0.1 nats less likely.
     """
     problem, settings = problems[0], problems[0].settings
-    pairs = list(zip(problems, starts))[: settings.modes]
+    pairs = list(zip(problems, starts, strict=True))
     if not problem.ties_depth:
         return [solve(one, start, 1.0) for one, start in pairs]
     tried = _rigs(problem, starts[0])

@@ -47,7 +47,7 @@ class JointSettings:
     negligible: float = 2e-3
     # Share of a contact's sigma by which its normal may have been felt elsewhere on a bent surface (AlignSettings).
     bend: float = 1.0
-    # Modes that are solved, and candidates for choosing the level. The right one was sixth to tenth in one of 60 frames
+    # Modes of a search that are solved. The right one was sixth to tenth in one of 60 frames
     # without a start.
     modes: int = 8
     # Pixels between inducing points of the bias, in correlation lengths, and the most of them.

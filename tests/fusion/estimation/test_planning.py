@@ -12,8 +12,8 @@ from scenes.evidence import table as evidence
 from scenes.evidence.align import Prior
 from scenes.evidence.modes import Mode, ModeSettings
 from scenes.evidence.near_symmetries import near_symmetries
-from scenes.evidence.search import starts_around
-from scenes.evidence.table import TOUCH, VISION
+from scenes.evidence.search import leaders, starts_around
+from scenes.evidence.table import SIGMA, SIGMA_NORMAL, TOUCH, VISION
 from scenes.geometry import poses
 from scenes.synthesis import library
 
@@ -83,8 +83,24 @@ def test_modes_that_cannot_win_are_not_solved():
     assert len(worth_solving(found, PlanSettings(), 5)) == 3  # the first is the answer so far, whatever it weighs
     assert len(worth_solving(found, PlanSettings(skipping=False), 5)) == 4
     felt = 9.0 * np.eye(4)
-    worth = worth_solving(replace(found, also=(felt,)), PlanSettings(skipping=False), 3)
+    worth = worth_solving(replace(found, also=(felt,)), PlanSettings(skipping=False), 2)
     assert [pose[0, 0] for pose in worth] == [0.0, 1.0, 9.0]  # what touch says is solved, however unlikely it seems
+
+
+def test_with_contacts_alone_places_beside_a_mode_are_solved_too():
+    """They are one mode while calibration is believed; each is another end of the search, as likely, and apart."""
+    block, settings, modes = library.make("l_block"), PlanSettings(), ModeSettings()
+    _, rows, starts, prior = scene(block, noise=0.003)
+    contacts = rows.rows[rows.sense == TOUCH][:4]
+    contacts[:, [SIGMA, SIGMA_NORMAL]] = 0.003, 0.2
+    felt = evidence.Evidence(contacts, np.full(4, TOUCH))
+    found = find(block, felt, starts, prior)
+    assert 3 <= len(found.also) <= settings.beside
+    apart = settings.beside_together * modes.merge_share * block.radius
+    all_of_them = np.array([*(mode.pose for mode in found.modes), *found.also])
+    assert len(leaders(block, all_of_them, apart)[0]) == len(all_of_them)
+    # where a picture judges, it is not needed
+    assert find_modes(block, felt, starts, STAGES, prior, nothing_past, settings, modes, 200).also == ()
 
 
 @pytest.mark.parametrize("seed", range(3))
