@@ -382,6 +382,13 @@ class Pool:
         return self._shows(pose, s.least_shown, s.least_agree, s.most_past, s.most_runs_on_unknown)
 
     @property
+    def turns_freely(self) -> bool:
+        """Whether a prior leaves turns about some axis so wide that starts are drawn as if it were narrower."""
+        if self.prior is None:
+            return True
+        return bool(np.linalg.eigvalsh(self.prior.information[:3, :3])[0] < self.proposals.widest_angle**-2.0)
+
+    @property
     def tied(self) -> bool:
         """Whether a pose near the prior is tied by contacts, and it is known what hides the object."""
         return self.prior is not None and self.predictor.told_apart and self.contacts >= self.settings.tying_contacts

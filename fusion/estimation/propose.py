@@ -224,7 +224,10 @@ def modes_near(
         return asked.by_touch(pool.proposed(fresh, stages, seen, prior.pose, descending))
 
     def walked() -> Array:
-        everywhere = np.concatenate([pool.glanced(rows), poses_of(asked.modes), starts, pool.held_starts()])
+        # pairs of pixels tell of turns that draws from the prior do not reach, and of other places in clutter
+        far = pool.turns_freely or not pool.predictor.told_apart
+        seen = pool.glanced(rows) if far else np.zeros((0, 4, 4))
+        everywhere = np.concatenate([seen, poses_of(asked.modes), starts, pool.held_starts()])
         return walk(pool.model, pool.sifted(everywhere), pool.walking, pool.rng, pool.proposals.walk)
 
     for end, descending in zip([*ends, len(starts)], [*settings.descents[: len(ends)], settings.descents[-1]]):

@@ -180,6 +180,7 @@ class Rounds:
         self.model, self.ends, self.shown, self.looked_at = model, iter(ends), shown, []
         self.settings, self.modes, self.prior = PoolSettings(), ModeSettings(), SimpleNamespace(pose=np.eye(4))
         self.predictor, self.tied = SimpleNamespace(sees=True, told_apart=True), False
+        self.turns_freely = True
         self.sight = SimpleNamespace(costs=None)
         self.felt, self.held, self.rng, self.walking = tables.empty(), None, None, None
         self.proposals = ProposalSettings()
@@ -255,6 +256,14 @@ def test_what_a_glance_and_a_round_find_as_likely_is_walked_for_no_more(drill, m
     assert next(stage.ran for stage in trace.stages if stage.name == "propose: a walk") == walks
     # and what the glance found stays where it is likelier
     assert (np.abs(found.modes[0].pose - pose).max() < 1e-9) == (costlier < 0.0)
+
+
+def test_pairs_of_pixels_are_asked_where_a_prior_leaves_turns_that_are_not_drawn(sensed, lab_frame):
+    pose, free = lab_frame.camera_from_object_truth, Prior.isotropic(np.eye(4), 0.2, 0.02).information.copy()
+    assert replace(sensed.pool, prior=None).turns_freely
+    assert not replace(sensed.pool, prior=Prior(pose, free)).turns_freely
+    free[2, 2] = 0.1  # about one axis it may be turned anyhow
+    assert replace(sensed.pool, prior=Prior(pose, free)).turns_freely
 
 
 def test_a_search_that_draws_bettered_does_not_end_by_what_a_glance_found(drill):
