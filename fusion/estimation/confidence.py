@@ -30,11 +30,11 @@ Array = NDArray[np.float64]
 class Regression:
     """Factors of a logistic regression, no unit: what each observation adds to the log odds that a mode is right.
 
-    Tuned on answers to frames of all tuning families but `dots` (docs/evaluation.md; `palpate fit-confidence`), with a
-    start and without: the product of both factors of the probability, at tolerances of 3, 5 and 10 mm, by maximum
-    likelihood, factors held to the sign that they must have: 1408 answers with a picture and 576 by touch alone, to 352
-    frames. What a fit states of a family that was left out is 2.1 % off (by chance alone 1.2; touch alone 7 and 3 %,
-    with a start and without).
+    Tuned on answers to frames of all tuning families (docs/evaluation.md; `palpate fit-confidence`), with a start and
+    without: the product of both factors of the probability, at tolerances of 3, 5 and 10 mm, by maximum likelihood,
+    factors held to the sign that they must have: 1820 answers with a picture and 736 by touch alone, to 456 frames.
+    What a fit states of a family that was left out is 1.9 % off (by chance alone 1.1; touch alone 3 and 6 %, with a
+    start and without).
     """
 
     # Of the logarithm of the first mode's odds, with those that look like it, against the others, within `most_odds`.
@@ -120,31 +120,31 @@ class ConfidenceSettings:
     sure: float = 0.95
     # Whether the first mode is the right one, with a picture of it and by touch alone.
     seen: Regression = Regression(
-        weight=0.1013,
-        near=0.3018,
-        agree=25.95,
-        visible=0.1513,
-        sharp=1.255,
-        past=-19.58,
-        hidden=-0.8761,
-        behind_hand=0.7833,
-        outline=-34.47,
-        touch=3.84,
-        outliers=-1.543,
-        contact_nats=-0.5253,
-        spread=-0.3701,
-        anywhere=-0.8188,
-        constant=-0.8145,
-        nearest=0.5887,
+        weight=0.05469,
+        near=0.2718,
+        agree=18.74,
+        visible=0.4921,
+        sharp=0.3416,
+        past=-16.95,
+        behind_hand=0.4383,
+        outline=-38.99,
+        within=-9.062,
+        touch=3.972,
+        outliers=-0.6931,
+        contact_nats=-0.7567,
+        spread=-0.3603,
+        anywhere=-1.379,
+        constant=1.27,
+        nearest=0.5341,
     )
     felt: Regression = Regression(
-        weight=0.1763,
-        near=0.484,
-        outliers=-3.246,
-        blunt=-2.394,
-        far=2.006,
-        constant=0.816,
-        nearest=0.6548,
+        weight=0.3257,
+        near=0.6186,
+        outliers=-6.688,
+        blunt=-1.867,
+        far=1.798,
+        constant=0.69,
+        nearest=0.6571,
     )
     # Share of the picture above which agreement speaks for an answer, and the most of what is seen past, of the outline
     # that runs on and of borders within it (shares) that speaks against one: cameras that blend edges draw surfaces on.
@@ -193,7 +193,7 @@ class ConfidenceSettings:
     by_beside: float = 0.9
     least_beside: float = 0.1e-3
     most_beside: float = 1e-3
-    # Most that is ever said of a mode being the right one (a probability, no unit): 1984 answers tell no more.
+    # Most that is ever said of a mode being the right one (a probability, no unit): 2556 answers tell no more.
     surest: float = 0.999
     # A region of 95 % need not hold this share of the probability.
     left_out: float = 0.05
