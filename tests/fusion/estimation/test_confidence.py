@@ -146,7 +146,7 @@ def test_what_contradicts_an_answer_widens_it_but_not_what_a_prior_told():
     assert by_outline[-1] > 5.0 * by_outline[0]
     # a turn that is known badly bends within its own spread; one known well is narrower than it says
     by_turn = [factor(much, scale=scale) for scale in (1e-6, 1.0, 1e3, 1e4, 1e9)]
-    assert by_turn == sorted(by_turn)
+    assert (np.diff(by_turn) > -1e-12).all()
     assert factor(much, scale=1e3) > 2.0 * by_turn[0]
     # beyond what was fitted nothing grows
     assert factor(much, 0.001) == factor(much, 0.1)
