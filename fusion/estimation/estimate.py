@@ -133,7 +133,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         if believed is not None:
             found = modes_near(pool, rows, seen, begun(), search_stages(blur, how.near), settings.plan, trace)
         elif predictor.sees:
-            found = modes_anywhere(pool, rows, seen, begun, wide, settings.plan, trace)
+            found = modes_anywhere(pool, rows, begun, wide, settings.plan, trace)
         else:
             found = find_modes(model, rows, begun(), wide, None, sight.costs, settings.plan, settings.modes)
         gels = f", by {counted(len(felt.patches), 'gel')} too" if felt.patches and believed is None else ""

@@ -123,8 +123,8 @@ class PoolSettings:
     turned_steps: int = 8
     turned_rows: int = 80
     promising: float = 15.0
-    # Poses that a walk begins at, of all that are proposed, where nothing is known and near a prior: the best by this
-    # many rays along each side of an outline. Of 549 answers with a start no verdict was another with 400.
+    # Poses that a walk begins at, of all that are proposed: the best, where nothing is known and near a prior (of 549
+    # answers with a start no verdict was another with 400); and the rays along each side of an outline that say so.
     sifted: int = 400
     sifted_near: int = 120
     sifting_side: int = 7
@@ -170,28 +170,36 @@ class Pool:
         """Costs (n,) by few rays, as a walk over hundreds of poses (n, 4, 4) needs them."""
         return self.costs(candidates, self.settings.walking_side)
 
-    def proposed(
-        self, starts: Array, stages: tuple[SearchStage, ...], seen: Evidence, start: Array | None, descents: int
-    ) -> Array:
-        """(n, 4, 4) poses that touch alone, and descents from near the start, propose beside a search over all rows."""
-        s, parts = self.settings, []
-        if (self.felt.rows[:, GATE_ABOVE] > 0).any():
-            if start is None:
-                stages = tuple(replace(stage, keep=max(stage.keep, s.felt_kept)) for stage in stages)
-            felt = search(self.model, self.felt, starts, stages, self.prior, apart=0.5 * self.apart, settled=SETTLED)
-            ends = felt.poses if start is not None else felt.poses[np.argsort(self.walking(felt.poses), kind="stable")]
-            best, _ = leaders(self.model, ends, self.apart)
-            parts.append(ends[best[: s.by_touch]])
-        on = seen.take(seen.rows[:, GATE_ABOVE] > 0)
-        if start is not None and len(on):
-            few, poses = thin(on, s.descent_rows), np.concatenate([start[None], starts[: descents - 1]])
-            for blur in s.descent:
-                how = AlignSettings(blur=blur, iterations=s.descent_steps)
-                moved = align(self.model, few, poses, None, how)
-                order = np.argsort(moved.costs, kind="stable")
-                poses = moved.poses[order[leaders(self.model, moved.poses[order], 0.5 * self.apart)[0]]]
-            parts.append(poses)
-        return np.concatenate(parts) if parts else np.zeros((0, 4, 4))
+    def by_touch(self, starts: Array, stages: tuple[SearchStage, ...]) -> Array:
+        """(n, 4, 4) poses that touch alone proposes from starts (k, 4, 4), best first; none where nothing is felt.
+
+        Without a prior many explain all of few contacts: the whole objective says which are best. Else touch does.
+        """
+        s, anywhere = self.settings, self.prior is None
+        if not self.contacts:
+            return np.zeros((0, 4, 4))
+        if anywhere:
+            stages = tuple(replace(stage, keep=max(stage.keep, s.felt_kept)) for stage in stages)
+        ends = search(self.model, self.felt, starts, stages, self.prior, apart=0.5 * self.apart, settled=SETTLED).poses
+        if anywhere:
+            ends = ends[np.argsort(self.walking(ends), kind="stable")]
+        best, _ = leaders(self.model, ends, self.apart)
+        return ends[best[: s.by_touch]]
+
+    def descended(self, seen: Evidence, start: Array, starts: Array, descents: int) -> Array:
+        """(n, 4, 4) where plain descents by vision's rows end, from a start (4, 4) and some of starts (k, 4, 4): in all
+        so many; none where nothing is seen.
+        """
+        s, on = self.settings, seen.take(seen.rows[:, GATE_ABOVE] > 0)
+        if not len(on):
+            return np.zeros((0, 4, 4))
+        few, poses = thin(on, s.descent_rows), np.concatenate([start[None], starts[: descents - 1]])
+        for blur in s.descent:
+            how = AlignSettings(blur=blur, iterations=s.descent_steps)
+            moved = align(self.model, few, poses, None, how)
+            order = np.argsort(moved.costs, kind="stable")
+            poses = moved.poses[order[leaders(self.model, moved.poses[order], 0.5 * self.apart)[0]]]
+        return poses
 
     def piece_starts(self, pieces: tuple[Pixels, ...]) -> tuple[tuple[Evidence, Array], ...]:
         """Of each piece of the image its rows, and starts (n, 4, 4) that it proposes by itself."""

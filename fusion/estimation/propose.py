@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 
 CONVINCED = "what was proposed convinces"
 AGREED = "a glance found nothing likelier"
+ONE_PLACE = "all that was tried ended in one place"
 
 
 class Competition:
@@ -83,7 +84,7 @@ class Competition:
         self.enter("the best turned", turned or (lambda: np.zeros((0, 4, 4))), "" if turned else "nothing convinces")
         if self.convinced:
             alone = alone and len(self.modes) == 1 and self.modes[0].cost == before[0].cost
-            self.look_around("all that was tried ended in one place" if alone else "")
+            self.look_around(ONE_PLACE if alone else "")
 
     def joins(self, other: Competition) -> bool:
         """Whether another competition, which knew nothing of this one, found what is about as likely, and draws around
@@ -93,18 +94,20 @@ class Competition:
             return False
         if abs(other.modes[0].cost - self.modes[0].cost) > self.pool.settings.as_likely:
             return False
-        self.fitted = self.pool.among(self.fitted.joined(other.fitted))
-        self.modes = distinct_modes(self.pool.model, self.fitted, self.pool.modes)
-        self.convinced = self.pool.convinces(self.modes)
+        self._leave(self.pool.among(self.fitted.joined(other.fitted)))
         return True
 
     def _compete(self, poses: Array, most: int | None) -> None:
         """Let poses (n, 4, 4) compete with what was left."""
         self.proposed += len(poses)
         if len(poses):
-            self.fitted = self.pool.fitted(poses, most, self.fitted)
-            self.modes = distinct_modes(self.pool.model, self.fitted, self.pool.modes)
-            self.convinced = self.pool.convinces(self.modes)
+            self._leave(self.pool.fitted(poses, most, self.fitted))
+
+    def _leave(self, fitted: Alignment) -> None:
+        """These are left, and what they say."""
+        self.fitted = fitted
+        self.modes = distinct_modes(self.pool.model, fitted, self.pool.modes)
+        self.convinced = self.pool.convinces(self.modes)
 
     @property
     def settled(self) -> str:
@@ -130,8 +133,8 @@ class Competition:
         return f"{counted(len(self.modes), 'mode')} left, {'convincing' if self.convinced else 'in doubt'}"
 
     def by_touch(self, poses: Array) -> Array:
-        """The same poses (n, 4, 4), of which the first is what touch alone says: it is solved with what is left while
-        there is doubt, because a calibration that is off makes right contacts look wrong until it is solved for.
+        """The same poses (n, 4, 4), the best first that touch alone proposes: that one is solved with what is left
+        while there is doubt, because a calibration that is off makes right contacts look wrong until it is solved for.
         """
         if len(poses) and self.contacts >= self.pool.settings.tying_contacts:
             self._felt = poses[0]
@@ -171,7 +174,7 @@ def glance(pool: Pool, rows: Evidence, starts: Array, trace: Trace) -> Competiti
         why = asked.enough
     elif asked.convinced and pool.predictor.told_apart and pool.shows_most(asked.modes[0].pose):
         alone = asked.proposed == 1 and len(asked.modes) == 1
-        asked.look_around("all that was tried ended in one place" if alone else "")
+        asked.look_around(ONE_PLACE if alone else "")
         why = asked.enough
     for source in ("rows", "touch and descents", walk_of(pool)) if why else ():
         asked.enter(source, lambda: np.zeros((0, 4, 4)), why)
@@ -221,13 +224,14 @@ def modes_near(
         return poses_of(found.modes)
 
     def felt(fresh: Array, descending: int) -> Array:
-        return asked.by_touch(pool.proposed(fresh, stages, seen, prior.pose, descending))
+        felt_alone = asked.by_touch(pool.by_touch(fresh, stages))
+        return np.concatenate([felt_alone, pool.descended(seen, prior.pose, fresh, descending)])
 
     def walked() -> Array:
         # pairs of pixels tell of turns that draws from the prior do not reach, and of other places in clutter
         far = pool.turns_freely or not pool.predictor.told_apart
-        seen = pool.glanced(rows) if far else np.zeros((0, 4, 4))
-        everywhere = np.concatenate([seen, poses_of(asked.modes), starts, pool.held_starts()])
+        pairs = pool.glanced(rows) if far else np.zeros((0, 4, 4))
+        everywhere = np.concatenate([pairs, poses_of(asked.modes), starts, pool.held_starts()])
         return walk(pool.model, pool.sifted(everywhere), pool.walking, pool.rng, pool.proposals.walk)
 
     for end, descending in zip([*ends, len(starts)], [*settings.descents[: len(ends)], settings.descents[-1]]):
@@ -258,7 +262,6 @@ def modes_near(
 def modes_anywhere(
     pool: Pool,
     rows: Evidence,
-    seen: Evidence,
     starts_of: Callable[[], Array],
     passes: tuple[SearchStage, ...],
     plan: PlanSettings,
@@ -268,7 +271,7 @@ def modes_anywhere(
     them when it is turned; where that leaves a doubt, rows and touch from many starts, and then the whole objective
     walks from these, from each piece of the image and from between the fingers.
 
-    rows: all evidence, seen: vision's. starts_of: makes those many starts (n, 4, 4); passes: over them.
+    rows: all evidence. starts_of: makes those many starts (n, 4, 4); passes: over them.
     """
     asked, s = Competition(pool, trace), pool.settings
     few = len(pool.looked.pixels) < s.glanced_pixels
@@ -285,7 +288,7 @@ def modes_anywhere(
         return begun[-1]
 
     def felt_alone() -> Array:
-        begun.append(asked.by_touch(pool.proposed(starts, passes, seen, None, 0)))
+        begun.append(asked.by_touch(pool.by_touch(starts, passes)))
         return begun[-1]
 
     asked.enter(f"rows, {counted(len(starts), 'start')}", searched, enough)

@@ -21,9 +21,10 @@ from fusion.estimation.steps.sense import look_once, sense
 from fusion.estimation.trace import Trace
 from fusion.truth.errors import Judge
 from scenes.evidence import table as tables
-from scenes.evidence.align import Alignment, Prior
+from scenes.evidence.align import Alignment, Prior, costs
 from scenes.evidence.modes import Mode, ModeSettings
 from scenes.evidence.near_symmetries import quarter_turns
+from scenes.evidence.search import starts_around
 from scenes.geometry import poses
 from scenes.synthesis import library
 from scenes.synthesis.recording import synthesize_frames
@@ -162,6 +163,19 @@ def test_draws_around_the_best_cast_doubt_where_one_is_likelier(sensed, lab_fram
     assert asked.trace.stages[-1].name == "propose: around the best"
 
 
+def test_without_a_start_the_whole_objective_says_what_touch_proposes(sensed, lab_frame, drill, rng):
+    """Of poses that explain the contacts, those that are seen come first; near a prior those that touch finds best."""
+    anywhere = replace(sensed.pool, prior=None)
+    around = starts_around(drill, lab_frame.camera_from_object_truth, 0.3, 0.02, 60, rng)
+    stages = search_stages(0.01, ProposalSettings().near)
+    ends = anywhere.by_touch(around, stages)
+    assert 1 < len(ends) <= PoolSettings().by_touch
+    assert (np.diff(anywhere.walking(ends)) >= 0.0).all()
+    by_touch = costs(drill, anywhere.felt, sensed.pool.by_touch(around, stages), sensed.pool.prior)
+    assert by_touch[0] == pytest.approx(by_touch.min(), abs=0.5)
+    assert replace(anywhere, felt=tables.empty()).by_touch(around, stages).shape == (0, 4, 4)
+
+
 def test_turned_poses_lie_on_what_is_seen(sensed, lab_frame, drill):
     pool = sensed.pool
     best = pool.compete(lab_frame.camera_from_object_truth[None])[0]
@@ -187,8 +201,11 @@ class Rounds:
 
     apart, is_same, held_starts, among = Pool.apart, Pool.is_same, Pool.held_starts, Pool.among
 
-    def proposed(self, starts, stages, seen, start, descents):
+    def by_touch(self, starts, stages):
         self.looked_at.append(len(starts))
+        return np.zeros((0, 4, 4))
+
+    def descended(self, seen, start, starts, descents):
         return np.zeros((0, 4, 4))
 
     def fitted(self, candidates, most=None, known=None):
