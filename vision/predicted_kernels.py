@@ -11,6 +11,7 @@ import math
 import numba
 import numpy as np
 
+from scenes._numba import LENT
 from scenes.geometry.cameras import FARTHEST_READING
 
 # What a ray is: meets the object, its pixel is read, at the predicted depth, hidden by something unknown, by the hand.
@@ -26,7 +27,7 @@ SUMS = 9
 _NEAREST = 1e-3
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
 def outline_rays(points, poses, camera, middle, u, v, rays, index, inside):
     """Pixels u, v (n, side) over the box of each pose's outline; fills rays and index, and returns how many rays.
 
@@ -86,7 +87,7 @@ def outline_rays(points, poses, camera, middle, u, v, rays, index, inside):
     return count
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
 def compare_pixels(met, index, u, v, image, camera, noise, limits, expected, seen, state, past, fade):
     """What each ray is: fills expected, seen, state, past and fade, all (n side^2,), which begin as zeros.
 
@@ -152,7 +153,7 @@ def compare_pixels(met, index, u, v, image, camera, noise, limits, expected, see
         state[place] = bits
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def _beside(depth, row, column, reach, nearer, height, width):
     """Whether within `reach` pixels along either axis something is read that is nearer (m)."""
     for j in range(max(row - reach, 0), min(row + reach + 1, height)):
@@ -162,7 +163,7 @@ def _beside(depth, row, column, reach, nearer, height, width):
     return False
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
 def sum_up(u, v, image, camera, noise, limits, seen, state, past, fade, out):
     """What the rays (n side^2,) of each pose add up to: fills out (n, SUMS); see the columns' names.
 
@@ -242,7 +243,7 @@ def share_out(u, v, inside, unread, sums, total, area):
         area[n] = total[n] * across / max(side - 1, 1) ** 2
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def cost_of_shares(poses, centroid, shares, beyond, area, outline, nats, cells, out):
     """Fill out (n,) with what poses (n, 4, 4) cost by shares (n, SUMS), and beyond (n,): of what is seen, on what goes
     on beyond the outline.
@@ -310,7 +311,7 @@ def bound_pieces(pieces, step, whole, sizes, u, v, fade, state, total, limits, s
             lost[n] += min(dear * outside, earned)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
 def _leads_to(image, camera, noise, column, row, lead, room, plane_margin, plane_sigmas):
     """Whether a pixel is read within `room` (m) of depth `lead` (m), and may be of the object."""
     depth, mask, _, _, planes = image
@@ -324,7 +325,7 @@ def _leads_to(image, camera, noise, column, row, lead, room, plane_margin, plane
     return not _on_planes(planes, camera, noise, column, row, reading, plane_margin, plane_sigmas)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
 def _on_planes(planes, camera, noise, column, row, reading, margin, sigmas):
     """Whether a reading (m) of a pixel is a table's or wall's, or behind the first, where nothing is but noise.
 

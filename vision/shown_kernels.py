@@ -11,6 +11,7 @@ import math
 import numba
 import numpy as np
 
+from scenes._numba import LENT
 from scenes.evidence.table import COLUMNS, FACING, GATE_ABOVE, GATE_BELOW, SIGMA, WEIGHT
 from vision.predicted_kernels import HIT, NEAR
 
@@ -56,7 +57,7 @@ def shown_rays(state, side, inner, thin_share, chosen):
     return count
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def free_rays(expected, seen, past, share, chosen):
     """Rays that see past the object, `share` of them, evenly chosen: fills chosen and returns how many."""
     count = 0

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from scenes._numba import LENT
 from scenes.evidence.row_kernels import (
     FLOOR_ABOVE,
     FLOOR_BELOW,
@@ -74,7 +75,7 @@ SUMS = 27
 QUICK = {"contract", "reassoc", "nsz", "nnan", "ninf"}
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def lay_blocks(prepared, silent, blocks):
     """Lay prepared rows without a normal (see row_kernels.prepare) into blocks (k, BLOCK): those that say nothing where
     they are outside (silent), or the others; returns how many.
@@ -114,7 +115,7 @@ def blocks_of(count):
     return np.zeros(((count + LENGTH - 1) // LENGTH, BLOCK))
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def fill_up(blocks, count):
     """Fill the last block behind its rows with copies of the last row that weigh nothing, up to whole lanes."""
     if count % LANES == 0:
@@ -132,7 +133,7 @@ def rows_in(count, block):
     return min((count - block * LENGTH + LANES - 1) // LANES * LANES, LENGTH)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, **LENT)
 def place(block, count, room, rotation, middle, centroid):
     """Fill in the room where the points of a block are before the middle, and in the object's frame."""
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
@@ -148,7 +149,7 @@ def place(block, count, room, rotation, middle, centroid):
         room[QZ + i] = r02 * x + r12 * y + r22 * z + cz
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, **LENT)
 def find_cells(count, room, nodes, origin, spacing, shape):
     """Fill in the room the places of points in the lattice's cells, and nodes (LENGTH,) with each cell's first node."""
     inverse = 1.0 / spacing
@@ -164,7 +165,7 @@ def find_cells(count, room, nodes, origin, spacing, shape):
         nodes[i] = iu * sheet + iv * row + iw
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def fetch(count, room, nodes, values, shape):
     """Fill in the room the eight nodes of every cell. values: the lattice's, flat."""
     one, row = np.uint64(1), np.uint64(shape[2])
@@ -178,7 +179,7 @@ def fetch(count, room, nodes, values, shape):
         room[N6 + i], room[N7 + i] = values[k + row], values[k + row + one]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, **LENT)
 def interpolate(count, room, spacing):
     """Fill in the room distance and gradient, as lattice.distance_at."""
     inverse = 1.0 / spacing
@@ -198,7 +199,7 @@ def interpolate(count, room, spacing):
         room[GZ + i] = (0.0 if outside and ow != 0.0 else gz) + (ow / length if outside else 0.0)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, **LENT)
 def view(block, count, room, rotation):
     """Fill in the room viewing directions in the object's frame, and the gradient along them where a row has a side."""
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
@@ -213,7 +214,7 @@ def view(block, count, room, rotation):
         room[ALONG + i] = block[FACES + i] * (room[GX + i] * vx + room[GY + i] * vy + room[GZ + i] * vz)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, **LENT)
 def step_back(count, there, other, step):
     """Fill in the other room the points of a list, led back by a step (m) along their rays."""
     for i in range(count):
@@ -229,7 +230,7 @@ def step_back(count, there, other, step):
         )
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def look_up(count, room, nodes, flat, lattice):
     """Fill in the room distance and gradient at its points in the lattice's frame. nodes (LENGTH,): working room; flat:
     the lattice's values in one row; lattice: as of kernels.cost_terms.
@@ -240,7 +241,7 @@ def look_up(count, room, nodes, flat, lattice):
     interpolate(count, room, spacing)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def lead_back(count, room, other, nodes, places, flat, lattice):
     """Rows of the room whose nearest surface looks away from where they were seen, as lattice.led_back_at has them.
     other: a second room; nodes, places (LENGTH,): working room.
@@ -280,7 +281,7 @@ def lead_back(count, room, other, nodes, places, flat, lattice):
         room[GX + i], room[GY + i], room[GZ + i] = -other[VX + k], -other[VY + k], -other[VZ + k]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK)
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, **LENT)
 def weigh(block, count, room):
     """What the rows of a block cost; fills in the room residuals in sigmas, and what each row weighs: see
     row_kernels.robust, by the rows' gates.
@@ -303,7 +304,7 @@ def weigh(block, count, room):
     return total
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK)
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, **LENT)
 def weigh_limited(block, count, room, huber):
     """The same, where residuals beyond `huber` sigmas count linearly instead."""
     total = 0.0
@@ -320,7 +321,7 @@ def weigh_limited(block, count, room, huber):
     return total
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK)
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, **LENT)
 def add_terms(block, count, room, rotation, sums):
     """Add gradient and Gauss-Newton matrix of the weighed rows of a block to sums (SUMS,)."""
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
@@ -375,7 +376,7 @@ def add_terms(block, count, room, rotation, sums):
         sums[k] += value
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def block_terms(lattice, blocks, count, huber, rotation, middle, need, rooms, nodes, sums):
     """Cost of so many rows in blocks at a pose; their gradient and matrix added to sums (SUMS,) when `need`.
 
@@ -394,7 +395,7 @@ def block_terms(lattice, blocks, count, huber, rotation, middle, need, rooms, no
     return total
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def near_blocks(lattice, silent, count, rotation, middle, reach, rooms, nodes, near):
     """Lay into blocks `near` those of so many silent rows in blocks that a pose, or one near it, may have within the
     surface or nearer to it than reach (m); returns how many, and how far (m) the farthest row left out is from the
@@ -420,7 +421,7 @@ def near_blocks(lattice, silent, count, rotation, middle, reach, rooms, nodes, n
     return k, np.sqrt(lever)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def add_sums(sums, hessian, gradient):
     """Add a pose's sums to gradient (6,) and both halves of hessian (6, 6)."""
     k = 6

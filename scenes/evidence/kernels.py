@@ -19,7 +19,7 @@ import math
 import numba
 import numpy as np
 
-from scenes._numba import FUSED, spare_blas
+from scenes._numba import FUSED, LENT, spare_blas
 from scenes.evidence.block_kernels import (
     LENGTH,
     ROOM,
@@ -42,7 +42,7 @@ spare_blas()
 SHORTEST_GRADIENT = 0.15
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FUSED)
+@numba.njit(cache=True, nogil=True, fastmath=FUSED, **LENT)
 def cost_terms(lattice, rows, huber, bend, rotation, middle, prior, need, hessian, gradient, scratch):
     """Cost (negative log posterior up to a constant) at a pose; fills hessian (6, 6) and gradient (6,) when `need`.
 
@@ -245,7 +245,7 @@ def working_room():
     return np.zeros((10, 3)), np.zeros((2, ROOM)), np.zeros((2, LENGTH), dtype=np.int32), np.zeros(SUMS)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def table_terms(lattice, table, near, losses, pose, prior, need, derivatives, room):
     """cost_terms of a whole table: prepared rows with a normal, the other rows in blocks and how many. near: such
     blocks of rows more, and how many. losses: huber, bend. pose: rotation, middle. derivatives: hessian, gradient.
@@ -279,9 +279,15 @@ def cost_poses(lattice, rows, stage, prior, rotations, middles, costs):
     derivatives, room = (np.zeros((6, 6)), np.zeros(6)), working_room()
     contacts, speaking, count, silent, more = sort_rows(rows, blur, blur_normal)
     table, others = (contacts, speaking, count), (silent, more)
+    _cost_each(lattice, table, others, (huber, bend), rotations, middles, prior, derivatives, room, costs)
+
+
+@numba.njit(cache=True, nogil=True, **LENT)
+def _cost_each(lattice, table, others, losses, rotations, middles, prior, derivatives, room, costs):
+    """Fill costs (b,) of poses; see table_terms."""
     for b in range(rotations.shape[0]):
         pose = rotations[b], middles[b]
-        costs[b] = table_terms(lattice, table, others, (huber, bend), pose, prior, False, derivatives, room)
+        costs[b] = table_terms(lattice, table, others, losses, pose, prior, False, derivatives, room)
 
 
 @numba.njit(cache=True, nogil=True)

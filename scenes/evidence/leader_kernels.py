@@ -7,8 +7,10 @@ import math
 import numba
 import numpy as np
 
+from scenes._numba import LENT
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
 def closest_trace(r, s, discrete, axis, turns, m):
     """Largest trace of r^T s g over the symmetries g: 1 + 2 cos of the least angle between two rotations (3, 3).
 

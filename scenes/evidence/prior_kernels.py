@@ -6,10 +6,11 @@ import math
 
 import numba
 
+from scenes._numba import LENT
 from scenes.geometry.rotation_kernels import log_rotation
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def prior_terms(rotation, middle, prior, need, hessian, gradient, scratch):
     """Half the squared Mahalanobis distance to the prior; its derivative uses the inverse left Jacobian of SO(3).
 

@@ -11,7 +11,7 @@ import math
 import numba
 import numpy as np
 
-from scenes._numba import FUSED
+from scenes._numba import FUSED, LENT
 from scenes.evidence.table import (
     COLUMNS,
     GATE_ABOVE,
@@ -31,13 +31,13 @@ _MIDDLE = 0.3125
 _AT_MIDDLE = 0.7316156289466418  # exp(-_MIDDLE)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def loss_floor(gate):
     """What the robust loss of a row has at most beyond gate^2: its loss at distance zero is zero but for rounding."""
     return 2.0 * math.log1p(math.exp(-0.5 * gate * gate))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FUSED)
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FUSED, **LENT)
 def robust(s, gate, floor, huber):
     """Loss rho(s) and its derivative, the probability that the row is the object's (see scenes.evidence.table).
 

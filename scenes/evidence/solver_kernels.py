@@ -10,6 +10,7 @@ import math
 import numba
 import numpy as np
 
+from scenes._numba import LENT
 from scenes.evidence.block_kernels import blocks_of, near_blocks
 from scenes.evidence.kernels import sort_rows, table_terms, working_room
 from scenes.geometry.rotation_kernels import exp_times
@@ -28,7 +29,7 @@ REACH = 0.02
 STEEPEST = 1.75
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def solve(hessian, gradient, damping, floor, factor, step):
     """Step = -(H + damping diag(H) + floor)^-1 gradient by Cholesky; False when not positive definite."""
     for i in range(6):
@@ -67,22 +68,38 @@ def align_poses(lattice, rows, stage, prior, limits, rotations, middles, costs, 
     rows, stage, lattice, prior: see kernels.cost_poses; limits: the numbers named here, in their order.
     """
     blur, blur_normal, huber, bend = stage
-    iterations, tolerance_angle, tolerance_distance, radius, longest_angle, longest_distance = limits
-    hessian = np.zeros((6, 6))
-    gradient = np.zeros(6)
-    new_hessian = np.zeros((6, 6))
-    new_gradient = np.zeros(6)
-    factor = np.zeros((6, 6))
-    step = np.zeros(6)
-    floor = np.zeros(6)
-    rotation = np.zeros((3, 3))
-    middle = np.zeros(3)
-    room, losses = working_room(), (huber, bend)
-    _, rooms, nodes, _ = room
     contacts, speaking, told, silent, quiet = sort_rows(rows, blur, blur_normal)
-    table, near = (contacts, speaking, told), blocks_of(quiet)
+    space = np.zeros((3, 6, 6)), np.zeros((4, 6)), np.zeros((3, 3)), np.zeros(3)
+    _align_each(
+        lattice,
+        (contacts, speaking, told),
+        (silent, quiet, blocks_of(quiet)),
+        (huber, bend),
+        prior,
+        limits,
+        working_room(),
+        space,
+        rotations,
+        middles,
+        costs,
+        hessians,
+        used,
+    )
+
+
+@numba.njit(cache=True, nogil=True, **LENT)
+def _align_each(lattice, table, quiet, losses, prior, limits, room, space, rotations, middles, costs, hessians, used):
+    """align_poses, of a table that is sorted: see kernels.table_terms. quiet: silent rows in blocks, how many, and room
+    for those that are near. space (3, 6, 6), (4, 6), (3, 3), (3,): to work in.
+    """
+    iterations, tolerance_angle, tolerance_distance, radius, longest_angle, longest_distance = limits
+    silent, quiet_ones, near = quiet
+    matrices, vectors, rotation, middle = space
+    hessian, new_hessian, factor = matrices[0], matrices[1], matrices[2]
+    gradient, new_gradient, step, floor = vectors[0], vectors[1], vectors[2], vectors[3]
+    _, rooms, nodes, _ = room
     for b in range(rotations.shape[0]):
-        k, lever = near_blocks(lattice, silent, quiet, rotations[b], middles[b], REACH, rooms, nodes, near)
+        k, lever = near_blocks(lattice, silent, quiet_ones, rotations[b], middles[b], REACH, rooms, nodes, near)
         # how far (m) a row left out may have come since
         spent = 0.0
         pose = rotations[b], middles[b]
@@ -119,7 +136,7 @@ def align_poses(lattice, rows, stage, prior, limits, rotations, middles, costs, 
             travel = shorten * (angle * (lever + spent) + distance)
             begun = STEEPEST * (spent + travel) > REACH
             if begun:
-                k, lever = near_blocks(lattice, silent, quiet, rotation, middle, REACH, rooms, nodes, near)
+                k, lever = near_blocks(lattice, silent, quiet_ones, rotation, middle, REACH, rooms, nodes, near)
             pose, derivatives = (rotation, middle), (new_hessian, new_gradient)
             new_cost = table_terms(lattice, table, (near, k), losses, pose, prior, True, derivatives, room)
             if new_cost <= cost:

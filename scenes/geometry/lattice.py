@@ -13,7 +13,7 @@ import math
 import numba
 import numpy as np
 
-from scenes._numba import FUSED
+from scenes._numba import FUSED, LENT
 
 # Nodes are addressed by the lower corner of their cell; the last cell ends this little before the last node.
 END = 1e-4
@@ -49,7 +49,7 @@ def trilinear(d000, d001, d010, d011, d100, d101, d110, d111, a, b, c, inverse):
     return d, gx, gy, gz
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FUSED)
+@numba.njit(cache=True, nogil=True, fastmath=FUSED, **LENT)
 def distance_at(values, origin, spacing, x, y, z):
     """Signed distance and its gradient at one point: (d, gx, gy, gz)."""
     nx, ny, nz = values.shape
@@ -92,7 +92,7 @@ def distance_at(values, origin, spacing, x, y, z):
     return d, gx, gy, gz
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FUSED)
+@numba.njit(cache=True, nogil=True, fastmath=FUSED, **LENT)
 def value_at(values, origin, spacing, x, y, z):
     """Signed distance alone, for searches that only rank."""
     nx, ny, nz = values.shape
@@ -127,7 +127,7 @@ def value_at(values, origin, spacing, x, y, z):
     return d
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def beyond_box(values, origin, spacing, x, y, z):
     """How far (m) outside the lattice's box a point is: 0 inside."""
     nx, ny, nz = values.shape
@@ -137,7 +137,7 @@ def beyond_box(values, origin, spacing, x, y, z):
     return math.sqrt(a * a + b * b + c * c)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FUSED)
+@numba.njit(cache=True, nogil=True, fastmath=FUSED, **LENT)
 def normal_at(values, origin, spacing, x, y, z, gradient, hessian):
     """Smooth gradient g and its Jacobian, for normals: fills gradient (3,) and hessian (3, 3).
 
@@ -229,7 +229,7 @@ _FARTHEST = 1e100
 STEPS = 4
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FUSED)
+@numba.njit(cache=True, nogil=True, fastmath=FUSED, **LENT)
 def seen_distance_at(values, origin, spacing, step, x, y, z, vx, vy, vz):
     """Signed distance of a seen point to the surface that faces the camera, and its gradient: (d, gx, gy, gz).
 
@@ -244,7 +244,7 @@ def seen_distance_at(values, origin, spacing, step, x, y, z, vx, vy, vz):
     return led_back_at(values, origin, spacing, step, x, y, z, vx, vy, vz)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FUSED)
+@numba.njit(cache=True, nogil=True, fastmath=FUSED, **LENT)
 def led_back_at(values, origin, spacing, step, x, y, z, vx, vy, vz):
     """seen_distance_at of a point whose nearest surface is known to look away from the camera."""
     for _ in range(STEPS):
@@ -256,7 +256,7 @@ def led_back_at(values, origin, spacing, step, x, y, z, vx, vy, vz):
     return -0.5 * step, -vx, -vy, -vz
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def distances(values, origin, spacing, points, out, gradients):
     """Fill out (n,) and, when it has n rows, gradients (n, 3) at points (n, 3)."""
     want = gradients.shape[0] == points.shape[0]
@@ -269,7 +269,7 @@ def distances(values, origin, spacing, points, out, gradients):
             gradients[n, 2] = gz
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def seen_distances(values, origin, spacing, step, points, rays, facing, out, gradients):
     """Fill out (n,) and gradients (n, 3): seen_distance_at where facing (n,) holds, distance_at elsewhere."""
     for n in range(points.shape[0]):

@@ -11,8 +11,10 @@ import math
 import numba
 import numpy as np
 
+from scenes._numba import LENT
 
-@numba.njit(cache=True, nogil=True)
+
+@numba.njit(cache=True, nogil=True, **LENT)
 def log_rotation(r, out):
     """Rotation vector of r (3, 3) into out (3,), through the quaternion."""
     trace = r[0, 0] + r[1, 1] + r[2, 2]
@@ -45,7 +47,7 @@ def log_rotation(r, out):
     out[2] = factor * z
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def exp_times(theta, r, out):
     """Out = exp(theta) r."""
     square = theta[0] * theta[0] + theta[1] * theta[1] + theta[2] * theta[2]
@@ -74,7 +76,7 @@ def exp_times(theta, r, out):
         out[2, j] = e20 * p + e21 * q + e22 * s
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def apply_each(transforms, which, points, out):
     """Fill out (n, 3) with each of points (n, 3) by its own of transforms (k, 4, 4), which (n,) one that is."""
     for n in range(points.shape[0]):
@@ -84,7 +86,7 @@ def apply_each(transforms, which, points, out):
             out[n, i] = turned + pose[i, 3]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def apply_in_ball(transforms, which, points, centre, radius, out):
     """Put those of points (n, 3) into out (n, 3), each by its own of transforms (k, 4, 4) as in apply_each, that end
     nearer than `radius` to centre (3,); returns how many.
@@ -137,7 +139,7 @@ def differences(poses, references, centre, out):
         log_rotation(turn, out[n])
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def split(poses, centroid, rotations, middles):
     """Fill rotations (n, 3, 3) and middles (n, 3), places of the centroid (3,), of poses (n, 4, 4); whether all their
     numbers are finite.

@@ -12,7 +12,7 @@ import math
 import numba
 import numpy as np
 
-from scenes._numba import FUSED
+from scenes._numba import FUSED, LENT
 from scenes.evidence.kernels import cost_terms
 from scenes.evidence.prior_kernels import prior_terms
 from scenes.evidence.row_kernels import robust
@@ -24,7 +24,7 @@ from scenes.geometry.rotation_kernels import exp_times
 LEAST_WEIGHT = 1e-9
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FUSED)
+@numba.njit(cache=True, nogil=True, fastmath=FUSED, **LENT)
 def vision_rows(
     lattice,
     rows,
@@ -177,7 +177,7 @@ def prior_row(rotation, middle, prior, hessian, gradient):
     return cost
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def mark_near(grid, points, reach, out):
     """Fill out (k,) with whether any of points (n, 2) is nearer than reach to each of grid (k, 2)."""
     for k in range(grid.shape[0]):

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from fusion.estimation.solve.kernels import prior_row, touch_rows, vision_rows
-from scenes._numba import FUSED
+from scenes._numba import FUSED, LENT
 from scenes.geometry.rotation_kernels import exp_times
 
 # Unknowns before the scale: pose and calibration; what pixels tell of the pose, and of pose and scale.
@@ -23,7 +23,7 @@ JITTER = 1e-9
 LONGEST, SHORTEST_TURN, SHORTEST_MOVE = 0.3, 1e-5, 1e-6
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def factorize(a, n):
     """Cholesky of the symmetric a (n, n), upper triangle in place: a = U^T U; False where it is not positive."""
     for k in range(n):
@@ -40,7 +40,7 @@ def factorize(a, n):
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def solved(u, n, x):
     """Solve U^T U x = x in place, of the first n unknowns."""
     for i in range(n):
@@ -54,7 +54,7 @@ def solved(u, n, x):
         x[i] = total / u[i, i]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FUSED)
+@numba.njit(cache=True, nogil=True, fastmath=FUSED, **LENT)
 def add_products(design, information, residuals, count, normal, gradient):
     """Add design^T diag(information) design to the lower triangle of normal, and its product with residuals to
     gradient, over the first `count` rows.
@@ -79,7 +79,7 @@ def add_products(design, information, residuals, count, normal, gradient):
                 normal[i, j] += c * design[k, j]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def design_of(index, jac, along, seen_white, scale, count, design):
     """Fill design (n, 7 + k): what pixels say of (turn, move), the whitened scale and bias; see vision_rows."""
     for n in range(count):
