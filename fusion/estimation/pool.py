@@ -399,7 +399,12 @@ class Pool:
     @property
     def tied(self) -> bool:
         """Whether a pose near the prior is tied by contacts, and it is known what hides the object."""
-        return self.prior is not None and self.predictor.told_apart and self.contacts >= self.settings.tying_contacts
+        return self.prior is not None and self.holds
+
+    @property
+    def holds(self) -> bool:
+        """Whether contacts hold the object in place, and it is known what hides it."""
+        return self.predictor.told_apart and self.contacts >= self.settings.tying_contacts
 
     @property
     def contacts(self) -> int:

@@ -18,7 +18,7 @@ from fusion.estimation.steps.walk import walk
 from fusion.estimation.trace import Trace
 from scenes.evidence.align import Alignment
 from scenes.evidence.modes import Mode, distinct_modes
-from scenes.evidence.search import SETTLED, SearchStage, search
+from scenes.evidence.search import SETTLED, SearchStage, leaders, search
 from scenes.evidence.table import Evidence
 from scenes.words import counted
 
@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 CONVINCED = "what was proposed convinces"
 AGREED = "a glance found nothing likelier"
 ONE_PLACE = "all that was tried ended in one place"
+ALIKE = "two sources ended in one place"
 
 
 class Competition:
@@ -43,6 +44,8 @@ class Competition:
         self.gained = 0.0
         # why nothing more need be asked, where somebody found that out
         self.why = ""
+        # what was proposed last, (n, 4, 4)
+        self.latest: Array = np.zeros((0, 4, 4))
         self._felt: Array | None = None
 
     def enter(self, source: str, propose: Callable[[], Array], why_not: str = "", most: int | None = None) -> None:
@@ -53,7 +56,7 @@ class Competition:
         with self.trace.stage(f"propose: {source}", not why_not, why_not) as stage:
             if why_not:
                 return
-            poses = propose()
+            poses = self.latest = propose()
             self._compete(poses, most or (self.pool.settings.fitted_in_doubt if self.modes else None))
             stage.note(len(poses), self._words)
 
@@ -108,6 +111,16 @@ class Competition:
         self.fitted = fitted
         self.modes = distinct_modes(self.pool.model, fitted, self.pool.modes)
         self.convinced = self.pool.convinces(self.modes)
+
+    @property
+    def met(self) -> bool:
+        """Whether one of what was proposed last and the best, of which some is seen, are one mode."""
+        if not self.modes:
+            return False
+        model, best, within = self.pool.model, self.modes[0].pose[None], self.pool.modes.merge_share
+        group = leaders(model, np.concatenate([best, self.latest]), within * model.radius)[1]
+        shown = self.pool.predictor.predict(best).agree[0] >= self.pool.settings.least_shown_felt
+        return bool(shown and (group[1:] == 0).any())
 
     @property
     def settled(self) -> str:
@@ -268,8 +281,8 @@ def modes_anywhere(
     trace: Trace,
 ) -> Found:
     """Modes of a frame of which nothing is known. A few pairs of pixels propose first, and what looks like the best of
-    them when it is turned; where that leaves a doubt, rows and touch from many starts, and then the whole objective
-    walks from these, from each piece of the image and from between the fingers.
+    them when it is turned; where that leaves a doubt, touch and rows from many starts, and, unless two of these agree,
+    the whole objective walks from these, from each piece of the image and from between the fingers.
 
     rows: all evidence. starts_of: makes those many starts (n, 4, 4); passes: over them.
     """
@@ -291,14 +304,27 @@ def modes_anywhere(
         begun.append(asked.by_touch(pool.by_touch(starts, passes)))
         return begun[-1]
 
-    asked.enter(f"rows, {counted(len(starts), 'start')}", searched, enough)
-    if not enough and plan.skipping and asked.settled:
-        asked.look_beside()
-        enough = asked.settled
-    asked.enter("touch", felt_alone, enough or ("" if asked.contacts else "nothing is felt"))
-    if not enough:
-        asked.look_beside()
-        enough = asked.settled if plan.skipping else ""
+    def agrees(before: tuple[Mode, ...]) -> str:
+        """Why no more need be asked, where contacts hold the object and a source that knows nothing of those before it
+        ended where they did, and draws around there are hardly likelier.
+        """
+        alike = before and pool.is_same(asked.modes, before) and asked.met
+        if enough or not (plan.skipping and pool.holds and alike):
+            return ""
+        asked.look_around()
+        return ALIKE if asked.gained < s.hardly else ""
+
+    agreed = ""
+    for source, proposed, why_not in (
+        ("touch", felt_alone, "" if asked.contacts else "nothing is felt"),
+        (f"rows, {counted(len(starts), 'start')}", searched, ""),
+    ):
+        before = asked.modes
+        asked.enter(source, proposed, enough or why_not)
+        if not enough and not why_not:
+            asked.look_beside()
+            enough = asked.settled if plan.skipping else ""
+            enough = agreed = enough or agrees(before)
     pieces = pool.looked.pieces
     of_pieces: list[tuple[Evidence, Array]] = []
 
@@ -327,6 +353,6 @@ def modes_anywhere(
     elif not why_not and asked.modes and pool.convinces(asked.modes, s.clearly_shown):
         why_not = "the best is clearly seen"
     asked.enter("each piece alone", lambda: pool.of_pieces(tuple(of_pieces)), why_not)
-    if not asked.convinced:
+    if not asked.convinced and not agreed:
         asked.look_around()
     return asked.found(len(starts))
