@@ -37,6 +37,9 @@ class TrackSettings:
     """
 
     first: EstimateSettings = field(default_factory=EstimateSettings)
+    # Whether a track is `ok` only where it is known which way round the object lies: a frame to come may tell, and
+    # until then each way is followed. In place of `first`'s own `VerdictSettings.way_round`.
+    way_round: bool = True
     look: WarmLookSettings = field(default_factory=WarmLookSettings)
     velocity: VelocitySettings = field(default_factory=VelocitySettings)
     hand: HandMotionSettings = field(default_factory=HandMotionSettings)

@@ -99,7 +99,9 @@ class Tracker:
         """As `track`."""
         self.model = model
         settings = settings or TrackSettings()
-        self.settings = replace(settings, first=sure_to_be_within(settings.first, sure_within))
+        first = sure_to_be_within(settings.first, sure_within)
+        rules = replace(first.verdict, way_round=settings.way_round)
+        self.settings = replace(settings, first=replace(first, verdict=rules))
         self._senses = check_senses(use)
         self._prior = as_prior(prior, self.settings.first)
         self._seed = seed

@@ -80,12 +80,16 @@ def moved(model: ObjectModel, pose: Array, others: Array) -> tuple[Array, Array]
     return np.partition(off, last, axis=2)[:, :, last].max(axis=0), off.mean(axis=(0, 2))
 
 
-def hardly_moves(model: ObjectModel, pose: Array, direction: Array, angle: float, tolerance: float) -> bool:
+def hardly_moves(
+    model: ObjectModel, pose: Array, direction: Array, angle: float, tolerance: float, on_average: bool = False
+) -> bool:
     """Whether a turn about a direction (3,) in the object's axes through its centroid, by up to an angle (rad) either
-    way, moves no part of the surface by more than tolerance (m), and what it settled beside the object's own axis.
+    way, moves no part of the surface by more than tolerance (m), and what it settled beside the object's own axis; on
+    average: the mean of the surface by more than tolerance.
     """
     count = max(int(np.ceil(min(angle, np.pi) / STEP)), 1)
     angles = np.linspace(0.0, min(angle, np.pi), count + 1)[1:]
     turns = se3.exp_rotation(np.concatenate([angles, -angles])[:, None] * direction)
     poses = pose @ se3.make_poses(turns, model.centroid - turns @ model.centroid)
-    return bool(moved(model, pose, poses)[0].max() <= SETTLED * tolerance)
+    largest, means = moved(model, pose, poses)
+    return bool(means.max() <= tolerance if on_average else largest.max() <= SETTLED * tolerance)

@@ -162,11 +162,31 @@ def test_a_handle_that_nothing_touches_may_be_anywhere():
 
 
 def test_a_sure_answer_is_ok_where_it_is_likelier_than_all_others(scanned):
-    modes = modes_of(scanned, [0.4, 0, 0], weights=(0.8, 0.2))
+    modes = modes_of(scanned, [1.2, 0, 0], weights=(0.8, 0.2))
     assert posterior.verdict(scanned, modes, (), 0.9, SEEN)[0] == "ambiguous"
     assert posterior.verdict(scanned, modes, (), 0.9, SEEN, sure=True) == ("ok", "first mode holds 80%")
-    modes = modes_of(scanned, [0.4, 0, 0], weights=(0.45, 0.55))
+    modes = modes_of(scanned, [1.2, 0, 0], weights=(0.45, 0.55))
     assert posterior.verdict(scanned, modes, (), 0.9, SEEN, sure=True)[0] == "ambiguous"
+
+
+def test_a_sure_answer_is_ok_whichever_way_round_its_handle_is():
+    """Poses in which most of a mug's surface is where it is are likelier than all others together; but what is not sure
+    of the surface says which modes there are.
+    """
+    mug = library.make("mug")
+    turned = [place() @ se3.make_pose(se3.exp_rotation(np.array([0, 0, k * 0.7])), np.zeros(3)) for k in range(4)]
+    modes = tuple(Mode(pose, 0.25, 0.0, SHARP) for pose in turned)
+    same = alike(mug, modes, TOLERANCE)
+    assert len(same.modes) == 1
+    assert len(same.near) == 4
+    assert posterior.verdict(mug, modes, (), 0.9, SEEN)[0] == "ambiguous"
+    word, why = posterior.verdict(mug, modes, (), 0.9, SEEN, sure=True)
+    assert (word, why) == ("ok", "4 modes in which most of the surface is alike hold 100%")
+    # a turn that is not known moves most of the surface no farther
+    free = np.diag([1e-4, 1e-4, 1.0, 1e-6, 1e-6, 1e-6])
+    wide = (Mode(np.eye(4), 1.0, 0.0, free),)
+    assert posterior.verdict(mug, wide, (), 0.9, SEEN)[0] == "ambiguous"
+    assert posterior.verdict(mug, wide, (), 0.9, SEEN, sure=True)[0] == "ok"
 
 
 def test_an_answer_asks_once_which_modes_are_one(lab_frame, drill, monkeypatch):
