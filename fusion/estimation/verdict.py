@@ -32,8 +32,8 @@ class VerdictSettings:
     # Share of the posterior that an answer must hold whose confidence, which knows what the modes' weights are worth,
     # is high enough, with those where most of the surface is where it has it: likelier than all other places. A mug
     # whose handle may be anywhere is within the tolerance, which is of ADD-S, too; its answer notes that which way
-    # round it is is not known. Of 183 and 228 frames of the tuning families without a start, 81 and 59 % of what is right is so
-    # `ok`, fused and by vision (69 and 51 where the way round must be known).
+    # round it is is not known. Without a start 81 and 59 % of what is right of 183 and 228 frames of the tuning
+    # families is so `ok`, fused and by vision (69 and 51 where the way round must be known).
     likelier_share: float = 0.5
     # Whether an answer is `ok` only where it is known which way round the object lies: what surfaces look like
     # everywhere counts then, and no turn may be open that moves a part of them beyond the tolerance.
