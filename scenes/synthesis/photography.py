@@ -38,9 +38,12 @@ def photograph(
     A camera imitated from its optics delivers its infra-red image as rgb, grey, unless settings.infrared is off or a
     colour camera of the preset's is beside it. errors: those that last.
     """
-    rendering = renderer.render(settings.camera, scene)
-    infrared = None
+    infrared, optical = None, not isinstance(preset.depth, DepthNoise)
+    coloured = settings.rgb and preset.colour is None and not (optical and settings.infrared)
+    # a camera imitated from its optics casts rays of its own
+    rendering = renderer.render(settings.camera, scene) if not optical or settings.mask or coloured else None
     if isinstance(preset.depth, DepthNoise):
+        assert rendering is not None
         lasting = errors.depth if errors is not None and isinstance(errors.depth, DepthErrors) else None
         depth = noise_models.observe_depth(rendering, settings.camera, preset, rng, lasting)
     else:
@@ -51,14 +54,14 @@ def photograph(
         depth, infrared = shot.depth, shot.infrared
     depth = np.where(depth < settings.depth_unit * np.iinfo(np.uint16).max, depth, 0.0)  # what 16 bits can hold
     image: dict[str, Any] = {"depth": (np.rint(depth / settings.depth_unit) * settings.depth_unit).astype(np.float32)}
-    if settings.mask:
+    if settings.mask and rendering is not None:
         image["mask"] = rendering.mask("object")
     if settings.rgb and preset.colour is not None:
         lasting_colour = None if errors is None else errors.colour
         image["rgb"] = colour_image(renderer, scene, settings.camera, preset.colour, rng, lasting_colour)
     elif settings.rgb and settings.infrared and infrared is not None:
         image["rgb"] = np.repeat(infrared[..., None], 3, axis=2)
-    elif settings.rgb:
+    elif rendering is not None and settings.rgb:
         image["rgb"] = shade(rendering, {name: _colour(name) for name in scene})
     return image
 

@@ -19,7 +19,7 @@ def _random(i, j, k):  # type: ignore[no-untyped-def]
     return ((h ^ (h >> 15)) & 0xFFFF) / 32767.5 - 1.0
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, inline="always")
 def _spots(x, y, z):  # type: ignore[no-untyped-def]
     """Trilinear interpolation of random numbers on the integer lattice, standard deviation about 0.3."""
     i, j, k = math.floor(x), math.floor(y), math.floor(z)
@@ -107,11 +107,12 @@ def pattern_light(  # type: ignore[no-untyped-def]
                     x, y = rx * z, ry * z
                     nx, ny, nz = normals[v, u, 0], normals[v, u, 1], normals[v, u, 2]
                     material = materials[index]
+                    gloss, sharpness = materials[index, 3], materials[index, 4]
                     albedo = reflectance(material, meshes[index], x, y, z)
                     far = math.sqrt(x * x + y * y + z * z)
                     # the room: even light, and one lamp with its gloss
                     facing = max(nx * lamp[0] + ny * lamp[1] + nz * lamp[2], 0.0)
-                    shine = _shine(material, nx, ny, nz, lamp[0], lamp[1], lamp[2], -x / far, -y / far, -z / far)
+                    shine = _shine(gloss, sharpness, nx, ny, nz, lamp[0], lamp[1], lamp[2], -x / far, -y / far, -z / far)
                     room += ambient * ((1.0 - lamp_share) * albedo + lamp_share * facing * (albedo + shine))
                     # the projector
                     lx, ly, lz = ox - x, oy - y, oz - z
@@ -132,16 +133,16 @@ def pattern_light(  # type: ignore[no-untyped-def]
                     if not _lit(shadow, f * a + shadow_lens[1], f * b + shadow_lens[2], pz, slack):
                         continue
                     dots = _texel(light, light_lens[0] * a + light_lens[1], light_lens[0] * b + light_lens[2])
-                    shine = _shine(material, nx, ny, nz, lx, ly, lz, -x / far, -y / far, -z / far)
+                    shine = _shine(gloss, sharpness, nx, ny, nz, lx, ly, lz, -x / far, -y / far, -z / far)
                     laser += dots * cosine * (albedo + shine) / (away * away)
             laser_out[row, column] = laser * share
             room_out[row, column] = room * share
 
 
 @numba.njit(cache=True, nogil=True)
-def _shine(material, nx, ny, nz, lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
+def _shine(gloss, sharpness, nx, ny, nz, lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
     """Blinn-Phong lobe of a material for unit directions to the lamp l and to the camera v, on an albedo's scale."""
-    if material[3] <= 0.0:
+    if gloss <= 0.0:
         return 0.0
     hx, hy, hz = lx + vx, ly + vy, lz + vz
     length = math.sqrt(hx * hx + hy * hy + hz * hz)
@@ -150,4 +151,4 @@ def _shine(material, nx, ny, nz, lx, ly, lz, vx, vy, vz):  # type: ignore[no-unt
     cosine = (nx * hx + ny * hy + nz * hz) / length
     if cosine <= 0.0:
         return 0.0
-    return material[3] * (material[4] + 8.0) / 8.0 * cosine ** material[4]
+    return gloss * (sharpness + 8.0) / 8.0 * cosine**sharpness
