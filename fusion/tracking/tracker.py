@@ -269,7 +269,7 @@ class Tracker:
             predicted, carried = ahead.belief, ahead.hypotheses
             stage.note(0, ahead.why)
         viewed = frame if "vision" in self._senses else frame.without_vision()
-        if may_glance(viewed, state, carried, s):
+        if not self._watch.settling and may_glance(viewed, state, carried, s):
             glanced = self._glance(frame, viewed, predicted, carried, trace)
             if glanced is not None:
                 return glanced
@@ -397,6 +397,8 @@ class Tracker:
             wide = replace(predicted, own=predicted.own + np.outer(step, step))
             belief = update(model, wide, measured)
             self._watch.follow(belief, pixel)
+            if state.known is not None:  # its contacts are elsewhere now: what looks had in common was of another hold
+                state.known = replace(state.known, weight=0.0)
         return replace(belief, pose=model.symmetries.nearest(belief.pose, predicted.pose)), watched
 
     def _accept(self, frame: Frame, felt: Felt, belief: Belief, found: Hypotheses, share: float) -> None:

@@ -21,6 +21,8 @@ METHODS = (
 )  # fmt: skip
 # Single frames have no memory, so that some of a sequence speak for all: every so many.
 SINGLE_EVERY = 5
+# Frames at a sequence's end whose rotation is what it ends with; single frames are asked of each of them, too.
+END = 5
 # Wrong beginnings: turned by so much about a random axis through the object (rad), and this far off (m). One lies the
 # other way round, one is as far off as a start that no estimate has mended.
 WRONG_STARTS = {
@@ -44,10 +46,12 @@ class Said:
 Step = Callable[["Frame"], Said | None]
 
 
-def stepper(method: str, model: ObjectModel, seed: int) -> Step:
-    """What a method does with one frame after another."""
-    makers = {"icp": _icp, "particle filter": _particles, "vision": _vision, "estimate": _estimate, "track": _track}
+def stepper(method: str, model: ObjectModel, seed: int, last: int) -> Step:
+    """What a method does with one frame after another; last: index of the last one."""
+    makers = {"icp": _icp, "particle filter": _particles, "vision": _vision, "track": _track}
     makers["track without hand"] = _no_hand
+    if method == "estimate":
+        return _estimate(model, seed, last)
     if method in WRONG_STARTS:
         return _begun_wrong(model, seed, *WRONG_STARTS[method])
     return makers[method](model, seed)
@@ -97,8 +101,8 @@ def _vision(model: ObjectModel, seed: int) -> Step:
     return step
 
 
-def _estimate(model: ObjectModel, seed: int) -> Step:
-    """Every so many frames by itself, from a start as far off as the first frame's."""
+def _estimate(model: ObjectModel, seed: int, last: int) -> Step:
+    """Every so many frames by itself, and those at the end, from a start as far off as the first frame's."""
     from fusion.estimation.estimate import estimate
     from scenes.geometry import poses
     from scenes.synthesis.recording import SynthesisSettings
@@ -108,7 +112,7 @@ def _estimate(model: ObjectModel, seed: int) -> Step:
     def step(frame: Frame) -> Said | None:
         truth = frame.camera_from_object_truth
         assert truth is not None
-        if frame.index % SINGLE_EVERY:
+        if frame.index % SINGLE_EVERY and frame.index <= last - END:
             return None
         rng = np.random.default_rng([seed, frame.index])
         prior = poses.displaced(truth, start.prior_angle, start.prior_distance, model.centroid, rng)

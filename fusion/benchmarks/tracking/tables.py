@@ -6,8 +6,8 @@ import numpy as np
 
 from fusion.benchmarks.printing.charts import Chart
 from fusion.benchmarks.printing.tables import Column, Rate, Table
-from fusion.benchmarks.tracking.methods import METHODS, SINGLE_EVERY, WRONG_STARTS
-from fusion.benchmarks.tracking.tally import END, LOST, SLIP_DELAY, Tally
+from fusion.benchmarks.tracking.methods import END, METHODS, SINGLE_EVERY, WRONG_STARTS
+from fusion.benchmarks.tracking.tally import LOST, SLIP_DELAY, Tally
 
 # Tallies of each family and motion, by method.
 Tracked = dict[tuple[str, str], dict[str, Tally]]
@@ -41,7 +41,7 @@ def errors_table(motion: str, tallies: dict[str, Tally], refused: int) -> Table:
         COLUMNS,
         note="NEES / dof: median and mean over frames, 0.9 and 1 are right. At the end: median rotation of the last"
         f" {END} answers. Frames lost: median length of a loss that ended. Times of all but the first frame,"
-        f" segmentation included. estimate: every {SINGLE_EVERY}th frame, with a start."
+        f" segmentation included. estimate: every {SINGLE_EVERY}th frame and the last {END}, with a start."
         + (f" {refused} sequences could not be made: no grasp hides the object by as much." if refused else ""),
     )
     for method, tally in tallies.items():
@@ -147,9 +147,13 @@ def by_family(tracked: Tracked) -> Table:
 
 def by_motion(tracked: Tracked) -> Table:
     """The track alone, motion by motion over all families."""
-    columns = [Column("motion"), Column("frames", 0), Column("wrong but ok"), Column("ok"), Column("NEES / dof, mean")]
-    columns += [Column("rotation at the end"), Column("single frames")]
+    columns = [Column("motion"), Column("frames", 0), Column("wrong but ok"), Column("ok"), Column("sequences", 0)]
+    columns += [Column("NEES / dof, mean"), Column("+-"), Column("rotation at the end"), Column("single frames there")]
     table = Table("The track by motion, all families together", columns)
+    table.note = (
+        "+-: standard error of the mean, by sequences: all frames of one share a camera's and a robot's lasting errors."
+        f" Single frames: those of the last {END} of each sequence, too."
+    )
     for motion in dict.fromkeys(motion for _, motion in tracked):
         own, single = Tally(), Tally()
         for (_, name), tallies in tracked.items():
@@ -164,9 +168,11 @@ def by_motion(tracked: Tracked) -> Table:
             len(own.add_s),
             Rate(own.wrong_ok, len(own.add_s)),
             Rate(sum(own.ok), len(own.ok)),
+            len(own.means),
             float(np.mean(nees)) if nees else None,
+            float(np.std(own.means, ddof=1) / np.sqrt(len(own.means))) if len(own.means) > 1 else None,
             float(np.rad2deg(np.median(own.ends))) if own.ends else None,
-            float(np.rad2deg(np.median(single.rotation))) if single.rotation else None,
+            float(np.rad2deg(np.median(single.ends))) if single.ends else None,
         )
     return table
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.benchmarks.tracking.methods import WRONG_STARTS, Said, stepper
+from fusion.benchmarks.tracking.methods import END, WRONG_STARTS, Said, stepper
 
 if TYPE_CHECKING:
     from scenes.geometry.objects import ObjectModel
@@ -20,8 +20,6 @@ Array = NDArray[np.float64]
 # An answer farther off than this is of no use to a hand (m): twice the success threshold of the other tables, which is
 # also where an answer that says ok is wrong.
 LOST, WRONG = 0.010, 0.005
-# Frames at a sequence's end whose rotation is what it ends with.
-END = 5
 # Slips are counted when a sensor could know of them: motion beyond the object's symmetry above this (rad, m).
 SLIP_ANGLE, SLIP_DISTANCE = float(np.deg2rad(1.5)), 0.001
 # Frames after a slip in which saying so still counts.
@@ -32,17 +30,19 @@ SLIP_DELAY = 3
 class Tally:
     """One method on one kind of motion.
 
-    frame, ADD-S (m), rotation (rad), NEES per degree of freedom, and whether it was ok, of each answer; wall and
-    processor ms of all but the first; rotations and ADD-S (m) at the ends of sequences; runs: frames from a loss until
-    the object is found again; doubted, righted: frames from a wrong beginning until no longer ok, until right; never:
-    wrong beginnings that were not righted; still_wrong_ok: answers after such a beginning that are wrong and ok; new
-    starts; slips, those said in time and false alarms, as a slip and as a motion in the hand; frames without a slip.
+    frame, ADD-S (m), rotation (rad), NEES per degree of freedom, and whether it was ok, of each answer; means: of each
+    sequence's NEES; wall and processor ms of all but the first; rotations and ADD-S (m) at the ends of sequences; runs:
+    frames from a loss until the object is found again; doubted, righted: frames from a wrong beginning until no longer
+    ok, until right; never: wrong beginnings that were not righted; still_wrong_ok: answers after such a beginning that
+    are wrong and ok; new starts; slips, those said in time and false alarms, as a slip and as a motion in the hand;
+    frames without a slip.
     """
 
     frame: list[int] = field(default_factory=list)
     add_s: list[float] = field(default_factory=list)
     rotation: list[float] = field(default_factory=list)
     nees: list[float] = field(default_factory=list)
+    means: list[float] = field(default_factory=list)
     ok: list[bool] = field(default_factory=list)
     wall: list[float] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)
@@ -80,8 +80,8 @@ def follow(
     from fusion.truth.errors import Judge
 
     judge = Judge(model)
-    step = stepper(method, model, seed)
-    said, errors = [], []
+    step = stepper(method, model, seed, frames[-1].index)
+    said, errors, known = [], [], []
     count = freedom(model.symmetries)
     for frame in frames:
         wall, cpu = time.perf_counter(), time.process_time()
@@ -98,11 +98,13 @@ def follow(
         tally.add_s.append(error.add_s)
         tally.rotation.append(error.rotation)
         tally.nees.append(error.nees / count)
+        known += [tally.nees[-1]] if np.isfinite(tally.nees[-1]) else []
         tally.ok.append(answer.ok)
         if frame is not frames[0]:  # the first is a search, and compiles
             tally.wall.append(1e3 * wall)
             tally.cpu.append(1e3 * cpu)
         tally.again += int(answer.again)
+    tally.means += [float(np.mean(known))] if known else []
     tally.ends += tally.rotation[-min(END, len(said)) :]
     tally.end_errors += errors[-min(END, len(said)) :]
     if method in WRONG_STARTS:

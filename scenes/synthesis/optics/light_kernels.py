@@ -112,7 +112,8 @@ def pattern_light(  # type: ignore[no-untyped-def]
                     far = math.sqrt(x * x + y * y + z * z)
                     # the room: even light, and one lamp with its gloss
                     facing = max(nx * lamp[0] + ny * lamp[1] + nz * lamp[2], 0.0)
-                    shine = _shine(gloss, sharpness, nx, ny, nz, lamp[0], lamp[1], lamp[2], -x / far, -y / far, -z / far)
+                    vx, vy, vz = -x / far, -y / far, -z / far
+                    shine = _shine(gloss, sharpness, nx, ny, nz, lamp[0], lamp[1], lamp[2], vx, vy, vz)
                     room += ambient * ((1.0 - lamp_share) * albedo + lamp_share * facing * (albedo + shine))
                     # the projector
                     lx, ly, lz = ox - x, oy - y, oz - z
@@ -133,7 +134,7 @@ def pattern_light(  # type: ignore[no-untyped-def]
                     if not _lit(shadow, f * a + shadow_lens[1], f * b + shadow_lens[2], pz, slack):
                         continue
                     dots = _texel(light, light_lens[0] * a + light_lens[1], light_lens[0] * b + light_lens[2])
-                    shine = _shine(gloss, sharpness, nx, ny, nz, lx, ly, lz, -x / far, -y / far, -z / far)
+                    shine = _shine(gloss, sharpness, nx, ny, nz, lx, ly, lz, vx, vy, vz)
                     laser += dots * cosine * (albedo + shine) / (away * away)
             laser_out[row, column] = laser * share
             room_out[row, column] = room * share

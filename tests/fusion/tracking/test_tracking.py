@@ -156,6 +156,25 @@ def test_what_goes_on_slipping_is_glanced_at_a_second_time(mug):
         assert move < 2.0
 
 
+def test_after_a_slip_what_looks_have_in_common_is_found_anew(mug):
+    slip = {i: np.array([0.03, 0.0, 0.0, 0.0, 0.0012, 0.0]) for i in (7, 8, 9)}
+    frames = recording(mug, count=16, slip=slip)
+    tracker, slipping, weight, looked = Tracker(mug, settings=ALONE), [], {}, set()
+    for frame in frames:
+        answer = tracker.step(frame)
+        known = tracker._state.known
+        weight[frame.index] = 0.0 if known is None else known.weight
+        if any(stage.name == "look" for stage in answer.trace):
+            looked.add(frame.index)
+        if answer.slip:
+            slipping.append(frame.index)
+    last = slipping[-1]
+    assert {last + 1, last + 2} <= looked
+    # of the hold before nothing is left in the first of them
+    before = weight[slipping[0] - 1]
+    assert 0.0 < weight[last + 1] < before
+
+
 def test_a_lost_object_is_found_again(mug):
     leap = np.array([0.5, 0.3, 0.0, 0.03, -0.02, 0.0])
     frames = recording(mug, slip={5: leap})

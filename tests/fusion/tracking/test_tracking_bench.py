@@ -61,3 +61,31 @@ def test_a_wrong_beginning_counts_frames_until_doubted_and_right():
     assert (row[3], row[5], row[7]) == (Rate(1, 2), Rate(1, 2), 1)
     assert row[8] == Rate(1, 1)
     assert tables.begun_wrong({("lab", "carry"): {method: Tally() for method in WRONG_STARTS}}) is None
+
+
+def test_single_frames_are_asked_at_a_sequences_end_too(monkeypatch):
+    """What a track ends with is held against the same frames alone."""
+    from types import SimpleNamespace
+
+    from fusion.benchmarks.tracking import methods
+    from fusion.estimation import estimate as estimating
+
+    said = SimpleNamespace(pose=np.eye(4), covariance=np.eye(6), verdict="ok")
+    monkeypatch.setattr(estimating, "estimate", lambda *args, **how: said)
+    step = methods.stepper("estimate", SimpleNamespace(centroid=np.zeros(3)), 0, 17)
+    frames = [SimpleNamespace(index=i, camera_from_object_truth=np.eye(4)) for i in range(18)]
+    asked = [frame.index for frame in frames if step(frame) is not None]
+    assert asked == [0, 5, 10, 13, 14, 15, 16, 17]
+
+
+def test_what_sequences_differ_by_stands_beside_their_mean():
+    one = Tally(
+        add_s=[0.001] * 4, ok=[True] * 4, nees=[1.0, 1.0, 2.0, 2.0], means=[1.0, 2.0], ends=[0.1], rotation=[0.1]
+    )
+    single = Tally(ends=[0.2], rotation=[0.4, 0.2])
+    table = tables.by_motion({("lab", "slip"): {"track": one, "estimate": single}})
+    row = dict(zip([column.name for column in table.columns], table.rows[0], strict=True))
+    assert row["sequences"] == 2
+    assert row["NEES / dof, mean"] == pytest.approx(1.5)
+    assert row["+-"] == pytest.approx(0.5)
+    assert row["single frames there"] == pytest.approx(np.rad2deg(0.2))
