@@ -19,6 +19,7 @@ import numpy as np
 
 from fusion.benchmarks.families.making import frames_of, judge_for, objects_of, why_not
 from fusion.benchmarks.families.table import FAMILIES, REPORT, TUNING, Family
+from fusion.benchmarks.families.told import beliefs_of
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Quantile, Rate, Report, Table
 from scenes.threads import VARIABLE, thread_count
 
@@ -65,7 +66,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class Cell:
-    """Frames made and answered in one go."""
+    """Frames made and answered in one go. told: the estimator is told how large the family's errors are."""
 
     family: Family
     level: float
@@ -74,6 +75,7 @@ class Cell:
     seed: int
     with_start: tuple[str, ...] = WITH_START
     without_start: tuple[str, ...] = WITHOUT_START
+    told: bool = False
 
 
 def freedom(symmetries: Symmetries) -> int:
@@ -103,6 +105,7 @@ def answer_cell(cell: Cell) -> list[Answer]:
         for start, methods in ((True, cell.with_start), (False, cell.without_start)):
             usable = [one for one in methods if one != "touch" or len(made.frame.contacts)]
             frame = made.frame if start else replace(made.frame, prior=None)
+            frame = replace(frame, beliefs=beliefs_of(cell.family)) if cell.told else frame
             rows = compare_frame(frame, judge, usable, cell.seed) if usable else []
             known = cell.family.name, cell.level, start, judge.model.symmetries, made.key
             out += [answered(row, *known) for row in rows]
@@ -112,7 +115,7 @@ def answer_cell(cell: Cell) -> list[Answer]:
 def cells_of(families: Sequence[Family], trials: int, settings: BenchSettings) -> tuple[list[Cell], list[str]]:
     """Every family, level and object; and the families that cannot be made here, with the reason."""
     places, missing = places_of(families, settings)
-    return [Cell(*place, trials, settings.seed) for place in places], missing
+    return [Cell(*place, trials, settings.seed, told=settings.told) for place in places], missing
 
 
 def places_of(families: Sequence[Family], settings: BenchSettings) -> tuple[list[tuple[Family, float, str]], list[str]]:

@@ -31,7 +31,8 @@ def run(settings: BenchSettings) -> Report:
     cells, missing = cells_of(chosen(settings.family), trials, settings)
     report = Report(
         "calibration",
-        "Is an answer as sure as it is right? By family and hidden share",
+        "Is an answer as sure as it is right? By family and hidden share"
+        + (", told how large each family's errors are" if settings.told else ""),
         f"{len(cells) * trials} frames at most, {trials} of each object at each hidden share, each its own draw",
         settings.seed,
     )

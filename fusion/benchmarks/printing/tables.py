@@ -42,7 +42,8 @@ class BenchSettings:
     progress(items, total, what) yields the items and may draw a bar; show(table) is told of a table that is complete
     while others are still to come; family: of frames, "all", "tuning" or "report", None = the benchmark's own choice;
     motions, frames, methods: of sequences, None = all, the benchmark's own number; data, bop: folders of recordings of
-    `real` (data: of `gel`, too), None = where they usually are, none.
+    `real` (data: of `gel`, too), None = where they usually are, none; told: of frames by family, the estimator is told
+    how large their errors are.
     """
 
     # As the docstring says; objects: only these; folder: where recordings are kept.
@@ -59,6 +60,7 @@ class BenchSettings:
     methods: tuple[str, ...] | None = None
     data: Path | None = None
     bop: Path | None = None
+    told: bool = False
 
     def count(self, usual: int, quick: int | None = None) -> int:
         """Trials of a cell that usually has `usual` of them (`quick` of them, default a tenth, when in a hurry)."""

@@ -53,6 +53,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--bop", metavar="DIR", type=Path, help="a BOP data set, split or scene for `real`")
     parser.add_argument(
+        "--told",
+        action="store_true",
+        help="tell the estimator how large each family's errors are, as one who measured camera, robot and mesh would"
+        " (calibration)",
+    )
+    parser.add_argument(
         "--quick", action="store_true", help="less of everything, but all of it (all: five minutes on two cores)"
     )
     parser.add_argument(
@@ -88,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
 
     settings = BenchSettings(args.trials, args.seed, args.quick, progress, args.objects, args.out, show, args.family)
     settings = replace(settings, motions=args.motions, frames=args.frames, methods=args.methods)
-    settings = replace(settings, data=args.data, bop=args.bop)
+    settings = replace(settings, data=args.data, bop=args.bop, told=args.told)
     if args.family is not None:
         from fusion.benchmarks.families.table import chosen
 

@@ -8,13 +8,16 @@ import pytest
 from fusion.benchmarks import strata
 from fusion.benchmarks.families import making
 from fusion.benchmarks.families.table import FAMILIES, RECORDED, REPORT, TUNED_OBJECTS, TUNING, chosen
+from fusion.benchmarks.families.told import beliefs_of
 from fusion.benchmarks.frames import faults
 from fusion.benchmarks.peers.occlusion import hidden
 from fusion.benchmarks.printing.tables import BenchSettings
 from fusion.benchmarks.tracking.sequences import recorded
 from fusion.cli.main import main
+from fusion.truth import compare
 from scenes.errors import InputError
 from scenes.geometry.cameras import Camera
+from scenes.recordings.beliefs import Beliefs
 from scenes.synthesis import library
 from scenes.synthesis.hands import HandShape
 from scenes.synthesis.noise.depth import DepthNoise
@@ -162,6 +165,35 @@ def test_a_cell_is_answered_by_every_method_with_a_start_and_without(monkeypatch
     assert all(0 <= a.share <= 1 and a.per_dof >= 0 and a.verdict for a in ours)
     strip = [replace(a, ms=0.0) for a in found]
     assert [repr(replace(a, ms=0.0)) for a in strata.answer_cell(cell)] == [repr(a) for a in strip]
+
+
+@pytest.mark.parametrize("family", FAMILIES.values(), ids=lambda family: family.name)
+def test_what_is_told_of_a_family_are_its_sizes(family):
+    told, usual = beliefs_of(family), Beliefs()
+    if family.name == RECORDED:
+        assert told == usual
+        return
+    preset = family.preset()
+    assert told.calibration.translation_sigma == pytest.approx(max(preset.robot.camera_translation, 1e-4))
+    assert told.calibration.rotation_sigma == pytest.approx(max(preset.robot.camera_rotation, 1e-4))
+    if isinstance(preset.depth, DepthNoise):
+        assert told.depth.bias_sigma == pytest.approx(max(preset.depth.bias, 1e-4))
+        assert told.depth.scale_sigma == pytest.approx(max(preset.depth.scale, 1e-4))
+    assert (told.mesh_sigma > usual.mesh_sigma) == (family.mesh_error is not None)
+
+
+def test_only_who_is_told_knows_the_sizes(monkeypatch):
+    """The frames are the same, what is believed of them is not."""
+    seen = []
+    monkeypatch.setattr(compare, "compare_frame", lambda frame, *_: seen.append(frame) or [])
+    cells, _ = strata.cells_of(chosen("lab"), 1, BenchSettings(objects=("mug",), quick=True))
+    cells += strata.cells_of(chosen("lab"), 1, BenchSettings(objects=("mug",), quick=True, told=True))[0]
+    for cell in cells:
+        strata.answer_cell(cell)
+    own, _, told, _ = seen
+    assert own.beliefs is None
+    assert told.beliefs == beliefs_of(FAMILIES["lab"])
+    assert np.array_equal(own.depth, told.depth)
 
 
 def test_sequences_faults_and_fronts_know_families():
