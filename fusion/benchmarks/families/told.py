@@ -1,8 +1,8 @@
 """What somebody would tell of a family who had measured its camera, its robot and its mesh: `Beliefs` of its sizes.
 
 A frame does not tell how well its robot is calibrated or how good its mesh is; where nobody says, a covariance can only
-be right on average over what robots and meshes there are. Told the sizes, it has to be right in each family: what is off
-then is off in the model. No error itself is told, only its standard deviation.
+be right on average over what robots and meshes there are. Told the sizes, it has to be right in each family: what is
+off then is off in the model. No error itself is told, only its standard deviation.
 """
 
 from __future__ import annotations
