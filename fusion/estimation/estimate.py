@@ -35,7 +35,7 @@ from fusion.estimation.steps.facing import (
 )
 from fusion.estimation.steps.sense import look_once, sense, solve_together
 from fusion.estimation.steps.twins import with_twins
-from fusion.estimation.tolerance import good_enough, is_within, with_shared_errors
+from fusion.estimation.tolerance import good_enough, is_within, with_shared_errors, with_shift
 from fusion.estimation.trace import Trace
 from scenes.evidence import table as tables
 from scenes.evidence.align import Prior
@@ -200,7 +200,8 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         share, rms = posterior.pixel_agreement(model, seen, pose)
         seeing = visibility(viewed, model, pose, beliefs.depth)
         picture = predictor.predict(pose[None]) if predictor.sees else None
-        modes = (as_shown(modes[0], picture, believed, settings.confidence, beside), *modes[1:])
+        first = as_shown(modes[0], picture, believed, settings.confidence, beside)
+        modes = (with_shift(model, first, viewed, beliefs.depth), *modes[1:])
         same = alike(model, modes, settings.confidence.tolerance)
         nats = posterior.nats_of_contacts(model, felt.rows, contacts, pose)
         agreed = residuals, nats, share, seeing, picture

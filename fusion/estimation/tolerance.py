@@ -35,6 +35,19 @@ def with_shared_errors(
     return tuple(out)
 
 
+def with_shift(model: ObjectModel, mode: Mode, frame: Frame, depth: DepthModel) -> Mode:
+    """The mode as wide across the camera's rays as the whole depth image may lie beside where the camera's model has
+    it: no pixel tells, and no other sense is known well enough beside the camera to do so.
+    """
+    if frame.depth is None or frame.camera is None:
+        return mode
+    away = max(float(se3.apply(mode.pose, model.centroid[None])[0, 2]), 0.0)
+    across = depth.shift_sigma * away / np.array([frame.camera.fx, frame.camera.fy])
+    wide = mode.covariance.copy()
+    wide[[3, 4], [3, 4]] += across**2
+    return replace(mode, covariance=wide)
+
+
 def is_within(
     model: ObjectModel, modes: tuple[Mode, ...], tolerance: tuple[float, float] | None, settings: EstimateSettings
 ) -> bool:

@@ -23,11 +23,11 @@ LARGEST = {
     **{"axial_floor": 0.1, "axial_growth": 1.0, "axial_from": 10.0, "axial_steep": 0.1},
     **{"lateral_sigma": 50.0, "lateral_growth": 10.0, "bias_sigma": 0.1, "bias_length": 5000.0},
     **{"sharing_length": 5000.0, "sharing_length_unknown": 5000.0, "cloud_sigma": 0.1, "cloud_patches": 1e6},
-    **{"scale_sigma": 0.2, "edge_pixels": 50},
+    **{"scale_sigma": 0.2, "shift_sigma": 50.0, "edge_pixels": 50},
     **{"translation_sigma": 0.5, "rotation_sigma": 0.8, "unknown_sigma": 0.1, "fingertip_sigma": 0.1},
     "mesh_sigma": 0.05,
 }
-MAY_BE_ZERO = ("axial_growth", "axial_from", "axial_steep", "lateral_growth", "edge_pixels")
+MAY_BE_ZERO = ("axial_growth", "axial_from", "axial_steep", "lateral_growth", "shift_sigma", "edge_pixels")
 
 
 def check_sizes(believed: Any) -> None:
@@ -78,6 +78,9 @@ class DepthModel:
     cloud_patches: float = 30.0
     # Relative error of the depth scale.
     scale_sigma: float = 0.006
+    # How far the whole image may lie beside where its camera model has it, pixels an axis: the principal point of a
+    # usual calibration is good to some tenths, depth that was registered to another image was seen one and more off.
+    shift_sigma: float = 0.5
 
     def __post_init__(self) -> None:
         """Refuse what is no size."""

@@ -74,7 +74,13 @@ L515 = DepthModel(
 
 # Depth rendered by a simulator, each pixel with noise of its own and nothing wrong in common.
 CLEAN = DepthModel(
-    lateral_sigma=0.5, edge_pixels=1, bias_sigma=0.0002, bias_length=40.0, scale_sigma=0.0002, cloud_sigma=0.0013
+    lateral_sigma=0.5,
+    edge_pixels=1,
+    bias_sigma=0.0002,
+    bias_length=40.0,
+    scale_sigma=0.0002,
+    shift_sigma=0.0,
+    cloud_sigma=0.0013,
 )
 
 DEPTH_CAMERAS: dict[str, DepthModel] = {

@@ -20,6 +20,8 @@ from scenes.synthesis.staging.mesh_errors import BENT_SIGMA, DENTED_SIGMA, FAT, 
 # What the lattice leaves out of a mesh without an error, and the smallest of all other sizes (m, rad, share): none may
 # be zero.
 LATTICE, LEAST = 0.0003, 1e-4
+# Depth that is simulated lies where the camera's model has it (px).
+NO_SHIFT = 0.0
 # From joints to a fingertip's place: three joints in a row at these distances (m, root of the sum of squares).
 LEVER = 0.16
 # Half an object (m), for an error that is a share of it.
@@ -46,6 +48,8 @@ def beliefs_of(family: Family) -> Beliefs:
 
 def _depth(noise: object) -> DepthModel:
     if not isinstance(noise, DepthNoise):
-        return DEPTH_CAMERAS.get(getattr(noise, "name", ""), DepthModel())
+        return replace(DEPTH_CAMERAS.get(getattr(noise, "name", ""), DepthModel()), shift_sigma=NO_SHIFT)
     bias, scale = max(noise.bias, LEAST), max(noise.scale, LEAST)
-    return replace(DepthModel(), bias_length=noise.bias_length, bias_sigma=bias, scale_sigma=scale)
+    return replace(
+        DepthModel(), bias_length=noise.bias_length, bias_sigma=bias, scale_sigma=scale, shift_sigma=NO_SHIFT
+    )

@@ -12,7 +12,7 @@ from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import ContactResidual, Mode
 from fusion.estimation.estimate import estimate
 from fusion.estimation.settings import EstimateSettings
-from fusion.estimation.tolerance import is_within, with_shared_errors
+from fusion.estimation.tolerance import is_within, with_shared_errors, with_shift
 from fusion.estimation.trace import Trace
 from fusion.truth.errors import Judge
 from scenes.evidence import table as evidence
@@ -258,3 +258,21 @@ def test_what_contradicts_counts_no_more_than_false_contacts():
     right = evidence.from_contacts(Contacts(points, normals, 0.004, 0.1))
     expected = posterior.nats_of_contacts(model, right, 5, np.eye(4))
     assert posterior.contradiction(model, right, 5, np.eye(4)) == pytest.approx(expected, abs=0.1)
+
+
+def test_an_answer_is_as_wide_across_the_rays_as_the_image_may_lie_beside(lab_frame):
+    """Where the camera's model has the principal point wrong, the image of the object at one place is its image at
+    another: half a pixel of 600 px at 0.6 m is half a millimetre. Without an image nothing is added.
+    """
+    mug, camera, pose = library.make("mug"), lab_frame.camera, poses.make_pose(np.eye(3), [0.02, -0.01, 0.6])
+    mode, depth = Mode(pose, 1.0, 0.0, SHARP), replace(DepthModel(), shift_sigma=0.5)
+    added = with_shift(mug, mode, lab_frame, depth).covariance - SHARP
+    centre = poses.apply(pose, mug.centroid[None])[0]
+    moved = centre + np.array([0.5 * centre[2] / camera.fx, 0.5 * centre[2] / camera.fy, 0.0])
+    off = camera.project(np.array([centre, moved]))[0]
+    np.testing.assert_allclose(off[1] - off[0], [0.5, 0.5], rtol=1e-9)
+    np.testing.assert_allclose(np.sqrt(np.diag(added)), [0, 0, 0, *(moved - centre)], atol=1e-12)
+    assert np.count_nonzero(added - np.diag(np.diag(added))) == 0
+    assert with_shift(mug, mode, replace(lab_frame, depth=None, mask=None), depth) is mode
+    exact = with_shift(mug, mode, lab_frame, replace(depth, shift_sigma=0.0))
+    assert np.array_equal(exact.covariance, SHARP)
