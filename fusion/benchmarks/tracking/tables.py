@@ -122,7 +122,8 @@ def _all(tracked: Tracked, method: str) -> tuple[np.ndarray, np.ndarray]:
 def by_family(tracked: Tracked) -> Table:
     """The track alone, family by family over all motions."""
     columns = [Column("family"), Column("frames", 0), Column("median ADD-S mm"), Column("wrong but ok"), Column("ok")]
-    columns += [Column("NEES / dof, mean"), Column("median"), Column("processor ms", 1), Column("mean ", 1)]
+    columns += [Column("95 % regions hold"), Column("NEES / dof, mean"), Column("median")]
+    columns += [Column("processor ms", 1), Column("mean ", 1)]
     table = Table("The track by family, all motions together", columns)
     for family in dict.fromkeys(family for family, _ in tracked):
         own = Tally()
@@ -137,6 +138,7 @@ def by_family(tracked: Tracked) -> Table:
                 1e3 * float(np.median(own.add_s)),
                 Rate(own.wrong_ok, len(own.ok)),
                 Rate(sum(own.ok), len(own.ok)),
+                Rate(own.held, len(own.nees)),
                 float(np.mean(nees)),
                 float(np.median(nees)),
                 float(np.median(own.cpu)) if own.cpu else None,
@@ -148,7 +150,8 @@ def by_family(tracked: Tracked) -> Table:
 def by_motion(tracked: Tracked) -> Table:
     """The track alone, motion by motion over all families."""
     columns = [Column("motion"), Column("frames", 0), Column("wrong but ok"), Column("ok"), Column("sequences", 0)]
-    columns += [Column("NEES / dof, mean"), Column("+-"), Column("rotation at the end"), Column("single frames there")]
+    columns += [Column("95 % regions hold"), Column("NEES / dof, mean"), Column("+-")]
+    columns += [Column("rotation at the end"), Column("single frames there")]
     table = Table("The track by motion, all families together", columns)
     table.note = (
         "+-: standard error of the mean, by sequences: all frames of one share a camera's and a robot's lasting errors."
@@ -169,6 +172,7 @@ def by_motion(tracked: Tracked) -> Table:
             Rate(own.wrong_ok, len(own.add_s)),
             Rate(sum(own.ok), len(own.ok)),
             len(own.means),
+            Rate(own.held, len(own.nees)) if own.nees else None,
             float(np.mean(nees)) if nees else None,
             float(np.std(own.means, ddof=1) / np.sqrt(len(own.means))) if len(own.means) > 1 else None,
             float(np.rad2deg(np.median(own.ends))) if own.ends else None,

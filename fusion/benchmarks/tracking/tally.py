@@ -31,11 +31,11 @@ class Tally:
     """One method on one kind of motion.
 
     frame, ADD-S (m), rotation (rad), NEES per degree of freedom, and whether it was ok, of each answer; means: of each
-    sequence's NEES; wall and processor ms of all but the first; rotations and ADD-S (m) at the ends of sequences; runs:
-    frames from a loss until the object is found again; doubted, righted: frames from a wrong beginning until no longer
-    ok, until right; never: wrong beginnings that were not righted; still_wrong_ok: answers after such a beginning that
-    are wrong and ok; new starts; slips, those said in time and false alarms, as a slip and as a motion in the hand;
-    frames without a slip.
+    sequence's NEES; held: answers whose 95 % region holds the truth; wall and processor ms of all but the first;
+    rotations and ADD-S (m) at the ends of sequences; runs: frames from a loss until the object is found again; doubted,
+    righted: frames from a wrong beginning until no longer ok, until right; never: wrong beginnings that were not
+    righted; still_wrong_ok: answers after such a beginning that are wrong and ok; new starts; slips, those said in time
+    and false alarms, as a slip and as a motion in the hand; frames without a slip.
     """
 
     frame: list[int] = field(default_factory=list)
@@ -51,6 +51,7 @@ class Tally:
     runs: list[int] = field(default_factory=list)
     doubted: list[int] = field(default_factory=list)
     righted: list[int] = field(default_factory=list)
+    held: int = 0
     never: int = 0
     still_wrong_ok: int = 0
     again: int = 0
@@ -76,13 +77,16 @@ def follow(
     tally: Tally, method: str, model: ObjectModel, frames: list[Frame], notes: dict[str, Any], seed: int
 ) -> None:
     """Give a method the frames and count what it says."""
-    from fusion.benchmarks.strata import freedom
+    from scipy.stats import chi2
+
+    from fusion.benchmarks.strata import REGION, freedom
     from fusion.truth.errors import Judge
 
     judge = Judge(model)
     step = stepper(method, model, seed, frames[-1].index)
     said, errors, known = [], [], []
     count = freedom(model.symmetries)
+    most = float(chi2.ppf(REGION, count))
     for frame in frames:
         wall, cpu = time.perf_counter(), time.process_time()
         answer = step(frame)
@@ -99,6 +103,7 @@ def follow(
         tally.rotation.append(error.rotation)
         tally.nees.append(error.nees / count)
         known += [tally.nees[-1]] if np.isfinite(tally.nees[-1]) else []
+        tally.held += int(error.nees <= most)
         tally.ok.append(answer.ok)
         if frame is not frames[0]:  # the first is a search, and compiles
             tally.wall.append(1e3 * wall)

@@ -80,12 +80,19 @@ def test_single_frames_are_asked_at_a_sequences_end_too(monkeypatch):
 
 def test_what_sequences_differ_by_stands_beside_their_mean():
     one = Tally(
-        add_s=[0.001] * 4, ok=[True] * 4, nees=[1.0, 1.0, 2.0, 2.0], means=[1.0, 2.0], ends=[0.1], rotation=[0.1]
+        add_s=[0.001] * 4,
+        ok=[True] * 4,
+        nees=[1.0, 1.0, 2.0, 2.0],
+        means=[1.0, 2.0],
+        held=3,
+        ends=[0.1],
+        rotation=[0.1],
     )
     single = Tally(ends=[0.2], rotation=[0.4, 0.2])
     table = tables.by_motion({("lab", "slip"): {"track": one, "estimate": single}})
     row = dict(zip([column.name for column in table.columns], table.rows[0], strict=True))
     assert row["sequences"] == 2
+    assert row["95 % regions hold"] == Rate(3, 4)
     assert row["NEES / dof, mean"] == pytest.approx(1.5)
     assert row["+-"] == pytest.approx(0.5)
     assert row["single frames there"] == pytest.approx(np.rad2deg(0.2))
