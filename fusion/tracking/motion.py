@@ -173,3 +173,15 @@ def calibration_drift(before: Array, now: Array, centre: Array, calibration: Cal
     angle = turn * calibration.rotation_sigma
     distance = np.hypot(turn * shift, move * calibration.rotation_sigma)
     return np.diag(np.repeat([angle, distance], 3) ** 2)
+
+
+def drift_since(seen: Array, before: Array, now: Array, centre: Array, calibration: CalibrationModel) -> Array:
+    """(6, 6) covariance that the motion from camera_from_hand `before` to `now` adds to what a wrong calibration has
+    made of the way since the hand was at `seen`; centre (3,): of the object, camera frame, now.
+
+    One error acts on all steps of a way: what it makes of them adds up, and its variance is that of the whole way, not
+    the sum of the steps'. On a way back nothing is taken off: it is another way.
+    """
+    begun = se3.apply(seen @ se3.inverse(now), centre[None])[0]
+    whole = calibration_drift(seen, now, begun, calibration)
+    return np.maximum(whole - calibration_drift(seen, before, begun, calibration), 0.0)

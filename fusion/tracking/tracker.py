@@ -164,7 +164,7 @@ class Tracker:
         state.right = min(1.0, several.sure_of(answer) / near) if near > 1e-9 else 0.0
         state.sure = answer.verdict == "ok"
         felt = self._feel(frame)
-        state.hand = HandState.of(frame, felt.reported_contacts)
+        state.hand, state.seen_at = HandState.of(frame, felt.reported_contacts), None
         self._velocity.restart(frame.index, answer.pose)
         self._watch.let_go()
         self._skins(frame, felt)
@@ -418,6 +418,8 @@ class Tracker:
             self._watch.carry(motion)
             return
         state.belief, state.hypotheses, state.index, state.hand = belief, kept, frame.index, hand
+        if np.isfinite(share):
+            state.seen_at = None if hand is None else hand.camera_from_hand
         self._velocity.update(frame.index, belief.pose, belief.covariance)
 
     def _learn(self, sensed: Sensed, pose: Array, switched: bool) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fusion.tracking import hypotheses as several
 from fusion.tracking.filter import Belief
 from fusion.tracking.hypotheses import Hypotheses
-from fusion.tracking.motion import HandMotion, calibration_drift
+from fusion.tracking.motion import HandMotion, calibration_drift, drift_since
 from fusion.tracking.slip import SlipWatch
 from fusion.tracking.state import TrackState
 from scenes.geometry import poses as se3
@@ -59,8 +59,11 @@ def predict(
     moved = belief.moved(motion)
     centre = se3.apply(moved.pose, model.centroid[None])[0]
     drift = calibration_drift(before, now, centre, calibration)
-    delta, noise = expected.motion, expected.noise + drift
     watch.predict(motion, expected, drift)
+    if state.seen_at is not None and not np.array_equal(state.seen_at, before):
+        # no camera has told in between what the calibration did
+        drift = np.maximum(drift, drift_since(state.seen_at, before, now, centre, calibration))
+    delta, noise = expected.motion, expected.noise + drift
     whole = se3.perturb(motion @ belief.pose, delta, model.centroid) @ se3.inverse(belief.pose)
     fingers = f"with palm and fingertips, {1e3 * np.linalg.norm(delta[3:]):.2f} mm"
     why = fingers if delta.any() else "with the palm"

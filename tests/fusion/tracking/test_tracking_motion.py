@@ -1,5 +1,7 @@
 """Prediction from the hand: rigid motion exactly, contacts by least squares; honest beliefs; the slip test."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,6 +15,7 @@ from fusion.tracking.motion import (
     HandState,
     calibration_drift,
     carried_by_contacts,
+    drift_since,
     grasp_transpose,
 )
 from fusion.tracking.spans import SpanTest
@@ -175,6 +178,32 @@ def test_positive_part_keeps_what_is_positive(mug, seed):
     matrix = random_covariance(rng)
     np.testing.assert_allclose(positive_part(matrix, scales(mug)), matrix, atol=1e-12)
     assert np.linalg.eigvalsh(positive_part(matrix - 2 * np.eye(6), scales(mug))).min() > -1e-12
+
+
+def test_what_a_calibration_makes_of_a_way_adds_up_over_its_steps():
+    """One calibration's error acts on every step: a way of many small ones ends as far off as one of a single step."""
+    calibration, rng = CalibrationModel(), np.random.default_rng(2)
+    begun, object_pose = poses.make_pose(None, [0.0, 0.0, 0.6]), poses.make_pose(None, [0.0, 0.0, 0.6])
+    way = [poses.perturb(begun, k * np.array([0.01, 0.02, 0, 0.004, 0, 0.002]), np.zeros(3)) for k in range(21)]
+    coherent, independent, back = (np.zeros((6, 6)) for _ in range(3))
+    for before, now in pairwise(way):
+        centre = (now @ poses.inverse(begun) @ object_pose)[:3, 3]
+        independent += calibration_drift(before, now, (before @ poses.inverse(begun) @ object_pose)[:3, 3], calibration)
+        coherent += drift_since(begun, before, now, centre, calibration)
+        back += drift_since(begun, now, before, object_pose[:3, 3], calibration)
+    whole = calibration_drift(begun, way[-1], object_pose[:3, 3], calibration)
+    np.testing.assert_allclose(coherent, whole, rtol=1e-6, atol=1e-18)
+    assert back.max() < 1e-3 * coherent.max()
+    sigma = np.repeat([calibration.rotation_sigma, calibration.translation_sigma], 3)
+    off = []
+    for error in poses.exp(sigma * rng.normal(size=(300, 6))):
+        reported = error @ way[-1] @ poses.inverse(error @ begun)
+        true = way[-1] @ poses.inverse(begun)
+        off.append(poses.difference(reported @ object_pose, true @ object_pose, np.zeros(3)))
+    found = np.mean(np.square(off), axis=0)
+    for part in (slice(0, 3), slice(3, 6)):
+        assert found[part].mean() > 3.0 * np.diag(independent)[part].mean()
+        assert 0.3 < found[part].mean() / np.diag(whole)[part].mean() < 1.2
 
 
 def test_calibration_drifts_only_with_motion():
