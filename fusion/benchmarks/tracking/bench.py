@@ -141,7 +141,8 @@ def _claims(tracked: Tracked) -> list[Claim]:
             out.append(Claim(f"tracks that begin wrong: {asked} frames, %", 100.0 * share / begun, 100.0, True, 0))
     for (family, motion), tallies in tracked.items():
         if motion == "slip" and tallies["estimate"].ends:
-            mine, single = np.median(tallies["track"].ends), np.median(tallies["estimate"].ends)
-            what = f"rotation at the end of a slip, {family}: less than the same frames' alone by, degrees"
-            out.append(Claim(what, float(np.rad2deg(single - mine)), 0.0, True))
+            # objects differ by more than methods do: each frame is held against itself
+            less = np.subtract(tallies["estimate"].ends, tallies["track"].ends)
+            what = f"rotation at the end of a slip, {family}: less than of the same frame alone by (median), degrees"
+            out.append(Claim(what, float(np.rad2deg(np.median(less))), 0.0, True))
     return out

@@ -5,8 +5,8 @@ import pytest
 
 from fusion.benchmarks.printing.tables import BenchSettings, Rate
 from fusion.benchmarks.tracking import tables
-from fusion.benchmarks.tracking.bench import run
-from fusion.benchmarks.tracking.methods import WRONG_STARTS
+from fusion.benchmarks.tracking.bench import _claims, run
+from fusion.benchmarks.tracking.methods import METHODS, WRONG_STARTS
 from fusion.benchmarks.tracking.sequences import recorded
 from fusion.benchmarks.tracking.tally import Tally
 from scenes.errors import InputError
@@ -96,3 +96,12 @@ def test_what_sequences_differ_by_stands_beside_their_mean():
     assert row["NEES / dof, mean"] == pytest.approx(1.5)
     assert row["+-"] == pytest.approx(0.5)
     assert row["single frames there"] == pytest.approx(np.rad2deg(0.2))
+
+
+def test_a_tracks_end_is_held_against_the_same_frames():
+    """A median of all would compare one object's frames with another's."""
+    tallies = {method: Tally() for method in METHODS}
+    tallies["track"] = Tally(ends=[0.01, 0.02, 0.30], add_s=[0.001] * 3, ok=[True] * 3, nees=[1.0] * 3)
+    tallies["estimate"] = Tally(ends=[0.015, 0.025, 0.29])
+    (claim,) = [one for one in _claims({("lab", "slip"): tallies}) if "end of a slip" in one.what]
+    assert claim.value == pytest.approx(np.rad2deg(0.005))
