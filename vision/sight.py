@@ -40,7 +40,7 @@ class SightSettings:
     free_share: float = 0.02
 
 
-@numba.njit(cache=True, nogil=True, **LENT)
+@numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
 def _sight_shares(
     depth,
     fx,
@@ -62,26 +62,27 @@ def _sight_shares(
 ):
     """Fill out (n, 2): shares, of the samples facing the camera inside the image, seen past and hidden."""
     height, width = depth.shape
+    flattest = least_cosine * least_cosine
     for n in range(rotations.shape[0]):
         r, t = rotations[n], translations[n]
+        # the camera in the object's frame: half of the surface looks away from it, and is not turned into its own
+        ox = r[0, 0] * t[0] + r[1, 0] * t[1] + r[2, 0] * t[2]
+        oy = r[0, 1] * t[0] + r[1, 1] * t[1] + r[2, 1] * t[2]
+        oz = r[0, 2] * t[0] + r[1, 2] * t[1] + r[2, 2] * t[2]
         facing = 0
         past = 0
         hidden = 0
         for k in range(points.shape[0]):
             px, py, pz = points[k, 0], points[k, 1], points[k, 2]
-            x = r[0, 0] * px + r[0, 1] * py + r[0, 2] * pz + t[0]
-            y = r[1, 0] * px + r[1, 1] * py + r[1, 2] * pz + t[1]
+            x, y, z = px + ox, py + oy, pz + oz
+            away = normals[k, 0] * x + normals[k, 1] * y + normals[k, 2] * z
+            if away >= 0.0 or away * away <= flattest * (x * x + y * y + z * z):
+                continue
             z = r[2, 0] * px + r[2, 1] * py + r[2, 2] * pz + t[2]
             if z <= 1e-3:
                 continue
-            nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
-            away = (
-                (r[0, 0] * nx + r[0, 1] * ny + r[0, 2] * nz) * x
-                + (r[1, 0] * nx + r[1, 1] * ny + r[1, 2] * nz) * y
-                + (r[2, 0] * nx + r[2, 1] * ny + r[2, 2] * nz) * z
-            )
-            if away >= -least_cosine * math.sqrt(x * x + y * y + z * z):
-                continue
+            x = r[0, 0] * px + r[0, 1] * py + r[0, 2] * pz + t[0]
+            y = r[1, 0] * px + r[1, 1] * py + r[1, 2] * pz + t[1]
             u = math.floor(fx * x / z + cx + 0.5)
             v = math.floor(fy * y / z + cy + 0.5)
             if u < 0 or v < 0 or u >= width or v >= height:
