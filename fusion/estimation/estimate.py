@@ -22,6 +22,7 @@ from fusion.estimation.ranking import rejudged
 from fusion.estimation.search import find_modes, not_solved, worth_solving
 from fusion.estimation.settings import EstimateSettings, usual_settings
 from fusion.estimation.solve.outlined import asks_for, outlined
+from fusion.estimation.steps.another import another, why_no_other, with_other
 from fusion.estimation.steps.facing import (
     Facing,
     as_printed,
@@ -209,10 +210,20 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         against = posterior.contradiction(model, felt.rows, contacts, pose, settings.verdict)
         right, sure, word, why = posterior.judged(model, modes, *agreed, *rules, believed is None, same, against)
         observed = observations(model, modes, picture, residuals, nats, settings.confidence, believed is None, same)
-        room = room_about(se3.apply(pose, model.centroid[None])[0], might_be)
-        covariance = told_covariance(model, modes, word, right, believed, settings.confidence, room, same)
-        word, why = by_facing(model, facing, word, why, settings.texture)
         stage.note(len(rows), why)
+    why_not = why_no_other(pool, word) if predictor.sees else "nothing is seen"
+    with trace.stage("another in view", not why_not, why_not) as stage:
+        other = None if why_not else another(pool, modes, settings.confidence, settings.another)
+        if other is not None:
+            near = sure / max(right, 1e-9)
+            modes, right = with_other(modes, right, *other)
+            sure = right * near
+            if sure < settings.confidence.sure:
+                word, why = "ambiguous", f"only {sure:.0%} sure which is meant: another like it is in view"
+        stage.note(len(modes), "none is like it" if other is None else f"one is, {other[1]:.0%} sure by itself")
+    room = room_about(se3.apply(pose, model.centroid[None])[0], might_be)
+    covariance = told_covariance(model, modes, word, right, believed, settings.confidence, room, same)
+    word, why = by_facing(model, facing, word, why, settings.texture)
 
     return Estimate(
         frame=frame.index,

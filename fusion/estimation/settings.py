@@ -16,6 +16,7 @@ from fusion.estimation.pool import PoolSettings
 from fusion.estimation.proposals import ProposalSettings
 from fusion.estimation.search import PlanSettings
 from fusion.estimation.solve.settings import JointSettings
+from fusion.estimation.steps.another import AnotherSettings
 from fusion.estimation.verdict import VerdictSettings
 from scenes.evidence.modes import ModeSettings
 from touch.arrays.ranking import RankingSettings
@@ -71,6 +72,7 @@ class EstimateSettings:
     most_worse_outlined: float = 12.0
     texture: PrintSettings = field(default_factory=PrintSettings)
     verdict: VerdictSettings = field(default_factory=VerdictSettings)
+    another: AnotherSettings = field(default_factory=AnotherSettings)
     confidence: ConfidenceSettings = field(default_factory=ConfidenceSettings)
     plausibility: PlausibilitySettings = field(default_factory=PlausibilitySettings)
     # How the patterns of taxel arrays tell several modes apart; None leaves it to their rows.

@@ -1,0 +1,76 @@
+"""Two things of one kind in view: which is meant, nobody knows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_frames import VIEW
+
+from fusion.estimation.answer import Mode
+from fusion.estimation.estimate import estimate
+from fusion.estimation.steps.another import with_other
+from scenes.geometry import poses
+from scenes.geometry.rendering import Renderer
+from scenes.recordings.frames import Contacts, Frame
+from scenes.synthesis.library import make
+
+HERE, THERE = (poses.make_pose(poses.exp_rotation([1.9, 0.4, 0.3]), [x, 0.01, 0.55]) for x in (-0.11, 0.11))
+
+
+@pytest.fixture(scope="module")
+def drill():
+    return make("drill")
+
+
+def seen(model, *places, start=None):
+    """Some of a thing before a wall, with pixel noise of a millimetre."""
+    wall = np.array([[-1.0, -1.0, 0.9], [1.0, -1.0, 0.9], [1.0, 1.0, 0.9], [-1.0, 1.0, 0.9]])
+    parts = {f"one {k}": (model.vertices, model.faces) for k in range(len(places))}
+    world = Renderer({**parts, "wall": (wall, np.array([[0, 1, 2], [0, 2, 3]]))})
+    depth = world.render(VIEW, {**dict(zip(parts, places)), "wall": np.eye(4)}).depth
+    depth = np.where(depth > 0, depth + np.random.default_rng(0).normal(0, 0.001, depth.shape), 0).astype(np.float32)
+    return Frame(index=0, camera=VIEW, depth=depth, prior=start, camera_from_object_truth=places[0])
+
+
+def stage(answer):
+    return next(stage for stage in answer.trace if stage.name == "another in view")
+
+
+def test_one_of_two_is_no_answer_without_a_start(drill):
+    alone = estimate(seen(drill, HERE), drill)
+    assert alone.verdict == "ok"
+    assert stage(alone).ran
+    both = estimate(seen(drill, HERE, THERE), drill)
+    assert both.verdict == "ambiguous"
+    assert "another like it is in view" in both.notes[0]
+    assert both.confidence < 0.7
+    # each of them is a mode, and the modes are what there is
+    off = [[np.linalg.norm(mode.pose[:3, 3] - one[:3, 3]) for mode in both.modes[:2]] for one in (HERE, THERE)]
+    assert sorted(int(np.argmin(row)) for row in off) == [0, 1]
+    assert max(min(row) for row in off) < 0.005
+    assert sum(mode.weight for mode in both.modes) == pytest.approx(1.0)
+    away = np.linalg.norm(HERE[:3, 3] - THERE[:3, 3])
+    assert np.sqrt(np.linalg.eigvalsh(both.covariance[3:, 3:])[-1]) > 0.4 * away
+
+
+def test_who_says_which_is_meant_gets_it(drill):
+    frame = seen(drill, HERE, THERE, start=poses.displaced(HERE, 0.1, 0.01, drill.centroid, np.random.default_rng(1)))
+    answer = estimate(frame, drill)
+    assert answer.verdict == "ok"
+    assert not stage(answer).ran
+    points, normals = drill.sample_surface(6, seed=3)
+    felt = Contacts(poses.apply(THERE, points), normals @ THERE[:3, :3].T, 1e-3, 0.05)
+    touched = estimate(replace(frame, prior=None, contacts=felt), drill)
+    assert np.linalg.norm(touched.pose[:3, 3] - THERE[:3, 3]) < 0.005
+    assert not stage(touched).ran
+
+
+@pytest.mark.parametrize(("right", "chance", "expected"), [(0.99, 0.99, 99 / 199), (0.99, 0.0, 0.99), (1.0, 1.0, 0.5)])
+def test_chances_of_things_of_which_one_is_meant(right, chance, expected):
+    modes = tuple(Mode(np.eye(4), weight, 0.0, np.eye(6)) for weight in (0.75, 0.25))
+    other = Mode(THERE, 1.0, 3.0, np.eye(6))
+    told, sure = with_other(modes, right, other, chance)
+    assert sure == pytest.approx(expected, abs=1e-5)
+    assert sum(mode.weight for mode in told) == pytest.approx(1.0)
+    assert told[0].pose is modes[0].pose
+    assert told[1].pose is THERE
