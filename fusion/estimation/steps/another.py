@@ -17,7 +17,6 @@ from fusion.estimation.confidence import ConfidenceSettings, chances
 from fusion.estimation.pool import Pool
 from scenes.evidence.modes import Mode
 from scenes.geometry import poses as se3
-from vision.look.looked import surface_rows
 
 Array = NDArray[np.float64]
 
@@ -58,13 +57,8 @@ def another(
     that chance; None where nothing is about as likely.
     """
     s, model, first = settings or AnotherSettings(), pool.model, modes[0]
-    found = [np.array([mode.pose for mode in modes])]
-    for pixels in (pool.looked.pixels, *pool.looked.pieces):
-        off = np.abs(model.field.distance(se3.apply(se3.inverse(first.pose), pixels.points)))
-        left = pixels.take(np.flatnonzero(off > max(s.own, s.own_share * model.radius)))
-        rest = replace(pool, looked=replace(pool.looked, pixels=left), rng=pool.rng.spawn(1)[0])
-        found.append(rest.glanced(surface_rows(rest.looked, pool.depth, pool.rows)))
-    poses = np.concatenate(found)
+    own = max(s.own, s.own_share * model.radius)
+    poses = np.concatenate([np.array([mode.pose for mode in modes]), pool.glanced_at_rest(first.pose, own)])
     poses = poses[_elsewhere(pool, poses, first.pose)]
     ends = pool.compete(poses, s.fitted) if len(poses) else ()
     here = float(pool.costs(first.pose[None])[0])
