@@ -13,13 +13,16 @@ import importlib.util
 from functools import cache
 from typing import Any
 
+from numba.core.options import DefaultOptions
+
 # Flags of kernels in which a product and the sum that it goes into may be rounded once, where the processor can do
 # both in one step: a seventh of the time of sums over rows, and no less exact. All else is as IEEE 754 has it.
 FUSED = {"contract"}
 
 # Of kernels that allocate nothing: their callers hold what they work on, so nobody need count who does. Counting is a
-# locked step of the processor at each slice and call, a tenth of the time of a frame without a start.
-LENT: dict[str, Any] = {"_nrt": False}
+# locked step of the processor at each slice and call, a tenth of the time of a frame without a start. Numba's own
+# option, which another numba may not have.
+LENT: dict[str, Any] = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}
 
 
 @cache
