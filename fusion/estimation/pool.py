@@ -20,7 +20,6 @@ from scenes.evidence.modes import Mode, ModeSettings, distinct_modes, weighed
 from scenes.evidence.near_symmetries import near_symmetries, quarter_turns
 from scenes.evidence.search import SETTLED, SearchStage, leaders, search, thin
 from scenes.evidence.table import GATE_ABOVE, Evidence
-from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import DepthModel
 from touch.held import Held
@@ -241,18 +240,6 @@ class Pool:
         return search(
             self.model, rows, starts, passes, self.prior, rank=self.sight.costs, apart=apart, settled=SETTLED
         ).poses
-
-    def glanced_at_rest(self, pose: Array, own: float) -> Array:
-        """(n, 4, 4) poses that a few pairs of pixels propose, of the image and of each piece of it by itself, without
-        the pixels within `own` (m) of the surface at pose (4, 4).
-        """
-        found = [np.zeros((0, 4, 4))]
-        for pixels in (self.looked.pixels, *self.looked.pieces):
-            off = np.abs(self.model.field.distance(se3.apply(se3.inverse(pose), pixels.points)))
-            left = replace(self.looked, pixels=pixels.take(np.flatnonzero(off > own)))
-            rest = replace(self, looked=left, rng=self.rng.spawn(1)[0])
-            found.append(rest.glanced(surface_rows(left, self.depth, self.rows)))
-        return np.concatenate(found)
 
     def glanced_near(self, rows: Evidence, starts: Array) -> Array:
         """(n, 4, 4) where the first of starts (k, 4, 4) near a prior end after few passes over few of the rows; those

@@ -17,6 +17,7 @@ from fusion.estimation.confidence import ConfidenceSettings, chances
 from fusion.estimation.pool import Pool
 from scenes.evidence.modes import Mode
 from scenes.geometry import poses as se3
+from vision.look.looked import surface_rows
 
 Array = NDArray[np.float64]
 
@@ -58,7 +59,7 @@ def another(
     """
     s, model, first = settings or AnotherSettings(), pool.model, modes[0]
     own = max(s.own, s.own_share * model.radius)
-    poses = np.concatenate([np.array([mode.pose for mode in modes]), pool.glanced_at_rest(first.pose, own)])
+    poses = np.concatenate([np.array([mode.pose for mode in modes]), _glanced(pool, first.pose, own)])
     poses = poses[_elsewhere(pool, poses, first.pose)]
     ends = pool.compete(poses, s.fitted) if len(poses) else ()
     here = float(pool.costs(first.pose[None])[0])
@@ -82,6 +83,19 @@ def with_other(modes: tuple[Mode, ...], right: float, other: Mode, chance: float
     share = against / max(odds + against, 1e-12)
     rest = tuple(replace(mode, weight=(1.0 - share) * mode.weight) for mode in modes)
     return (rest[0], replace(other, weight=share), *rest[1:]), odds / (1.0 + odds + against)
+
+
+def _glanced(pool: Pool, pose: Array, own: float) -> Array:
+    """(n, 4, 4) poses that a few pairs of pixels propose, of the image and of each piece of it by itself, without the
+    pixels within `own` (m) of the surface at pose (4, 4).
+    """
+    found = [np.zeros((0, 4, 4))]
+    for pixels in (pool.looked.pixels, *pool.looked.pieces):
+        off = np.abs(pool.model.field.distance(se3.apply(se3.inverse(pose), pixels.points)))
+        left = replace(pool.looked, pixels=pixels.take(np.flatnonzero(off > own)))
+        rest = replace(pool, looked=left, rng=pool.rng.spawn(1)[0])
+        found.append(rest.glanced(surface_rows(left, pool.depth, pool.rows)))
+    return np.concatenate(found)
 
 
 def _elsewhere(pool: Pool, poses: Array, pose: Array) -> NDArray[np.bool_]:
