@@ -181,7 +181,8 @@ class ConfidenceSettings:
     # nothing more; a ragged mask does that. The powers make the true errors of 284 answers with a start to 161 frames
     # of the tuning families, within 8 mm, likeliest as a Student distribution of 3.5 degrees of freedom; each family
     # left out, an answer is 0.27 nats likelier than by one factor for all. The likeliest factor is 0.18; with this
-    # one regions of 95 % hold 94 % of 410 answers to all tuning families, at a mean NEES of 0.87 per degree of freedom.
+    # one regions of 95 % hold 94 % of 410 answers to all tuning families, at a mean NEES of 0.87 per degree of freedom
+    # (before what `DepthModel.shift_sigma` adds across the rays).
     widening: float = 0.45
     by_past: float = 1.0
     least_past: float = 0.01

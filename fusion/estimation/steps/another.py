@@ -31,9 +31,9 @@ class AnotherSettings:
     own: float = 0.005
     # Poses that are fitted, the best of what each piece proposes.
     fitted: int = 3
-    # Nats that it may cost more than the answer, which was searched with care: of 15 copies beside an object in packed
-    # scenes of another generator the farthest cost 6.8 more, of 15 other things that showed it well all but one 8.4 and
-    # more; no right answer of the tuning families, which have no copies, has another by this.
+    # Nats that it may cost more than the answer, which was searched with care: of 13 copies beside an object in packed
+    # scenes of another generator the farthest cost 6.8 more, of other things beside answers that were right and `ok`
+    # there the nearest 7.8; no right answer of the tuning families, which have no copies, has another by this.
     as_likely: float = 7.5
     # Chance of being right (no unit) that it would be given, were it the answer: from here on.
     least: float = 0.5
