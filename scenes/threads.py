@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager
+from contextlib import ExitStack, contextmanager
 from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -46,13 +47,43 @@ def _blas(loaded: tuple[str, ...]) -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def one_blas_thread() -> AbstractContextManager[object]:
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
     """Keep linear algebra on the calling thread: on matrices of a hundred rows more threads cost more than they do.
 
     A BLAS that another thread has just worked for keeps that thread spinning for some 25 ms, which counts as the
-    process's time: hold whatever is timed, and what goes before it, in one such block.
+    process's time: hold whatever is timed, and what goes before it, in one such block. The limit is the process's:
+    where several threads hold one, the last to leave lifts it.
     """
-    return _blas(tuple(name for name in BLAS_OF if name in sys.modules)).limit(limits=1, user_api="blas")
+    _limit.enter()
+    try:
+        yield
+    finally:
+        _limit.leave()
+
+
+class _Limit:
+    """How many hold a BLAS to one thread, and what undoes it."""
+
+    def __init__(self) -> None:
+        self._lock, self._holding = threading.Lock(), 0
+        self._limits = ExitStack()
+
+    def enter(self) -> None:
+        with self._lock:
+            if not self._holding:
+                blas = _blas(tuple(name for name in BLAS_OF if name in sys.modules))
+                self._limits.enter_context(blas.limit(limits=1, user_api="blas"))
+            self._holding += 1
+
+    def leave(self) -> None:
+        with self._lock:
+            self._holding -= 1
+            if not self._holding:
+                self._limits.close()
+
+
+_limit = _Limit()
 
 
 @cache

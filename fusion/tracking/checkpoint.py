@@ -39,8 +39,8 @@ VERSION = 1
 # Classes come from these packages only.
 PACKAGES = ("scenes", "vision", "touch", "fusion")
 # Attributes that come back as None because their class makes them anew when it needs them, bit by bit the same: a
-# hand's laid-out mesh of the last joints, what the last frame was looked at for.
-REMADE: dict[type, tuple[str, ...]] = {Looker: ("_surface",), Tracker: ("_sensed",)}
+# hand's laid-out mesh of the last joints, what the last frame was looked at for, a search that runs beside the frames.
+REMADE: dict[type, tuple[str, ...]] = {Looker: ("_surface",), Tracker: ("_sensed", "_aside")}
 
 _PLAIN = (type(None), bool, int, float, str)
 

@@ -156,13 +156,14 @@ class TrackState:
 
     belief: of the leading hypothesis, None before a start; hypotheses: the leader first; hand: at the last frame;
     index: of that; seen_at (4, 4): camera_from_hand, as reported, where pixels told of the object last; unseen: frames
-    without evidence; lost_for: frames; usual: share of pixels that the pose explains, usually; things: what goes with
-    the object and is not it; untold: what no frame tells of it; rigs: of each of the first frames, the mean square of
-    how large its shared errors may be (levels); right: chance that the leader is the right one, as last judged; sure:
-    whether the last answer was ok; known: from the last look in full, None when the next frame must be looked at so;
-    correction (4, 4) camera_from_camera of what the robot reports, as the last joint solution has it where no pixels of
-    the hand tell: a calibration stays; None before; lens (4,): focal lengths (px, and shares of the image) of the last
-    image looked at, and lens_for: images since, which had others.
+    without evidence; lost_for: frames; leads: how often another hypothesis has taken the lead; usual: share of pixels
+    that the pose explains, usually; things: what goes with the object and is not it; untold: what no frame tells of it;
+    rigs: of each of the first frames, the mean square of how large its shared errors may be (levels); right: chance
+    that the leader is the right one, as last judged; sure: whether the last answer was ok; known: from the last look in
+    full, None when the next frame must be looked at so; correction (4, 4) camera_from_camera of what the robot reports,
+    as the last joint solution has it where no pixels of the hand tell: a calibration stays; None before; lens (4,):
+    focal lengths (px, and shares of the image) of the last image looked at, and lens_for: images since, which had
+    others.
     """
 
     belief: Belief | None = None
@@ -172,6 +173,7 @@ class TrackState:
     seen_at: Array | None = None
     unseen: int = 0
     lost_for: int = 0
+    leads: int = 0
     usual: float | None = None
     things: Occluders = field(default_factory=Occluders)
     untold: Untold = field(default_factory=Untold)

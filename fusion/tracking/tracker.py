@@ -33,13 +33,14 @@ from fusion.tracking.motion import HandMotion, HandState
 from fusion.tracking.occluders import Occluders
 from fusion.tracking.slip import SlipWatch, Watched
 from fusion.tracking.state import TrackState
+from fusion.tracking.steps.aside import ANEW, AROUND, Aside
 from fusion.tracking.steps.glancing import as_judged, glance, known_of, may_glance, steadied
 from fusion.tracking.steps.judging import as_believed, as_followed, judge
 from fusion.tracking.steps.lens import through_one_lens
 from fusion.tracking.steps.predicting import predict
 from fusion.tracking.steps.printed import as_before, as_printed
-from fusion.tracking.steps.refining import loose, measurement_of, prefers, refine, shift, solve_leader
-from fusion.tracking.steps.searching import leader_at, look_closer, search_around
+from fusion.tracking.steps.refining import loose, measurement_of, refine, shift, solve_leader
+from fusion.tracking.steps.searching import leader_at, look_closer, renew, search_around
 from fusion.tracking.steps.sensing import Sensed, pool_near
 from fusion.tracking.untold import Untold
 from scenes.errors import CaptureError
@@ -95,9 +96,12 @@ class Tracker:
         settings: TrackSettings | None = None,
         beliefs: Beliefs | None = None,
         sure_within: float | None = None,
+        live: bool = False,
     ) -> None:
-        """As `track`."""
-        self.model = model
+        """As `track`. live: frames do not wait for searches, which run on a thread of their own beside those that
+        come; answers then depend on how fast frames come, too.
+        """
+        self.model, self.live = model, live
         settings = settings or TrackSettings()
         first = sure_to_be_within(settings.first, sure_within)
         rules = replace(first.verdict, way_round=settings.way_round)
@@ -111,6 +115,8 @@ class Tracker:
         self._velocity = ConstantVelocity(model.centroid, self.settings.velocity)
         self._state = TrackState()
         self._sensed: Sensed | None = None
+        # made when a live tracker needs it, and not kept with its state
+        self._aside: Aside | None = None
 
     def _believe(self, beliefs: Beliefs) -> None:
         self._beliefs = beliefs
@@ -125,15 +131,16 @@ class Tracker:
             if self._asked is None and frame.beliefs is not None:
                 self._believe(frame.beliefs)
             return self._begin(frame)
+        if self.live and self._aside is None:
+            self._aside = Aside()
+        heard = self._aside.ready if self._aside is not None and frame.index > state.index else ""
         with one_blas_thread():
-            answer = self._follow(frame, state.belief)
+            answer = self._follow(frame, state.belief, not heard)
         if answer.verdict == "lost":
             state.lost_for += 1
             answer = self._recover(frame, answer)
-        elif answer.how == "tracked" and frame.index >= state.renewal.due:
-            answer = self._renew(frame, self._look_closer(frame, answer))
         elif answer.how == "tracked":
-            answer = self._look_closer(frame, answer)
+            answer = self._search(frame, answer, heard)
         answer = as_printed(self.model, self._sensed, state, (self._velocity, self._watch), answer, self.settings)
         if state.sure and answer.verdict != "ok":
             state.renewal.hurry(frame.index, self.settings.renewal)
@@ -160,6 +167,8 @@ class Tracker:
         state.index, state.unseen, state.lost_for, state.usual, state.known = frame.index, 0, 0, None, None
         state.things, state.untold = Occluders(), Untold()
         state.renewal.restart(frame.index, s.renewal)
+        if self._aside is not None:
+            self._aside.forget()
         near = self._near(answer.modes[0])
         state.right = min(1.0, several.sure_of(answer) / near) if near > 1e-9 else 0.0
         state.sure = answer.verdict == "ok"
@@ -205,50 +214,36 @@ class Tracker:
                 return as_tracked(found, "re-initialised")
         return lost
 
-    def _renew(self, frame: Frame, answer: TrackedEstimate) -> TrackedEstimate:
-        """Search the frame as if nothing were known; what it finds votes for a hypothesis, or is a new one."""
-        state, s = self._state, self.settings
-        try:
-            alone = self._estimated(replace(frame, prior=None), None)
-        except CaptureError:
-            state.renewal.found(frame.index, None, s.renewal)
-            return answer
-        vote, against = several.vote_of(alone.verdict, several.sure_of(alone), s.hypotheses), alone.verdict == "ok"
-        modes = tuple(replace(m, pose=self.model.symmetries.nearest(m.pose, answer.pose)) for m in alone.modes)
-        leader = leader_at(answer, state)
-        same = several.alike(self.model, leader, modes[0], s.hypotheses)
-        better = prefers(answer, modes[0], self._sensed, s)
-        if better > s.hypotheses.missed:  # it has not even found the best that is near it
-            vote = 0.0
-        carried = (leader, *state.hypotheses[1:])
-        # what speaks for it is its vote
-        odds = several.log_odds(several.sure_of(alone), s.hypotheses)
-        state.hypotheses, agrees = several.voted(self.model, carried, modes, vote, against, s.hypotheses, odds)
-        as_gladly = better <= (s.hypotheses.missed if not vote else -s.hypotheses.missed)
-        doubtful = not agrees and as_gladly  # of two that look alike the one that is not found is none the worse for it
-        told_apart = self._sensed is None or self._sensed.told_apart
-        if doubtful:
-            sure = 1.0 if told_apart else several.sure_of(alone)
-            state.hypotheses = several.doubted(state.hypotheses, s.hypotheses, sure)
-        believed = state.hypotheses[0].votes >= s.hypotheses.believed and (agrees or better > 0.0)
-        told = (vote and against) or (doubtful and leader.votes >= s.hypotheses.believed)
-        state.renewal.found(frame.index, agrees if told else None, s.renewal, believed)
-        where = "agrees" if agrees else "finds it elsewhere"
-        why = f"{where}, {several.sure_of(alone):.0%} sure; {better:+.0f} nats for the track; {vote:.1f} votes"
-        if same and vote and against and better < -s.anchor:
-            self._anchor(replace(alone, pose=modes[0].pose), answer.pose)
-            why += "; it goes on from there"
-        if not believed or not (told_apart or answer.verdict == "ok"):
-            why += search_around(self.model, frame, answer, self._sensed, state, self._estimated, s)
-        stage = replace(alone.trace[-1], name="search anew", ms=alone.time_ms, why=why)
-        answer = replace(answer, trace=(*answer.trace, stage))
-        return self._believed(answer)
+    def _search(self, frame: Frame, answer: TrackedEstimate, heard: str) -> TrackedEstimate:
+        """A tracked frame searched by itself, where that is due: close around its answer, and as if nothing were known.
+        A live tracker is told what was found in one before it: `heard` is what that was searched for.
+        """
+        state, s, aside = self._state, self.settings, self._aside
+        asks = answer, self._sensed, state
 
-    def _look_closer(self, frame: Frame, answer: TrackedEstimate) -> TrackedEstimate:
-        """The frame estimated around its answer, where that is due; the track goes on from what is found better."""
-        return look_closer(
-            self.model, frame, answer, self._sensed, self._state, self._estimated, self._anchor, self.settings
-        )
+        def by_itself(what: str, frame: Frame, prior: Prior | None) -> Estimate | None:
+            if aside is None:
+                return self._estimated(frame, prior)
+            leader = leader_at(answer, state)
+            if heard == what:
+                return aside.result(what, self.model, leader, state, s.hypotheses)
+            aside.ask(what, self._estimated, frame, prior, leader, state)
+            return None
+
+        answer = look_closer(self.model, frame, *asks, by_itself, self._anchor, s)
+        asks = answer, self._sensed, state
+        if heard == ANEW:
+            state.renewal.due = frame.index
+        if heard == AROUND:
+            search_around(self.model, frame, *asks, by_itself, s)
+            answer = self._believed(answer)
+        elif frame.index >= state.renewal.due:
+            answer = self._believed(renew(self.model, frame, *asks, by_itself, self._anchor, s))
+        if aside is not None:
+            aside.heard(heard)
+            if aside.searching == ANEW:  # frames need not be looked at in full until it ends
+                state.renewal.due = frame.index + s.renewal.longest
+        return answer
 
     def _believed(self, answer: TrackedEstimate) -> TrackedEstimate:
         return as_believed(self.model, answer, self._state.hypotheses, self.settings)
@@ -260,7 +255,8 @@ class Tracker:
 
     # --- one frame
 
-    def _follow(self, frame: Frame, belief: Belief) -> TrackedEstimate:
+    def _follow(self, frame: Frame, belief: Belief, briefly: bool) -> TrackedEstimate:
+        """Predict, look, solve, judge; at a glance only where that may be brief."""
         trace, s, state, model = Trace(), self.settings, self._state, self.model
         first, beliefs = s.first, self._beliefs
         with trace.stage("predict", True, "") as stage:
@@ -269,7 +265,7 @@ class Tracker:
             predicted, carried = ahead.belief, ahead.hypotheses
             stage.note(0, ahead.why)
         viewed = frame if "vision" in self._senses else frame.without_vision()
-        if not self._watch.settling and may_glance(viewed, state, carried, s):
+        if briefly and not self._watch.settling and may_glance(viewed, state, carried, s):
             glanced = self._glance(frame, viewed, predicted, carried, trace)
             if glanced is not None:
                 return glanced
@@ -426,6 +422,7 @@ class Tracker:
         """What goes with the object, where nothing tells it apart; of another pose all is learned anew."""
         if switched:
             self._state.things = Occluders()
+            self._state.leads += 1
         if not sensed.told_apart:
             things, how = self._state.things, self.settings.occluders
             self._state.things = things.learned(self.model, pose, sensed.around(), how)

@@ -99,6 +99,7 @@ class TrackRun:
             self.done, self.answered, self._last = found.done, found.answered, found.last
         else:
             _clear(out)
+        self._tracker.live = self.options.hertz is not None
         self._files = GrowingFiles(out, None if found is None else found.sizes, self.options.pictures)
         total = len(capture)
         self._photographer = Photographer(out / REPORT_FOLDER, model, total) if self.options.pictures else None

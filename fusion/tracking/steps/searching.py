@@ -18,6 +18,7 @@ from fusion.tracking import hypotheses as several
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
 from fusion.tracking.hypotheses import Hypothesis
 from fusion.tracking.state import TrackState
+from fusion.tracking.steps.aside import ANEW, AROUND, CLOSER
 from fusion.tracking.steps.refining import prefers
 from fusion.tracking.steps.sensing import Sensed
 from scenes.errors import CaptureError
@@ -25,8 +26,8 @@ from scenes.evidence.align import Prior
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
 
-# A frame by itself, with a prior or without.
-Estimated = Callable[[Frame, Prior | None], Estimate]
+# What a frame says by itself, by what it is searched for, with a prior or without; None while it is being searched.
+Estimated = Callable[[str, Frame, Prior | None], Estimate | None]
 # Believe an estimate of a frame that was tracked to a pose (4, 4).
 Anchor = Callable[[Estimate, NDArray[float64]], None]
 
@@ -34,6 +35,56 @@ Anchor = Callable[[Estimate, NDArray[float64]], None]
 def leader_at(answer: TrackedEstimate, state: TrackState) -> Hypothesis:
     """The leading hypothesis where the answer has it."""
     return replace(state.hypotheses[0], pose=answer.pose, covariance=answer.modes[0].covariance)
+
+
+def renew(
+    model: ObjectModel,
+    frame: Frame,
+    answer: TrackedEstimate,
+    sensed: Sensed | None,
+    state: TrackState,
+    estimated: Estimated,
+    anchor: Anchor,
+    settings: TrackSettings,
+) -> TrackedEstimate:
+    """Search the frame as if nothing were known; what it finds votes for a hypothesis, or is a new one."""
+    s = settings
+    try:
+        alone = estimated(ANEW, replace(frame, prior=None), None)
+    except CaptureError:
+        state.renewal.found(frame.index, None, s.renewal)
+        return answer
+    if alone is None:
+        return answer
+    vote, against = several.vote_of(alone.verdict, several.sure_of(alone), s.hypotheses), alone.verdict == "ok"
+    modes = tuple(replace(m, pose=model.symmetries.nearest(m.pose, answer.pose)) for m in alone.modes)
+    leader = leader_at(answer, state)
+    same = several.alike(model, leader, modes[0], s.hypotheses)
+    better = prefers(answer, modes[0], sensed, s)
+    if better > s.hypotheses.missed:  # it has not even found the best that is near it
+        vote = 0.0
+    carried = (leader, *state.hypotheses[1:])
+    # what speaks for it is its vote
+    odds = several.log_odds(several.sure_of(alone), s.hypotheses)
+    state.hypotheses, agrees = several.voted(model, carried, modes, vote, against, s.hypotheses, odds)
+    as_gladly = better <= (s.hypotheses.missed if not vote else -s.hypotheses.missed)
+    doubtful = not agrees and as_gladly  # of two that look alike the one that is not found is none the worse for it
+    told_apart = sensed is None or sensed.told_apart
+    if doubtful:
+        sure = 1.0 if told_apart else several.sure_of(alone)
+        state.hypotheses = several.doubted(state.hypotheses, s.hypotheses, sure)
+    believed = state.hypotheses[0].votes >= s.hypotheses.believed and (agrees or better > 0.0)
+    told = (vote and against) or (doubtful and leader.votes >= s.hypotheses.believed)
+    state.renewal.found(frame.index, agrees if told else None, s.renewal, believed)
+    where = "agrees" if agrees else "finds it elsewhere"
+    why = f"{where}, {several.sure_of(alone):.0%} sure; {better:+.0f} nats for the track; {vote:.1f} votes"
+    if same and vote and against and better < -s.anchor:
+        anchor(replace(alone, pose=modes[0].pose), answer.pose)
+        why += "; it goes on from there"
+    if not believed or not (told_apart or answer.verdict == "ok"):
+        why += search_around(model, frame, answer, sensed, state, estimated, s)
+    stage = replace(alone.trace[-1], name="search anew", ms=alone.time_ms, why=why)
+    return replace(answer, trace=(*answer.trace, stage))
 
 
 def look_closer(
@@ -55,11 +106,11 @@ def look_closer(
         return answer
     if frame.index - renewal.closest < every:
         return answer
-    renewal.closest = frame.index
     prior = Prior.isotropic(answer.pose, s.loose_angle, s.loose_distance)
-    looked = _looked_around(model, frame, answer, prior, estimated)
+    looked = _looked_around(CLOSER, model, frame, answer, prior, estimated)
     if looked is None:
         return answer
+    renewal.closest = frame.index
     found, mode = looked
     sure, better = several.sure_of(found), -prefers(answer, mode, sensed, s)
     why = f"{sure:.0%} sure, {state.right:.0%} before; {better:.0f} nats better"
@@ -85,7 +136,7 @@ def search_around(
     """
     s = settings
     prior = Prior.isotropic(answer.pose, s.renewal.around_angle, s.renewal.around_distance)
-    looked = _looked_around(model, frame, answer, prior, estimated)
+    looked = _looked_around(AROUND, model, frame, answer, prior, estimated)
     if looked is None:
         return ""
     found, mode = looked
@@ -101,13 +152,15 @@ def search_around(
 
 
 def _looked_around(
-    model: ObjectModel, frame: Frame, answer: TrackedEstimate, prior: Prior, estimated: Estimated
+    what: str, model: ObjectModel, frame: Frame, answer: TrackedEstimate, prior: Prior, estimated: Estimated
 ) -> tuple[Estimate, Mode] | None:
     """What the frame says by itself around the track, and its first mode the way round that the track has it; None for
-    a frame that no estimate should be made of, which the track itself has got on without.
+    a frame that no estimate should be made of, which the track itself has got on without, and while it is searched.
     """
     try:
-        found = estimated(replace(frame, prior=None), prior)
+        found = estimated(what, replace(frame, prior=None), prior)
     except CaptureError:
+        return None
+    if found is None:
         return None
     return found, replace(found.modes[0], pose=model.symmetries.nearest(found.pose, answer.pose))

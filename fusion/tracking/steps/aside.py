@@ -1,0 +1,115 @@
+"""Searches beside the frames that come, so that a live tracker's frames do not wait for them.
+
+A frame searched by itself takes as long as fifty that are glanced at. A recording waits; a camera does not. So a live
+tracker lets a thread of its own search, one frame at a time, and goes on. What was found is then carried to now: as the
+track has moved since, where it was found where the track was then, else as the hand has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+from numpy import float64
+from numpy.typing import NDArray
+
+from fusion.estimation.answer import Estimate
+from fusion.tracking.filter import block, moved_modes
+from fusion.tracking.hypotheses import Hypothesis, HypothesisSettings, alike
+from fusion.tracking.state import TrackState
+from scenes.evidence.align import Prior
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.frames import Frame
+
+Array = NDArray[float64]
+Search = Callable[[Frame, Prior | None], Estimate]
+
+# What a search is for: the frame as if nothing were known, around a doubted track, close around the answer.
+ANEW, AROUND, CLOSER = "anew", "around", "closer"
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """A search: what for; where the track had the object in its frame, and the robot its hand, camera_from_hand (4, 4);
+    leads: how often another hypothesis had taken the lead; found: what comes of it.
+    """
+
+    what: str
+    leader: Hypothesis
+    hand: Array | None
+    leads: int
+    found: Future[Estimate]
+
+
+class Aside:
+    """One search at a time on a thread of its own. Its methods belong to the tracker's thread."""
+
+    def __init__(self, worker: Executor | None = None) -> None:
+        """worker: who searches; default a thread that begins with the first search."""
+        self._worker = worker or ThreadPoolExecutor(1, thread_name_prefix="palpate-search")
+        self._asked: _Asked | None = None
+
+    @property
+    def ready(self) -> str:
+        """What the search was for that has ended and was not asked about since; "" where there is none."""
+        return self._asked.what if self._asked is not None and self._asked.found.done() else ""
+
+    @property
+    def searching(self) -> str:
+        """What is being searched for; "" while nothing is."""
+        return self._asked.what if self._asked is not None and not self._asked.found.done() else ""
+
+    def heard(self, what: str) -> None:
+        """What was searched for this could be asked for in this frame: nobody wants it any more."""
+        if what and self.ready == what:
+            self._asked = None
+
+    def forget(self) -> None:
+        """The track has begun anew: what is being searched is of no use to it."""
+        if self._asked is not None:
+            self._asked.found.cancel()
+        self._asked = None
+
+    def result(
+        self,
+        what: str,
+        model: ObjectModel,
+        leader: Hypothesis,
+        state: TrackState,
+        settings: HypothesisSettings,
+    ) -> Estimate | None:
+        """What the search of that kind has found, moved to now, when the track has the object where `leader` is; None
+        where there is none, or nobody knows how what it found has moved since. Raises what the search raised.
+        """
+        if self.ready != what:
+            return None
+        asked, self._asked = self._asked, None
+        assert asked is not None
+        found = asked.found.result()
+        if asked.leads == state.leads and (state.hand is None or alike(model, asked.leader, found.modes[0], settings)):
+            return _moved(found, leader.pose @ se3.inverse(asked.leader.pose))
+        if asked.hand is None or state.hand is None:
+            return None
+        return _moved(found, state.hand.camera_from_hand @ se3.inverse(asked.hand))
+
+    def ask(
+        self, what: str, search: Search, frame: Frame, prior: Prior | None, leader: Hypothesis, state: TrackState
+    ) -> None:
+        """Search this frame, in which the track has the object where `leader` is, unless another search is not done
+        with.
+        """
+        if self._asked is None:
+            hand = None if state.hand is None else state.hand.camera_from_hand
+            found = self._worker.submit(search, frame, prior)
+            self._asked = _Asked(what, leader, hand, state.leads, found)
+
+
+def _moved(found: Estimate, motion: Array) -> Estimate:
+    """An estimate after a rigid motion (4, 4) of the object; where a hand has it is of its own frame and left out."""
+    turn = block(motion[:3, :3])
+    return replace(
+        found, pose=motion @ found.pose, covariance=turn @ found.covariance @ turn.T,
+        modes=moved_modes(found.modes, motion), hand_from_object=None,
+    )  # fmt: skip

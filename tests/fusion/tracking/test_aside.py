@@ -1,0 +1,211 @@
+"""A live tracker: searches run beside the frames that come, and what they find joins the track when they end."""
+
+from concurrent.futures import Executor, Future
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from made_frames import CARRIED, off_by, recording
+
+from fusion import Tracker
+from fusion.estimation.answer import Estimate, Mode
+from fusion.tracking.checkpoint import restore_tracker, save_tracker
+from fusion.tracking.hypotheses import Hypothesis, HypothesisSettings
+from fusion.tracking.state import TrackState
+from fusion.tracking.steps.aside import ANEW, AROUND, CLOSER, Aside
+from scenes.errors import CaptureError
+from scenes.geometry import poses
+from scenes.synthesis import library
+
+HOW = HypothesisSettings()
+
+
+class Later(Executor):
+    """A worker that works when it is told to."""
+
+    def __init__(self):
+        self.asked = []
+
+    def submit(self, work, /, *args, **kwargs):
+        future = Future()
+        self.asked.append((future, work, args))
+        return future
+
+    def work(self):
+        for future, work, args in self.asked:
+            if future.set_running_or_notify_cancel():
+                try:
+                    future.set_result(work(*args))
+                except CaptureError as error:
+                    future.set_exception(error)
+        self.asked = []
+
+
+@pytest.fixture(scope="module")
+def mug():
+    return library.make("mug")
+
+
+@pytest.fixture(scope="module")
+def carried(mug):
+    return recording(mug)
+
+
+def live(mug):
+    tracker, worker = Tracker(mug, live=True), Later()
+    tracker._aside = Aside(worker)
+    return tracker, worker
+
+
+def searched(answer):
+    return [stage.why for stage in answer.trace if stage.name == "search anew"]
+
+
+def followed(answers, frames, mug):
+    for answer, frame in zip(answers, frames):
+        turn, move = off_by(answer, frame, mug)
+        assert turn < 2.5
+        assert move < 2.0
+
+
+def test_frames_do_not_wait_for_a_search_and_hear_of_it_when_it_ends(mug, carried):
+    tracker, worker = live(mug)
+    answers = [tracker.step(frame) for frame in carried[:8]]
+    assert len(worker.asked) == 1
+    assert not any(searched(answer) for answer in answers)
+    # while it runs, frames are glanced at as ever
+    assert any(stage.name == "glance" for answer in answers[4:] for stage in answer.trace)
+    worker.work()
+    answers += [tracker.step(carried[8])]
+    assert "agrees" in searched(answers[8])[0]
+    assert any(stage.name == "look" for stage in answers[8].trace)
+    answers += [tracker.step(frame) for frame in carried[9:]]
+    assert len(answers) == CARRIED
+    followed(answers, carried, mug)
+
+
+def test_a_search_that_never_ends_changes_nothing_but_the_searches(mug, carried):
+    tracker, _ = live(mug)
+    answers = [tracker.step(frame) for frame in carried]
+    followed(answers, carried, mug)
+    assert {answer.verdict for answer in answers} == {"ok"}
+
+
+def test_a_search_that_ends_with_an_error_is_one_that_tells_nothing(mug, carried, monkeypatch):
+    tracker, worker = live(mug)
+    answers = [tracker.step(frame) for frame in carried[:5]]
+
+    def fails(frame, prior):
+        raise CaptureError("sizes that make no sense")
+
+    worker.asked = [(future, fails, args) for future, _, args in worker.asked]
+    worker.work()
+    answers += [tracker.step(frame) for frame in carried[5:8]]
+    followed(answers, carried, mug)
+
+
+def test_a_tracker_that_is_not_live_waits(mug, carried):
+    tracker = Tracker(mug)
+    answers = [tracker.step(frame) for frame in carried[:5]]
+    assert tracker._aside is None
+    assert any(searched(answer) for answer in answers)
+
+
+def test_a_saved_live_track_goes_on_without_the_search_that_ran(mug, carried):
+    tracker, _ = live(mug)
+    for frame in carried[:5]:
+        tracker.step(frame)
+    again = Tracker(mug, live=True)
+    restore_tracker(again, save_tracker(tracker, carried[0].hand), carried[0].hand)
+    assert again._aside is None
+    again._aside = Aside(Later())
+    followed([again.step(frame) for frame in carried[5:]], carried[5:], mug)
+
+
+def test_a_thread_of_its_own_searches(mug, carried):
+    tracker = Tracker(mug, live=True)
+    answers = [tracker.step(frame) for frame in carried[:4]]
+    assert tracker._aside is not None
+    asked = tracker._aside._asked
+    assert asked is not None
+    asked.found.result(timeout=120.0)
+    assert tracker._aside.ready == ANEW
+    answers.append(tracker.step(carried[4]))
+    assert searched(answers[4])
+    followed(answers, carried, mug)
+
+
+# --- what was found then, now
+
+
+def estimate_at(pose):
+    mode = Mode(pose, 1.0, 0.0, np.diag([1e-4] * 3 + [1e-6] * 3))
+    return Estimate(0, pose, mode.covariance, (mode,), "ok", hand_from_object=np.eye(4), confidence=0.99)
+
+
+def state_with(hand):
+    return replace(TrackState(), hand=None if hand is None else SimpleNamespace(camera_from_hand=hand))
+
+
+def asked_and_moved(mug, found_at, then, now, hands=(None, None), switched=False):
+    """Where a search's answer at found_at is now, when the track was at `then` and is at `now`."""
+    covariance = np.diag([1e-4] * 3 + [1e-6] * 3)
+    worker = Later()
+    aside = Aside(worker)
+    state = state_with(hands[0])
+    aside.ask(ANEW, lambda frame, prior: estimate_at(found_at), None, None, Hypothesis(then, covariance, 0.0), state)
+    worker.work()
+    state = replace(state_with(hands[1]), leads=int(switched))
+    return aside.result(ANEW, mug, Hypothesis(now, covariance, 0.0), state, HOW)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_was_found_moves_with_the_track_or_with_the_hand(mug, seed):
+    rng = np.random.default_rng(seed)
+    then, motion, slipped = (poses.make_pose(poses.random_rotations(1, rng)[0], rng.normal(size=3)) for _ in range(3))
+    elsewhere = poses.displaced(then, 2.0, 0.05, mug.centroid, rng)
+    hand = poses.make_pose(poses.random_rotations(1, rng)[0], rng.normal(size=3))
+    # without a hand as the track moved; with one too, where both have it in one place, also while it slips
+    for found_at, hands in ((elsewhere, (None, None)), (then, (None, None)), (then, (hand, slipped @ hand))):
+        got = asked_and_moved(mug, found_at, then, motion @ then, hands)
+        np.testing.assert_allclose(got.pose, motion @ found_at, atol=1e-12)
+        np.testing.assert_allclose(got.modes[0].pose, motion @ found_at, atol=1e-12)
+        turn = np.kron(np.eye(2), motion[:3, :3])
+        np.testing.assert_allclose(got.covariance, turn @ estimate_at(found_at).covariance @ turn.T, atol=1e-12)
+        assert got.hand_from_object is None
+    # what is elsewhere moves with the hand, as what the hand holds does
+    got = asked_and_moved(mug, elsewhere, then, slipped @ then, (hand, motion @ hand))
+    np.testing.assert_allclose(got.pose, motion @ elsewhere, atol=1e-9)
+
+
+def test_when_another_leads_only_the_hand_tells_how_it_moved(mug):
+    pose, hand = np.eye(4), np.eye(4)
+    assert asked_and_moved(mug, pose, pose, pose, switched=True) is None
+    assert asked_and_moved(mug, pose, pose, pose, (hand, hand), switched=True) is not None
+
+
+def test_one_search_at_a_time_and_none_for_a_track_that_began_anew(mug):
+    worker, leader = Later(), Hypothesis(np.eye(4), np.eye(6), 0.0)
+    aside, asked = Aside(worker), (None, None, leader, TrackState())
+
+    def search(frame, prior):
+        return estimate_at(np.eye(4))
+
+    aside.ask(CLOSER, search, *asked)
+    aside.ask(ANEW, search, *asked)
+    assert len(worker.asked) == 1
+    assert aside.searching == CLOSER
+    assert aside.ready == ""
+    worker.work()
+    assert aside.ready == CLOSER
+    assert aside.result(AROUND, mug, leader, TrackState(), HOW) is None
+    aside.heard(ANEW)
+    assert aside.ready == CLOSER
+    aside.heard(CLOSER)
+    assert aside.ready == ""
+    aside.ask(ANEW, search, *asked)
+    aside.forget()
+    worker.work()
+    assert aside.ready == ""
+    assert aside.searching == ""
