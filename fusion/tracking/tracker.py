@@ -221,24 +221,27 @@ class Tracker:
         state, s, aside = self._state, self.settings, self._aside
         asks = answer, self._sensed, state
 
-        def by_itself(what: str, frame: Frame, prior: Prior | None) -> Estimate | None:
+        def near(pose: Array) -> Estimate:
+            return self._estimated(replace(frame, prior=None), Prior.isotropic(pose, s.near_angle, s.near_distance))
+
+        def searched(what: str, frame: Frame, prior: Prior | None) -> Estimate | None:
             if aside is None:
                 return self._estimated(frame, prior)
             leader = leader_at(answer, state)
             if heard == what:
-                return aside.result(what, self.model, leader, state, s.hypotheses)
+                return aside.result(self.model, leader, state, near, s.hypotheses)
             aside.ask(what, self._estimated, frame, prior, leader, state)
             return None
 
-        answer = look_closer(self.model, frame, *asks, by_itself, self._anchor, s)
+        answer = look_closer(self.model, frame, *asks, self._estimated, self._anchor, s)
         asks = answer, self._sensed, state
         if heard == ANEW:
             state.renewal.due = frame.index
         if heard == AROUND:
-            search_around(self.model, frame, *asks, by_itself, s)
+            search_around(self.model, frame, *asks, searched, s)
             answer = self._believed(answer)
         elif frame.index >= state.renewal.due:
-            answer = self._believed(renew(self.model, frame, *asks, by_itself, self._anchor, s))
+            answer = self._believed(renew(self.model, frame, *asks, searched, self._anchor, s))
         if aside is not None:
             aside.heard(heard)
             if aside.searching == ANEW:  # frames need not be looked at in full until it ends

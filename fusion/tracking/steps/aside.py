@@ -2,7 +2,8 @@
 
 A frame searched by itself takes as long as fifty that are glanced at. A recording waits; a camera does not. So a live
 tracker lets a thread of its own search, one frame at a time, and goes on. What was found is then carried to now: as the
-track has moved since, where it was found where the track was then, else as the hand has.
+track has moved since, where it was found where the track was then, else as the hand has; and what is not where the
+track is now is looked for there once more, because it has had time to move by itself.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
-from numpy import float64
+import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate
@@ -23,11 +24,12 @@ from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
 
-Array = NDArray[float64]
+Array = NDArray[np.float64]
 Search = Callable[[Frame, Prior | None], Estimate]
+Near = Callable[[Array], Estimate]
 
-# What a search is for: the frame as if nothing were known, around a doubted track, close around the answer.
-ANEW, AROUND, CLOSER = "anew", "around", "closer"
+# What a search is for: the frame as if nothing were known, or around a doubted track.
+ANEW, AROUND = "anew", "around"
 
 
 @dataclass(frozen=True)
@@ -73,26 +75,27 @@ class Aside:
         self._asked = None
 
     def result(
-        self,
-        what: str,
-        model: ObjectModel,
-        leader: Hypothesis,
-        state: TrackState,
-        settings: HypothesisSettings,
+        self, model: ObjectModel, leader: Hypothesis, state: TrackState, near: Near, settings: HypothesisSettings
     ) -> Estimate | None:
-        """What the search of that kind has found, moved to now, when the track has the object where `leader` is; None
-        where there is none, or nobody knows how what it found has moved since. Raises what the search raised.
+        """What was found, brought to now, when the track has the object where `leader` is; None where nobody knows how
+        that has moved since. near: estimates this frame around a pose (4, 4). Raises what the search raised.
         """
-        if self.ready != what:
-            return None
         asked, self._asked = self._asked, None
         assert asked is not None
         found = asked.found.result()
-        if asked.leads == state.leads and (state.hand is None or alike(model, asked.leader, found.modes[0], settings)):
-            return _moved(found, leader.pose @ se3.inverse(asked.leader.pose))
-        if asked.hand is None or state.hand is None:
+        same_place = alike(model, asked.leader, found.modes[0], settings)
+        if asked.leads == state.leads and (state.hand is None or same_place):
+            found = _moved(found, leader.pose @ se3.inverse(asked.leader.pose))
+        elif asked.hand is not None and state.hand is not None:
+            found = _moved(found, state.hand.camera_from_hand @ se3.inverse(asked.hand))
+        else:
             return None
-        return _moved(found, state.hand.camera_from_hand @ se3.inverse(asked.hand))
+        if alike(model, leader, found.modes[0], settings):
+            return found
+        again = near(found.pose)
+        # it is no surer than the search that told where to look
+        verdict = found.verdict if again.verdict == "ok" else again.verdict
+        return replace(again, confidence=float(np.fmin(again.confidence, found.confidence)), verdict=verdict)
 
     def ask(
         self, what: str, search: Search, frame: Frame, prior: Prior | None, leader: Hypothesis, state: TrackState

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 from numpy import float64
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from fusion.tracking import hypotheses as several
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
 from fusion.tracking.hypotheses import Hypothesis
 from fusion.tracking.state import TrackState
-from fusion.tracking.steps.aside import ANEW, AROUND, CLOSER
+from fusion.tracking.steps.aside import ANEW, AROUND
 from fusion.tracking.steps.refining import prefers
 from fusion.tracking.steps.sensing import Sensed
 from scenes.errors import CaptureError
@@ -26,8 +27,9 @@ from scenes.evidence.align import Prior
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
 
-# What a frame says by itself, by what it is searched for, with a prior or without; None while it is being searched.
-Estimated = Callable[[str, Frame, Prior | None], Estimate | None]
+# A frame by itself, with a prior or without; by what it is searched for, and None while it is being searched.
+Estimated = Callable[[Frame, Prior | None], Estimate]
+Searched = Callable[[str, Frame, Prior | None], Estimate | None]
 # Believe an estimate of a frame that was tracked to a pose (4, 4).
 Anchor = Callable[[Estimate, NDArray[float64]], None]
 
@@ -43,14 +45,14 @@ def renew(
     answer: TrackedEstimate,
     sensed: Sensed | None,
     state: TrackState,
-    estimated: Estimated,
+    searched: Searched,
     anchor: Anchor,
     settings: TrackSettings,
 ) -> TrackedEstimate:
     """Search the frame as if nothing were known; what it finds votes for a hypothesis, or is a new one."""
     s = settings
     try:
-        alone = estimated(ANEW, replace(frame, prior=None), None)
+        alone = searched(ANEW, replace(frame, prior=None), None)
     except CaptureError:
         state.renewal.found(frame.index, None, s.renewal)
         return answer
@@ -82,7 +84,7 @@ def renew(
         anchor(replace(alone, pose=modes[0].pose), answer.pose)
         why += "; it goes on from there"
     if not believed or not (told_apart or answer.verdict == "ok"):
-        why += search_around(model, frame, answer, sensed, state, estimated, s)
+        why += search_around(model, frame, answer, sensed, state, searched, s)
     stage = replace(alone.trace[-1], name="search anew", ms=alone.time_ms, why=why)
     return replace(answer, trace=(*answer.trace, stage))
 
@@ -107,7 +109,7 @@ def look_closer(
     if frame.index - renewal.closest < every:
         return answer
     prior = Prior.isotropic(answer.pose, s.loose_angle, s.loose_distance)
-    looked = _looked_around(CLOSER, model, frame, answer, prior, estimated)
+    looked = _looked_around(model, frame, answer, prior, estimated)
     if looked is None:
         return answer
     renewal.closest = frame.index
@@ -127,7 +129,7 @@ def search_around(
     answer: TrackedEstimate,
     sensed: Sensed | None,
     state: TrackState,
-    estimated: Estimated,
+    searched: Searched,
     settings: TrackSettings,
 ) -> str:
     """Search a frame around a track that nothing has spoken for, or that is not `ok` where nothing tells what hides the
@@ -136,7 +138,7 @@ def search_around(
     """
     s = settings
     prior = Prior.isotropic(answer.pose, s.renewal.around_angle, s.renewal.around_distance)
-    looked = _looked_around(AROUND, model, frame, answer, prior, estimated)
+    looked = _looked_around(model, frame, answer, prior, partial(searched, AROUND))
     if looked is None:
         return ""
     found, mode = looked
@@ -152,13 +154,17 @@ def search_around(
 
 
 def _looked_around(
-    what: str, model: ObjectModel, frame: Frame, answer: TrackedEstimate, prior: Prior, estimated: Estimated
+    model: ObjectModel,
+    frame: Frame,
+    answer: TrackedEstimate,
+    prior: Prior,
+    searched: Callable[[Frame, Prior | None], Estimate | None],
 ) -> tuple[Estimate, Mode] | None:
     """What the frame says by itself around the track, and its first mode the way round that the track has it; None for
     a frame that no estimate should be made of, which the track itself has got on without, and while it is searched.
     """
     try:
-        found = estimated(what, replace(frame, prior=None), prior)
+        found = searched(replace(frame, prior=None), prior)
     except CaptureError:
         return None
     if found is None:
