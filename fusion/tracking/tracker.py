@@ -40,7 +40,7 @@ from fusion.tracking.steps.lens import through_one_lens
 from fusion.tracking.steps.predicting import predict
 from fusion.tracking.steps.printed import as_before, as_printed
 from fusion.tracking.steps.refining import loose, measurement_of, refine, shift, solve_leader
-from fusion.tracking.steps.searching import leader_at, look_closer, renew, search_around
+from fusion.tracking.steps.searching import leader_at, look_closer, recover, renew, search_around
 from fusion.tracking.steps.sensing import Sensed, pool_near
 from fusion.tracking.untold import Untold
 from scenes.errors import CaptureError
@@ -138,7 +138,7 @@ class Tracker:
             answer = self._follow(frame, state.belief, not heard)
         if answer.verdict == "lost":
             state.lost_for += 1
-            answer = self._recover(frame, answer)
+            answer = self._recover(frame, answer, heard)
         elif answer.how == "tracked":
             answer = self._search(frame, answer, heard)
         answer = as_printed(self.model, self._sensed, state, (self._velocity, self._watch), answer, self.settings)
@@ -195,24 +195,17 @@ class Tracker:
             self._state.known = None
             self._velocity.corrected(belief.pose)
 
-    def _recover(self, frame: Frame, lost: TrackedEstimate) -> TrackedEstimate:
-        """Look for the object around the prediction, if anything is seen there, and now and then everywhere."""
-        s, lost_for = self.settings, self._state.lost_for
-        near = Prior.isotropic(lost.pose, s.near_angle, s.near_distance)
-        tries: list[Prior | None] = [near] if lost.how == "lost" else []
-        if lost_for == 2 or lost_for % s.global_every == 0:
-            tries.append(None)
-        for prior in tries:
-            try:
-                found = self._estimated(replace(frame, prior=None), prior)
-            except CaptureError as error:  # a frame amid a track whose sizes make no sense is a frame without evidence
-                return replace(lost, notes=(*lost.notes, str(error)))
-            likely = prior is not None or several.sure_of(found) >= s.found_again
-            if found.verdict == "ok" or (found.verdict == "ambiguous" and likely):
-                found = replace(as_before(self.model, found, lost, s.first), trace=(*lost.trace, *found.trace))
-                self.believe(frame, found)
-                return as_tracked(found, "re-initialised")
-        return lost
+    def _recover(self, frame: Frame, lost: TrackedEstimate, heard: str) -> TrackedEstimate:
+        """Look for the object; the track begins again from where it is found."""
+        try:
+            found = recover(frame, lost, self._state, self._estimated, self._aside, heard, self.settings)
+        except CaptureError as error:  # a frame amid a track whose sizes make no sense is a frame without evidence
+            return replace(lost, notes=(*lost.notes, str(error)))
+        if found is None:
+            return lost
+        found = replace(as_before(self.model, found, lost, self.settings.first), trace=(*lost.trace, *found.trace))
+        self.believe(frame, found)
+        return as_tracked(found, "re-initialised")
 
     def _search(self, frame: Frame, answer: TrackedEstimate, heard: str) -> TrackedEstimate:
         """A tracked frame searched by itself, where that is due: close around its answer, and as if nothing were known.

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate
 from fusion.tracking.filter import block, moved_modes
-from fusion.tracking.hypotheses import Hypothesis, HypothesisSettings, alike
+from fusion.tracking.hypotheses import Hypothesis, HypothesisSettings, alike, sure_of
 from fusion.tracking.state import TrackState
 from scenes.evidence.align import Prior
 from scenes.geometry import poses as se3
@@ -96,6 +96,19 @@ class Aside:
         # it is no surer than the search that told where to look
         verdict = found.verdict if again.verdict == "ok" else again.verdict
         return replace(again, confidence=float(np.fmin(again.confidence, found.confidence)), verdict=verdict)
+
+    def place(self, state: TrackState, likely: float) -> Array | None:
+        """Where it was found (4, 4), for a track that has lost it, moved as the hand has where there is one; None where
+        it was not, or is less sure than `likely`. Raises what the search raised.
+        """
+        asked, self._asked = self._asked, None
+        assert asked is not None
+        found = asked.found.result()
+        if found.verdict == "lost" or sure_of(found) < likely:
+            return None
+        if asked.hand is not None and state.hand is not None:
+            return state.hand.camera_from_hand @ se3.inverse(asked.hand) @ found.pose
+        return found.pose
 
     def ask(
         self, what: str, search: Search, frame: Frame, prior: Prior | None, leader: Hypothesis, state: TrackState

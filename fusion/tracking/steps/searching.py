@@ -19,7 +19,7 @@ from fusion.tracking import hypotheses as several
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
 from fusion.tracking.hypotheses import Hypothesis
 from fusion.tracking.state import TrackState
-from fusion.tracking.steps.aside import ANEW, AROUND
+from fusion.tracking.steps.aside import ANEW, AROUND, Aside
 from fusion.tracking.steps.refining import prefers
 from fusion.tracking.steps.sensing import Sensed
 from scenes.errors import CaptureError
@@ -37,6 +37,39 @@ Anchor = Callable[[Estimate, NDArray[float64]], None]
 def leader_at(answer: TrackedEstimate, state: TrackState) -> Hypothesis:
     """The leading hypothesis where the answer has it."""
     return replace(state.hypotheses[0], pose=answer.pose, covariance=answer.modes[0].covariance)
+
+
+def recover(
+    frame: Frame,
+    lost: TrackedEstimate,
+    state: TrackState,
+    estimated: Estimated,
+    aside: Aside | None,
+    heard: str,
+    settings: TrackSettings,
+) -> Estimate | None:
+    """Look for a lost object around the prediction, if anything is seen there, and now and then everywhere: a live
+    tracker meanwhile (aside; heard: what that has searched for), and then in this frame around where that has found it.
+    """
+    s, frame = settings, replace(frame, prior=None)
+    tries: list[Prior | None] = []
+    if lost.how == "lost":
+        tries.append(Prior.isotropic(lost.pose, s.near_angle, s.near_distance))
+    if aside is not None and heard:
+        place = aside.place(state, s.found_again)
+        if place is not None:
+            tries.append(Prior.isotropic(place, s.near_angle, s.near_distance))
+    everywhere = state.lost_for == 2 or state.lost_for % s.global_every == 0
+    if everywhere and aside is None:
+        tries.append(None)
+    elif everywhere and aside is not None:
+        aside.ask(ANEW, estimated, frame, None, leader_at(lost, state), state)
+    for prior in tries:
+        found = estimated(frame, prior)
+        likely = prior is not None or several.sure_of(found) >= s.found_again
+        if found.verdict == "ok" or (found.verdict == "ambiguous" and likely):
+            return found
+    return None
 
 
 def renew(

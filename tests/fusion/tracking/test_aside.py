@@ -10,10 +10,12 @@ from made_frames import CARRIED, off_by, recording
 
 from fusion import Tracker
 from fusion.estimation.answer import Estimate, Mode
+from fusion.tracking.answer import TrackSettings, as_tracked
 from fusion.tracking.checkpoint import restore_tracker, save_tracker
 from fusion.tracking.hypotheses import Hypothesis, HypothesisSettings
 from fusion.tracking.state import TrackState
 from fusion.tracking.steps.aside import ANEW, AROUND, Aside
+from fusion.tracking.steps.searching import recover
 from scenes.errors import CaptureError
 from scenes.geometry import poses
 from scenes.synthesis import library
@@ -216,3 +218,46 @@ def test_one_search_at_a_time_and_none_for_a_track_that_began_anew():
     worker.work()
     assert aside.ready == ""
     assert aside.searching == ""
+
+
+def test_a_lost_object_is_searched_beside_the_frames_and_then_looked_for_where_it_was_found(carried):
+    before, found_at = np.eye(4), poses.make_pose(np.eye(3), [0.0, 0.1, 0.6])
+    hand, moved = np.eye(4), poses.make_pose(np.eye(3), [0.01, 0.0, 0.0])
+    state = replace(state_with(hand), lost_for=2, hypotheses=(Hypothesis(before, np.eye(6), 0.0),))
+    lost = as_tracked(replace(estimate_at(before), verdict="lost"), "lost")
+    worker, looked = Later(), []
+    aside = Aside(worker)
+
+    def estimated(frame, prior):
+        looked.append(prior)
+        if prior is None:
+            return estimate_at(found_at)
+        near = np.linalg.norm(prior.pose[:3, 3] - (moved @ found_at)[:3, 3]) < 0.02
+        return replace(estimate_at(moved @ found_at), verdict="ok" if near else "lost")
+
+    def step(heard):
+        return recover(carried[0], lost, state, estimated, aside, heard, TrackSettings())
+
+    assert step("") is None
+    assert [prior is None for prior in looked] == [False]
+    worker.work()
+    assert aside.ready == ANEW
+    state = replace(state, lost_for=3, hand=SimpleNamespace(camera_from_hand=moved @ hand))
+    found = step(ANEW)
+    assert found is not None
+    np.testing.assert_allclose(found.pose, moved @ found_at)
+    assert aside.ready == ""
+    # who waits finds it in the frame that is searched
+    state = replace(state, lost_for=5)
+    alone = recover(carried[0], lost, state, estimated, None, "", TrackSettings())
+    np.testing.assert_allclose(alone.pose, found_at)
+
+
+def test_what_was_not_found_is_nowhere_to_look():
+    leader, worker = Hypothesis(np.eye(4), np.eye(6), 0.0), Later()
+    aside = Aside(worker)
+    for word, sure in (("lost", 0.9), ("ambiguous", 0.3)):
+        found = replace(estimate_at(np.eye(4)), verdict=word, confidence=sure)
+        aside.ask(ANEW, lambda frame, prior, found=found: found, None, None, leader, TrackState())
+        worker.work()
+        assert aside.place(TrackState(), 0.5) is None
