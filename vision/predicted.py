@@ -234,7 +234,7 @@ class Predictor:
         seeing = frame.depth is not None and frame.camera is not None
         self._depth = np.ascontiguousarray(frame.depth, np.float32) if seeing else None
         self.belief = depth
-        self._points = model.sample_surface(self.settings.bounding)[0]
+        self._points, self._outer = model.bounding_points(self.settings.bounding)
         # of one pose at a time, and of few: what was asked of them is asked again
         self._views: dict[tuple[bytes, int], View] = {}
         self._predicted: dict[int, dict[bytes, tuple[Array, float, float]]] = {}
@@ -329,9 +329,10 @@ class Predictor:
         s, count = self.settings, len(candidates)
         u, v = np.zeros((2, count, side), dtype=np.int64)
         rays, index = np.zeros((count * side**2, 6), np.float32), np.zeros(count * side**2, dtype=np.int64)
-        inside = np.zeros(count)
+        inside, across = np.zeros(count), np.zeros(side)
         middle, poses = self.model.surface.middle, np.ascontiguousarray(candidates)
-        k = kernels.outline_rays(self._points, poses, self.known[1], middle, u, v, rays, index, inside)
+        bounding, out = (self._points, self._outer), (u, v, across, rays, index, inside)
+        k = kernels.outline_rays(*bounding, poses, self.known[1], middle, *out)
         met = self.model.surface.cast_local(rays[:k])
         shape = count, side**2
         expected, seen, past, fade = np.zeros((4, count * side**2))

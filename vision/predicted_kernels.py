@@ -28,13 +28,14 @@ _NEAREST = 1e-3
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
-def outline_rays(points, poses, camera, middle, u, v, rays, index, inside):
+def outline_rays(points, outer, poses, camera, middle, u, v, across, rays, index, inside):
     """Pixels u, v (n, side) over the box of each pose's outline; fills rays and index, and returns how many rays.
 
-    points (m, 3): of the surface, object frame. poses (n, 4, 4): camera_from_object. camera: fx, fy, cx, cy, width,
-    height. middle (3,): what the ray caster takes off its points. rays (n side^2, 6): origin and direction with z = 1,
-    object frame about the middle, of the pixels in the image; index: where among all they belong.
-    inside (n,): share of the points that project into the image.
+    points (m, 3): of the surface, object frame, the first `outer` of which bound all of them in every view. poses
+    (n, 4, 4): camera_from_object. camera: fx, fy, cx, cy, width, height. middle (3,): what the ray caster takes off its
+    points. across (side,): to work in. rays (n side^2, 6): origin and direction with z = 1, object frame about the
+    middle, of the pixels in the image; index: where among all they belong. inside (n,): share of the points that
+    project into the image.
     """
     fx, fy, cx, cy, width, height = camera
     side = u.shape[1]
@@ -46,6 +47,10 @@ def outline_rays(points, poses, camera, middle, u, v, rays, index, inside):
         ahead = True
         within = 0
         for k in range(points.shape[0]):
+            if k == outer and within == k and ahead:
+                # all of them are in the image, and so is what they bound
+                within = points.shape[0]
+                break
             px, py, pz = points[k, 0], points[k, 1], points[k, 2]
             x = r[0, 0] * px + r[0, 1] * py + r[0, 2] * pz + t[0]
             y = r[1, 0] * px + r[1, 1] * py + r[1, 2] * pz + t[1]
@@ -70,6 +75,8 @@ def outline_rays(points, poses, camera, middle, u, v, rays, index, inside):
         ox = -(r[0, 0] * t[0] + r[1, 0] * t[1] + r[2, 0] * t[2]) - middle[0]
         oy = -(r[0, 1] * t[0] + r[1, 1] * t[1] + r[2, 1] * t[2]) - middle[1]
         oz = -(r[0, 2] * t[0] + r[1, 2] * t[1] + r[2, 2] * t[2]) - middle[2]
+        for i in range(side):
+            across[i] = (u[n, i] - cx) / fx
         for j in range(side):
             if v[n, j] < 0 or v[n, j] >= height:
                 continue
@@ -77,7 +84,7 @@ def outline_rays(points, poses, camera, middle, u, v, rays, index, inside):
             for i in range(side):
                 if u[n, i] < 0 or u[n, i] >= width:
                     continue
-                x = (u[n, i] - cx) / fx
+                x = across[i]
                 rays[count, 0], rays[count, 1], rays[count, 2] = ox, oy, oz
                 rays[count, 3] = r[0, 0] * x + r[1, 0] * y + r[2, 0]
                 rays[count, 4] = r[0, 1] * x + r[1, 1] * y + r[2, 1]
@@ -91,7 +98,7 @@ def outline_rays(points, poses, camera, middle, u, v, rays, index, inside):
 def compare_pixels(met, index, u, v, image, camera, noise, limits, expected, seen, state, past, fade):
     """What each ray is: fills expected, seen, state, past and fade, all (n side^2,), which begin as zeros.
 
-    met (k,): depth (m) at which ray `index` (k,) meets the object, inf for none. u, v (n, side): see outline_rays.
+    met (k,): depth (m) at which ray `index` (k,), in order, meets the object, inf for none. u, v: see outline_rays.
     image: depth (h, w); mask (h, w) or (0, 0); least and largest depth (m) of the hand at every so many pixels or
     (0, 0); planes (k, 6), see vision.look.mask.find_plane. noise: floor, growth, depth it grows from, bias and scale of
     a DepthModel.
@@ -106,10 +113,16 @@ def compare_pixels(met, index, u, v, image, camera, noise, limits, expected, see
     height, width = depth.shape
     side = u.shape[1]
     has_hand, has_mask = hand_low.shape[0] > 0, mask.shape[0] > 0
+    # which pose and row of rays the next one is of: counted, for divisions take as long as all else together
+    n, j, begin = 0, 0, 0
     for k in range(index.shape[0]):
         place = index[k]
-        n = place // (side * side)
-        column, row = u[n, place % side], v[n, (place // side) % side]
+        while place >= begin + side:
+            begin += side
+            j += 1
+            if j == side:
+                n, j = n + 1, 0
+        column, row = u[n, place - begin], v[n, j]
         reading = np.float64(depth[row, column])
         read = 0.0 < reading < FARTHEST_READING
         bits = READ if read else 0
@@ -129,7 +142,8 @@ def compare_pixels(met, index, u, v, image, camera, noise, limits, expected, see
         off = reading - z
         by_hand = False
         if has_hand:
-            low, high = hand_low[row // step, column // step], hand_high[row // step, column // step]
+            beside, below = column // step, row // step
+            low, high = hand_low[below, beside], hand_high[below, beside]
             by_hand = low - hand_margin < reading < high + hand_margin
         is_plane = _on_planes(planes, camera, noise, column, row, reading, plane_margin, plane_sigmas)
         # nothing is under the table or behind the wall; what is at its depth is the table, and hides the object at most

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from scenes.evidence.align import AlignSettings, costs
 from scenes.evidence.point_pairs import pair_table
-from scenes.evidence.search import rotation_grid, thin
+from scenes.evidence.search import first_of_each, rotation_grid, thin
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -174,5 +174,4 @@ def different(
     # of all poses that look the same, the one that is turned least
     turned = model.symmetries.nearest(poses, np.eye(4))[:, :3, :2].reshape(len(poses), 6)
     cells = np.concatenate([middles / (settings.same_share * model.radius), turned / settings.same_angle], axis=1)
-    _, first = np.unique(np.round(cells).astype(np.int64), axis=0, return_index=True)
-    return order[np.sort(first)]
+    return order[first_of_each(np.round(cells).astype(np.int64))]

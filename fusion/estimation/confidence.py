@@ -266,16 +266,18 @@ def chances(
     settings: ConfidenceSettings | None = None,
     anywhere: bool = False,
     same: Alike | None = None,
+    read: dict[str, float] | None = None,
 ) -> tuple[float, float]:
     """Probability that the first mode is the right one, whatever its spread, and that its ADD-S is below the settings'
     tolerance if it is.
 
     picture: the predicted one at the answer, None without a depth image. contact_nats: what the contacts cost there, in
     all. anywhere: there was no start. same: the modes that are one answer within that tolerance, None to find them.
+    read: the `observations` of all that, None to make them.
     """
     s = settings or ConfidenceSettings()
     same = same or alike(model, modes, s.tolerance)
-    read = observations(model, modes, picture, contacts, contact_nats, s, anywhere, same)
+    read = read or observations(model, modes, picture, contacts, contact_nats, s, anywhere, same)
     factors = s.seen if "agree" in read else s.felt
     score = sum(getattr(factors, name) * value for name, value in read.items())
     right = min(float(1.0 / (1.0 + np.exp(-np.clip(score, -40.0, 40.0)))), s.surest)

@@ -87,7 +87,7 @@ def estimate(
     check_print(model, settings.texture)
     asked = Asked.of(frame, prior, use, tolerance, seed, settings, beliefs)
     # built or read once per object, not part of a frame's time
-    model.field  # noqa: B018
+    model.field, model.outer_vertices  # noqa: B018
     near_symmetries(model)
     if model.texture is not None:
         model.texture.levels  # noqa: B018
@@ -208,8 +208,10 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         agreed = residuals, nats, share, seeing, picture
         rules = settings.verdict, settings.confidence
         against = posterior.contradiction(model, felt.rows, contacts, pose, settings.verdict)
-        right, sure, word, why = posterior.judged(model, modes, *agreed, *rules, believed is None, same, against)
-        observed = observations(model, modes, picture, residuals, nats, settings.confidence, believed is None, same)
+        anywhere = believed is None
+        observed = observations(model, modes, picture, residuals, nats, settings.confidence, anywhere, same)
+        judged = posterior.judged(model, modes, *agreed, *rules, anywhere, same, against, observed)
+        right, sure, word, why = judged
         stage.note(len(rows), why)
     why_not = why_no_other(pool, word) if predictor.sees else "nothing is seen"
     with trace.stage("another in view", not why_not, why_not) as stage:

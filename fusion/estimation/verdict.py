@@ -266,6 +266,7 @@ def judged(
     anywhere: bool = False,
     same: Alike | None = None,
     contradicted: float | None = None,
+    read: dict[str, float] | None = None,
 ) -> tuple[float, float, str, str]:
     """Of the first of the modes, found in one frame or followed through many: the chance that it is the right one, and
     that it is near enough, too (the confidence); verdict and its reason.
@@ -273,11 +274,11 @@ def judged(
     residuals and contact_nats: how each contact agrees there, and what all cost; pixel_share: of the object's pixels
     that it explains; picture: the predicted one, None without a depth image; anywhere: there was no start; same: the
     modes that are one answer within the tolerance of `confident`, None to find them; contradicted: see `contradiction`,
-    None for contact_nats. What contradicts the pose, and a picture that does not show it, speak against it however
-    narrow its covariance is.
+    None for contact_nats; read: the `observations` of all that, None to make them. What contradicts the pose, and a
+    picture that does not show it, speak against it however narrow its covariance is.
     """
     same = same or alike(model, modes, confident.tolerance)
-    right, near = chances(model, modes, picture, residuals, contact_nats, confident, anywhere, same)
+    right, near = chances(model, modes, picture, residuals, contact_nats, confident, anywhere, same, read)
     sure = right * near
     enough = sure >= confident.sure
     word, why = verdict(model, modes, residuals, pixel_share, seeing, settings, confident.tolerance, same, enough)

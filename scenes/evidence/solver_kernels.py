@@ -58,6 +58,29 @@ def solve(hessian, gradient, damping, floor, factor, step):
     return True
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
+def eliminate(matrix, vector):
+    """Solve matrix (n, n) x = vector (n,) by elimination with pivots, in place: vector becomes x."""
+    n = matrix.shape[0]
+    for k in range(n):
+        pivot = k
+        for i in range(k + 1, n):
+            if abs(matrix[i, k]) > abs(matrix[pivot, k]):
+                pivot = i
+        for j in range(k, n):
+            matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
+        vector[k], vector[pivot] = vector[pivot], vector[k]
+        for i in range(k + 1, n):
+            share = matrix[i, k] / matrix[k, k]
+            for j in range(k + 1, n):
+                matrix[i, j] -= share * matrix[k, j]
+            vector[i] -= share * vector[k]
+    for k in range(n - 1, -1, -1):
+        for j in range(k + 1, n):
+            vector[k] -= matrix[k, j] * vector[j]
+        vector[k] /= matrix[k, k]
+
+
 @numba.njit(cache=True, nogil=True)
 def align_poses(lattice, rows, stage, prior, limits, rotations, middles, costs, hessians, used):
     """Levenberg-Marquardt on poses, in place: rotations (b, 3, 3), middles (b, 3) -> costs (b,), hessians (b, 6, 6).

@@ -67,6 +67,11 @@ class DistanceField:
         return FIRST_STEP * (self.finest or self.spacing)
 
     @cached_property
+    def lowest(self) -> float:
+        """The least distance (m): as deep as anything is inside, below 0."""
+        return float(self.values.min())
+
+    @cached_property
     def coarser(self) -> DistanceField | None:
         """The same at every second node, an eighth of the memory; None where the nodes are no such number."""
         if any(n % 2 == 0 or n < 5 for n in self.values.shape):

@@ -15,7 +15,7 @@ from scenes.errors import MeshError, unknown
 from scenes.files.problems import UNREADABLE
 from scenes.geometry import distance_field, mesh_repair, poses
 from scenes.geometry.distance_field import DistanceField
-from scenes.geometry.surface import Surface
+from scenes.geometry.surface import Surface, hull_of
 from scenes.geometry.symmetries import Symmetries
 from scenes.geometry.texture import Texture, files_beside, sampled
 
@@ -233,7 +233,8 @@ class ObjectModel:
         if (count, seed) in self._sampled:
             return self._sampled[count, seed]
         rng = np.random.default_rng(seed)
-        face = rng.choice(len(self.faces), size=count, p=self._face_shares)
+        # as rng.choice of these shares draws, which sums them up each time
+        face = self._face_sums.searchsorted(rng.random(count), side="right")
         u, v = rng.random((2, count))
         root = np.sqrt(u)
         weights = np.stack([1 - root, root * (1 - v), root * v], axis=1)
@@ -242,6 +243,24 @@ class ObjectModel:
         if seed == 0 and count <= KEPT_SAMPLES:
             self._sampled[count, seed] = found
         return found
+
+    @cached_property
+    def outer_vertices(self) -> Array:
+        """(k, 3) the vertices that bound all of them in every view."""
+        return np.ascontiguousarray(self.vertices[hull_of(self.vertices)])
+
+    def bounding_points(self, count: int) -> tuple[Array, int]:
+        """The points (count, 3) of `sample_surface`, and how many of them, the first, bound all in every view."""
+        if count not in self._bounding:
+            points = self.sample_surface(count)[0]
+            outer = hull_of(points)
+            rest = np.delete(np.arange(len(points)), outer)
+            self._bounding[count] = np.ascontiguousarray(points[np.concatenate([outer, rest])]), len(outer)
+        return self._bounding[count]
+
+    @cached_property
+    def _bounding(self) -> dict[int, tuple[Array, int]]:
+        return {}
 
     @cached_property
     def _sampled(self) -> dict[tuple[int, int], tuple[Array, Array]]:
@@ -253,6 +272,12 @@ class ObjectModel:
         corners = self.vertices[self.faces]
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
         return np.asarray(area / area.sum())
+
+    @cached_property
+    def _face_sums(self) -> Array:
+        """(m,) shares of the surface's area up to and with each face."""
+        sums = self._face_shares.cumsum()
+        return np.asarray(sums / sums[-1])
 
     def symmetry_poses(self, steps: int = 36) -> Array:
         """(k, 4, 4) object_from_object that leave the object unchanged."""

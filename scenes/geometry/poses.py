@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 
 # Metres: nothing that is felt or seen is as far as the Moon, and squares of much larger numbers overflow.
 FARTHEST = 1e9
+# The last row of a transform, and what rounding may make of each number.
+_LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
+_LAST_ROW_TOLERANCE = np.array([1e-9, 1e-9, 1e-9, 1e-5])
 # Rotations whose columns are off orthonormal by more than this are refused, not silently repaired.
 ORTHONORMAL_TOLERANCE = 1e-4
 
@@ -42,7 +45,7 @@ def check_pose(pose: ArrayLike, name: str = "pose") -> Array:
         raise InputError(f"{name}: expected finite numbers, got {int((~np.isfinite(array)).sum())} not finite")
     if np.abs(array[..., :3, 3]).max(initial=0.0) > FARTHEST:
         raise InputError(f"{name}: expected metres, got a translation of {np.abs(array[..., :3, 3]).max():.3g}")
-    if not np.allclose(array[..., 3, :], (0.0, 0.0, 0.0, 1.0), atol=1e-9):
+    if (np.abs(array[..., 3, :] - _LAST_ROW) > _LAST_ROW_TOLERANCE).any():
         raise InputError(f"{name}: expected last row 0 0 0 1, got {array[..., 3, :].reshape(-1, 4)[0]}")
     rotation = array[..., :3, :3]
     gram = np.swapaxes(rotation, -1, -2) @ rotation

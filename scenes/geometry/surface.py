@@ -14,6 +14,8 @@ Array = NDArray[np.float64]
 
 # Above this cosine between its offset and the triangle's normal, a foot lies within the triangle.
 UPRIGHT = 0.999
+# Points that lie in a plane up to this share of how far they spread in it have no hull.
+FLAT = 1e-3
 # Most cells along the longest side of the grid that sorts out what is far away.
 _CELLS = 64
 # Rays that vote on inside and outside: one may run through an edge.
@@ -113,3 +115,13 @@ class Surface:
         if not len(rays):
             return np.zeros(0)
         return self._scene.cast_rays(open3d().core.Tensor(rays))["t_hit"].numpy().astype(np.float64)
+
+
+def hull_of(points: Array) -> NDArray[np.intp]:
+    """Which of points (n, 3) are corners of their convex hull, in order; all where they lie in one plane, or nearly."""
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if len(points) < 5 or spread[2] < FLAT * spread[0]:
+        return np.arange(len(points))
+    geometry, utility = open3d().geometry, open3d().utility
+    _, corners = geometry.PointCloud(utility.Vector3dVector(points)).compute_convex_hull()
+    return np.sort(np.asarray(corners, dtype=np.intp))

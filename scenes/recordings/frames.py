@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -152,15 +152,17 @@ class Contacts:
 
     def moved(self, target_from_source: Array) -> Contacts:
         """The same contacts in another frame."""
-        rotation, translation = target_from_source[:3, :3], target_from_source[:3, 3]
         out = copy(self)
+        out.sensors = list(self.sensors)
+        if not len(self):
+            return out
+        rotation, translation = target_from_source[:3, :3], target_from_source[:3, 3]
         out.points = self.points @ rotation.T + translation
         _check_places(out.points)
         # what is checked already and turned needs its length only
         out.normals, out.forces = self.normals @ rotation.T, self.forces @ rotation.T
         out.normals /= np.linalg.norm(out.normals, axis=1, keepdims=True)
         out.sigma_point, out.sigma_normal = self.sigma_point.copy(), self.sigma_normal.copy()
-        out.sensors = list(self.sensors)
         return out
 
     @staticmethod
@@ -171,6 +173,10 @@ class Contacts:
         filled = [p for p in parts if len(p)]
         if len(filled) == 1:
             return filled[0]
+        if not filled:
+            nothing = Contacts.none()
+            nothing.sigma_known = True
+            return nothing
         return Contacts(
             np.concatenate([p.points for p in parts]),
             np.concatenate([p.normals for p in parts]),
@@ -312,11 +318,17 @@ class Frame:
 
     def without_vision(self) -> Frame:
         """The frame without what a camera gave."""
-        return replace(self, depth=None, rgb=None, mask=None, cloud=None, cloud_colours=None)
+        return self._with(depth=None, rgb=None, mask=None, cloud=None, cloud_colours=None)
 
     def without_touch(self) -> Frame:
         """The frame without what touch gave."""
-        return replace(self, contacts=Contacts.none(), no_contact=None, wrenches=(), tactile={}, gels={})
+        return self._with(contacts=Contacts.none(), no_contact=None, wrenches=(), tactile={}, gels={})
+
+    def _with(self, **parts: Any) -> Frame:
+        """The frame with other parts, of which there is nothing to check; what stays was checked when it came."""
+        out = copy(self)
+        out.__dict__.update(parts)
+        return out
 
     def hand_from_object(self, pose: Array, correction: Array) -> Array | None:
         """(4, 4) of the object at pose (4, 4) camera_from_object, the camera-robot calibration corrected; None without

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from scenes.geometry.cameras import Camera
 from scenes.geometry.surface import OUTWARD_RAYS, UPRIGHT
-from scenes.geometry.surface_kernels import feet, in_cells
+from scenes.geometry.surface_kernels import in_cells
+from scenes.robot import closest_kernels
 from scenes.robot import posed_kernels as kernels
 from scenes.robot.hands import Hand
 
@@ -75,19 +76,9 @@ class PosedHand:
         told.
         """
         asked = np.ascontiguousarray(points, np.float64)
-        distance, gradient = np.full(len(asked), within), np.zeros((len(asked), 3))
-        face, foot = np.zeros(len(asked), dtype=np.int64), np.zeros((len(asked), 3))
-        kernels.nearest(asked, within, self._tree, self._corners, self._normals, self._boxes, face, foot)
-        slanted = np.zeros(len(asked), dtype=bool)
-        feet(asked, face, self._corners, self._normals, UPRIGHT, foot, distance, gradient, slanted)
-        doubtful = np.flatnonzero(slanted)
-        if len(doubtful):
-            # their sign is that of the side that rays tell
-            inner = np.zeros(len(doubtful), dtype=bool)
-            kernels.inside(asked[doubtful], OUTWARD_RAYS, self._tree, self._corners, self._boxes, inner)
-            wrong = doubtful[inner != (distance[doubtful] < 0.0)]
-            distance[wrong] *= -1.0
-            gradient[wrong] *= -1.0
+        distance, gradient = np.zeros(len(asked)), np.zeros((len(asked), 3))
+        hand = self._tree, self._corners, self._normals, self._boxes
+        closest_kernels.closest(asked, float(within), hand, UPRIGHT, OUTWARD_RAYS, distance, gradient)
         return distance, gradient
 
     def gap(self, points: Array) -> float:

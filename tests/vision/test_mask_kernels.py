@@ -46,6 +46,23 @@ def test_what_is_close_to_the_hand_is_told_in_single_precision(rng):
     assert np.array_equal(out, good & (z > near - margin) & (z < far + margin))
 
 
+def test_a_hand_is_laid_and_its_neighbours_are_parted_as_by_numpy(rng):
+    drawn = np.where(rng.random((30, 40)) < 0.4, rng.uniform(0.3, 0.9, (30, 40)), np.inf)
+    nearest, farthest = np.zeros((2, 30, 40), dtype=np.float32)
+    there = np.zeros(drawn.shape, dtype=np.uint8)
+    kernels.lay_hand(drawn, nearest, farthest, there)
+    assert np.array_equal(there > 0, np.isfinite(drawn))
+    assert np.array_equal(nearest, np.where(there > 0, drawn, 1e3).astype(np.float32))
+    assert np.array_equal(farthest, np.where(there > 0, drawn, 0.0).astype(np.float32))
+    good, whole, around = rng.random((3, 30, 40)) < 0.6
+    close = good & (rng.random(drawn.shape) < 0.5)
+    inner, outer, uncertain = np.zeros((3, 30, 40), dtype=bool)
+    kernels.part(good, close, nearest, whole.astype(np.uint8), around.astype(np.uint8), inner, outer, uncertain)
+    assert np.array_equal(inner, close & whole)
+    assert np.array_equal(uncertain, close & ~whole)
+    assert np.array_equal(outer, good & ~close & around & (there == 0))
+
+
 def test_pieces_are_thinned_in_the_images_order(rng):
     z = rng.uniform(0.3, 0.9, size=(40, 50))
     pieces = rng.integers(-1, 4, size=z.shape)

@@ -219,10 +219,12 @@ class ContourEvidence:
         self.common_information = np.diag(1.0 / self.believed)
         alone = np.zeros(len(place))
         kernels.neighbours(outline.places, 0.5 * s.apart, alone)
-        self.alone = self.share = 1.0 / alone
+        self.alone = 1.0 / alone
+        self.share = self.alone.copy()
         blocks = np.floor(outline.places / s.block).astype(np.int64)
         blocks -= blocks.min(axis=0)
         self._block = blocks[:, 0] * (int(blocks[:, 1].max()) + 1) + blocks[:, 1]
+        self._blocks = int(self._block.max()) + 1
         self._common, self._apart = np.zeros(len(self.believed)), 0.0
         self._edges, self._sharp, self._scatter = np.zeros((0, 2)), 0.0, 1.0
 
@@ -256,17 +258,13 @@ class ContourEvidence:
         left, weight = self._weighted(delta, window)
         if others is not None:
             self._register(left, weight, *others)
-            before = self.share
             self._temper(left, weight)
-            weight = weight * self.share / before
-        whole, pull = self._summed(left, weight)
-        pull[6 + FADING] += self.common_information[FADING, FADING] * self.settings.early
-        shared, cross = whole[6:, 6:] + self.common_information, whole[:6, 6:]
-        solved = np.linalg.solve(shared, np.concatenate([pull[6:, None], cross.T], axis=1))
-        self._common = -solved[:, 0]
-        gradient = pull[:6] + cross @ self._common
-        hessian = whole[:6, :6] - cross @ solved[:, 1:]
-        return gradient, 0.5 * (hessian + hessian.T)
+        early = np.zeros(len(self.believed))
+        early[FADING] = self.common_information[FADING, FADING] * self.settings.early
+        gradient, hessian, self._common = np.zeros(6), np.zeros((6, 6)), np.zeros(len(self.believed))
+        known = self.common_information, early
+        kernels.marginalise(self._rows, weight, left, *known, gradient, hessian, self._common)
+        return gradient, hessian
 
     def _summed(self, left: Array, weight: Array) -> tuple[Array, Array]:
         """Gauss-Newton matrix (10, 10) and gradient (10,) of lines that are off by left (n,) px with weight (n,), by a
@@ -278,9 +276,10 @@ class ContourEvidence:
         return whole, pull
 
     def _temper(self, left: Array, weight: Array) -> None:
-        """Make all lines less sure by as much as their pulls scatter more than they should, by the median of the lines;
-        and those of a block of the image together no surer than whole blocks disagree: the mesh's own error, patterns,
-        shades and a projector's dots are shared beyond neighbours. By how much, is believed of meshes and seen here.
+        """Make all lines less sure, weight (n,) in place, by as much as their pulls scatter more than they should, by
+        the median of the lines; and those of a block of the image together no surer than whole blocks disagree: the
+        mesh's own error, patterns, shades and a projector's dots are shared beyond neighbours. By how much, is believed
+        of meshes and seen here.
 
         Steps by themselves: of a projector's dots they are fitted as well as of an edge, and are then off by far more.
         """
@@ -290,15 +289,11 @@ class ContourEvidence:
             if found_edge.sum() >= self.settings.least:
                 squares = np.square(off[found_edge]) / self._variance()[found_edge]
                 self._scatter = max(1.0, BY_MEDIAN * float(median(squares)))
-        found, information = np.zeros(3), np.zeros(int(self._block.max()) + 1)
+        found, information = np.zeros(3), np.zeros(self._blocks)
+        prior = self._mesh**2, float(self.settings.believed_blocks)
         # a pose and the lines' common errors fit five of an outline's blocks, about
-        kernels.misfit(off, weight, self.share, self.alone, self._block, 5, found, information)
-        ratio, apart, beyond = found
-        self._apart = float(apart)
-        s = self.settings
-        prior = s.believed_blocks
-        apart = (prior * self._mesh**2 + beyond * apart) / (prior + beyond)
-        self.share = self.alone / ratio / (1.0 + apart * information)[self._block]
+        kernels.temper(off, weight, self.share, self.alone, self._block, 5, prior, found, information)
+        self._apart = float(found[1])
 
     def _register(self, left: Array, weight: Array, gradient: Array, information: Array) -> None:
         """Widen what a colour image's shift against depth may be to what this frame shows of it, where all else has

@@ -118,6 +118,44 @@ def sum_up(rows, weight, left, whole, pull):
 
 
 @numba.njit(cache=True, nogil=True)
+def marginalise(rows, weight, left, information, early, gradient, hessian, common):
+    """Fill gradient (6,) and hessian (6, 6): what rows (n, 6 + k) with weight (n,) and left (n,), see `sum_up`, say of
+    a pose's move when what they share is marginalised, k errors of which is known information (k, k), and pulled by
+    early (k,). Fills common (k,): the likeliest of these where the pose stays.
+    """
+    size = rows.shape[1]
+    k = size - 6
+    whole, pull = np.zeros((size, size)), np.zeros(size)
+    sum_up(rows, weight, left, whole, pull)
+    # Cholesky's factor of what is known of them, and what it makes of their pull, column 0, and of their ties to a move
+    factor, solved = np.zeros((k, k)), np.zeros((k, 7))
+    for a in range(k):
+        for b in range(a + 1):
+            total = whole[6 + a, 6 + b] + information[a, b]
+            for c in range(b):
+                total -= factor[a, c] * factor[b, c]
+            factor[a, b] = np.sqrt(total) if a == b else total / factor[b, b]
+        for column in range(7):
+            total = pull[6 + a] + early[a] if column == 0 else whole[6 + a, column - 1]
+            for c in range(a):
+                total -= factor[a, c] * solved[c, column]
+            solved[a, column] = total / factor[a, a]
+    for i in range(6):
+        gradient[i] = pull[i]
+        for c in range(k):
+            gradient[i] -= solved[c, 1 + i] * solved[c, 0]
+        for j in range(6):
+            hessian[i, j] = whole[i, j]
+            for c in range(k):
+                hessian[i, j] -= solved[c, 1 + i] * solved[c, 1 + j]
+    for a in range(k - 1, -1, -1):
+        total = -solved[a, 0]
+        for c in range(a + 1, k):
+            total -= factor[c, a] * common[c]
+        common[a] = total / factor[a, a]
+
+
+@numba.njit(cache=True, nogil=True)
 def shift_scores(table, lowest, normals, most, unknown, scores):
     """Fill scores (2 most + 1, 2 most + 1): mean over the lines of table (n, m), over offsets lowest, lowest + 1, ...
     (px), where a shift of the whole outline by (dv, du) px, rows first, moves each; unknown: outside its table.
@@ -219,17 +257,19 @@ def smooth(counts, levels, room):
 
 
 @numba.njit(cache=True, nogil=True)
-def brackets(hit, u, v):
-    """Places (n, 2) of a grid of columns u (w,) and rows v (h,) that hit the object, hit (h, w), and that do not, of
-    all neighbours of which one does: down and up, then to the right and to the left.
+def brackets(grid, u, v):
+    """Places (n, 2) of a grid of columns u (w,) and rows v (h,) that hit the object and that do not, of all neighbours
+    of which one does: down and up, then to the right and to the left; and the depth (n,) of the former. grid (h, w):
+    depth (m) at each, inf where it does not.
     """
-    height, width = hit.shape
+    height, width = grid.shape
+    hit = np.isfinite(grid)
     count = 0
     for i in range(height):
         for j in range(width):
             count += i + 1 < height and hit[i, j] != hit[i + 1, j]
             count += j + 1 < width and hit[i, j] != hit[i, j + 1]
-    inner, outer = np.zeros((count, 2)), np.zeros((count, 2))
+    inner, outer, depth = np.zeros((count, 2)), np.zeros((count, 2)), np.zeros(count)
     n = 0
     for down, right in ((1, 0), (0, 1)):
         for first in (True, False):
@@ -241,8 +281,9 @@ def brackets(hit, u, v):
                             a, b = b, a
                         inner[n, 0], inner[n, 1] = u[a[1]], v[a[0]]
                         outer[n, 0], outer[n, 1] = u[b[1]], v[b[0]]
+                        depth[n] = grid[a]
                         n += 1
-    return inner, outer
+    return inner, outer, depth
 
 
 @numba.njit(cache=True, nogil=True)
@@ -325,6 +366,21 @@ def misfit(off, weight, share, alone, block, fitted, ratio, information):
     ratio[2] = max(some - fitted, 0)
     apart = total - squares / total if total > 0.0 else 0.0
     ratio[1] = max(0.0, misfit - ratio[2]) / apart if apart > 1e-9 and some > fitted else 0.0
+
+
+@numba.njit(cache=True, nogil=True)
+def temper(off, weight, share, alone, block, fitted, prior, ratio, information):
+    """Make lines (n,) less sure in place, share and weight, by what `misfit` finds of them, and those of a block no
+    surer together than blocks disagree: as this frame shows it, and as `prior` says, its variance (px^2) and how many
+    blocks that is worth. ratio and information: see `misfit`.
+    """
+    misfit(off, weight, share, alone, block, fitted, ratio, information)
+    variance, count = prior
+    apart = (count * variance + ratio[2] * ratio[1]) / (count + ratio[2])
+    for i in range(len(off)):
+        own = alone[i] / ratio[0] / (1.0 + apart * information[block[i]])
+        weight[i] *= own / share[i]
+        share[i] = own
 
 
 @numba.njit(cache=True, nogil=True)

@@ -65,12 +65,11 @@ def outline_of(model: ObjectModel, camera: Camera, pose: Array, settings: Outlin
     low, high = low - 1.5 * step, high + 1.5 * step
     u, v = np.arange(low[0], high[0], step), np.arange(low[1], high[1], step)
     caster = Caster(model, camera, pose)
-    hit = np.isfinite(caster.depth(np.stack([np.tile(u, len(v)), np.repeat(v, len(u))], axis=1)))
-    inner, outer = kernels.brackets(hit.reshape(len(v), len(u)), u, v)
+    grid = caster.depth(np.stack([np.tile(u, len(v)), np.repeat(v, len(u))], axis=1))
+    inner, outer, depth = kernels.brackets(grid.reshape(len(v), len(u)), u, v)
     if not len(inner):
         return none
     away = outer - inner
-    depth = caster.depth(inner)
     for _ in range(s.halvings):
         middle = 0.5 * (inner + outer)
         kernels.narrow(inner, outer, middle, caster.depth(middle), depth)
@@ -111,7 +110,7 @@ def _box(model: ObjectModel, camera: Camera, pose: Array) -> tuple[Array, Array]
     """Lowest and highest place of the object in the image (px), clipped to it; empty where it is not ahead."""
     bounds = np.zeros(5)
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    kernels.box(model.vertices, np.ascontiguousarray(pose[:3, :3]), pose[:3, 3].copy(), lens, bounds)
+    kernels.box(model.outer_vertices, np.ascontiguousarray(pose[:3, :3]), pose[:3, 3].copy(), lens, bounds)
     if bounds[4] < 1e-3:
         return np.ones(2), np.zeros(2)
     size = np.array([camera.width - 1.0, camera.height - 1.0])

@@ -288,39 +288,37 @@ def _hand_pixels(
     candidates: Mask,
     rgb: NDArray[np.uint8] | None,
     settings: MaskSettings,
-    drawn: Array | None = None,
 ) -> Mask:
-    """(h, w) pixels of the box that show the hand: where it is rendered at that depth, or uncertainly beside it.
-
-    drawn (h, w): the hand's depth, when it is known.
-    """
+    """(h, w) pixels of the box that show the hand: where it is rendered at that depth, or uncertainly beside it."""
     import cv2
 
     assert frame.camera is not None
-    drawn = view.depth(frame.camera, box) if drawn is None else drawn
-    there = np.isfinite(drawn).astype(np.uint8)
+    nearest, farthest = np.zeros((2, *z.shape), dtype=np.float32)
+    there, close = np.zeros(z.shape, dtype=np.uint8), np.zeros(z.shape, dtype=bool)
+    kernels.lay_hand(view.depth(frame.camera, box), nearest, farthest, there)
     if not there.any():
-        return np.zeros(z.shape, dtype=bool)
-    depth = np.where(there > 0, drawn, 0.0).astype(np.float32)
-    middle = float(np.median(depth[there > 0]))
-    outline = int(np.ceil(settings.hand_outline * frame.camera.fx / middle))
-    strip = outline + (settings.colour_strip if rgb is not None else 0)
-    kernel = np.ones((2 * strip + 1, 2 * strip + 1), np.uint8)
-    far = cv2.dilate(depth, kernel)
-    near = cv2.erode(np.where(there > 0, depth, np.float32(1e3)), kernel)
-    close = np.zeros(z.shape, dtype=bool)
-    kernels.close_to(z, candidates, near, far, np.float32(settings.hand_margin), close)
-    if rgb is None:
         return np.asarray(close)
-    inner = close & (cv2.erode(there, kernel) > 0)
-    around = np.ones((2 * settings.colour_around + 1, 2 * settings.colour_around + 1), np.uint8)
-    outer = candidates & ~close & (cv2.dilate(there, kernel) == 0) & (cv2.dilate(there, around) > 0)
-    uncertain = close & ~inner
-    scores = _colour_scores(rgb, inner, outer, uncertain, settings)
-    if scores is None:
-        return _hand_pixels(frame, view, box, z, candidates, None, settings, drawn)
-    inner[uncertain] = scores > 0
-    return np.asarray(inner)
+    outline = int(np.ceil(settings.hand_outline * frame.camera.fx / float(median(farthest[there > 0]))))
+    margin = np.float32(settings.hand_margin)
+    if rgb is not None:
+        kernel = _square(outline + settings.colour_strip)
+        near, far = cv2.erode(nearest, kernel), cv2.dilate(farthest, kernel)
+        kernels.close_to(z, candidates, near, far, margin, close)
+        inner, outer, uncertain = np.zeros((3, *z.shape), dtype=bool)
+        whole, around = cv2.erode(there, kernel), cv2.dilate(there, _square(settings.colour_around))
+        kernels.part(candidates, close, near, whole, around, inner, outer, uncertain)
+        scores = _colour_scores(rgb, inner, outer, uncertain, settings)
+        if scores is not None:
+            inner[uncertain] = scores > 0
+            return np.asarray(inner)
+    kernel = _square(outline)
+    kernels.close_to(z, candidates, cv2.erode(nearest, kernel), cv2.dilate(farthest, kernel), margin, close)
+    return np.asarray(close)
+
+
+def _square(reach: int) -> NDArray[np.uint8]:
+    """What cv2 widens by so many pixels with."""
+    return np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
 
 
 def _colour_scores(
@@ -330,11 +328,11 @@ def _colour_scores(
 
     Shares of the channels, which shading leaves alone; medians, because what is not the hand is not all the object.
     """
-    if min(hand.sum(), other.sum()) < settings.colour_pixels:
+    if min(np.count_nonzero(hand), np.count_nonzero(other)) < settings.colour_pixels:
         return None
 
     def shares(chosen: Mask, most: float) -> Array:
-        count = int(chosen.sum())
+        count = int(np.count_nonzero(chosen))
         step = int(max(1, count // most))
         out = np.zeros((-(-count // step), 2))
         kernels.shares(rgb, chosen, step, out)
@@ -379,11 +377,11 @@ def _chosen(
     z (h, w): depths (m) of the pixels from corner (u, v) on.
     """
     assert frame.camera is not None
-    size = np.bincount(pieces[pieces >= 0])
+    size = np.bincount(pieces.ravel() + 1)[1:]
     kept = np.zeros(len(size) + 1, dtype=bool)  # the last one stands for no piece
     felt = frame.contacts.moved(frame.camera_from_world).points
     # the hand may be behind the object: what is seen is then its thickness away
-    thickness = settings.held + 2.0 * max(0.0, -float(model.field.values.min()))
+    thickness = settings.held + 2.0 * max(0.0, -model.field.lowest)
     gaps = np.full(len(size), np.inf)
     off = np.zeros(len(size))
     samples = _samples(pieces, np.where(size >= settings.smallest, size, 0), z, corner, frame.camera)
@@ -402,7 +400,7 @@ def _chosen(
     if behind.max(initial=0) > settings.larger * size[kept[:-1]].sum():
         kept[int(behind.argmax())] = True
     if start is None and view is not None and kept.any():
-        middle = float(np.median(z[pieces >= 0]))
+        middle = float(median(z[pieces >= 0]))
         # the mean shadow of a convex body is a quarter of its surface (Cauchy); that of another is less
         shown = settings.fair_share * model.area / 4.0 * frame.camera.fx * frame.camera.fy / middle**2
         far = np.where((gaps < model.diameter) & ~kept[:-1], size, 0)

@@ -29,6 +29,39 @@ def candidates(depth, lens, box, ball, planes, noise, margins, z, good):  # type
                 good[row, column] = not is_on_plane(x, y, there, planes, noise, margins)
 
 
+# Farther than anything is drawn (m): where there is no hand, nothing is nearer than it.
+_BEYOND = np.float32(1e3)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def lay_hand(drawn, nearest, farthest, there):  # type: ignore[no-untyped-def]
+    """Fill nearest and farthest (h, w) with the depth (m) at which a hand is drawn (h, w), inf where it is not: that is
+    beyond all in the one and 0 in the other; and there (h, w) with 1 where it is.
+    """
+    for row in range(drawn.shape[0]):
+        for column in range(drawn.shape[1]):
+            depth = drawn[row, column]
+            nearest[row, column] = _BEYOND
+            if np.isfinite(depth):
+                nearest[row, column] = farthest[row, column] = depth
+                there[row, column] = 1
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def part(good, close, near, whole, around, inner, outer, uncertain):  # type: ignore[no-untyped-def]
+    """Part good pixels (h, w) by where the hand is drawn: inner are those close to it around which it is all over,
+    whole (h, w), uncertain the others that are close; outer those beside it, around (h, w), of which no hand is near,
+    near (h, w) m.
+    """
+    for row in range(good.shape[0]):
+        for column in range(good.shape[1]):
+            if close[row, column]:
+                inner[row, column] = whole[row, column] > 0
+                uncertain[row, column] = not inner[row, column]
+            elif good[row, column]:
+                outer[row, column] = around[row, column] > 0 and near[row, column] >= _BEYOND
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def close_to(z, good, near, far, margin, out):  # type: ignore[no-untyped-def]
     """Fill out (h, w) with whether good pixels at depths z (h, w) are between near and far (h, w), in single precision,

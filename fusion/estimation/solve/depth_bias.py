@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -15,16 +15,23 @@ from scenes.recordings.beliefs import DepthModel
 Array = NDArray[np.float64]
 
 
+def _no_lines() -> tuple[Array, NDArray[np.int64], Array, NDArray[np.int64]]:
+    none = np.zeros(0, dtype=np.int64)
+    return np.zeros(0), none, np.zeros(0), none
+
+
 @dataclass(frozen=True)
 class DepthBias:
     """inducing (k, 2) pixels; factor (k, k): the lower Cholesky factor of their covariance in units of the bias' own
     standard deviation; length: of the correlation exp(-|u - v|^2 / (2 length^2)), pixels. k is 0 without a camera.
+    lines: columns and rows (px) on which inducing pixels lie, each with which of them is each pixel's (k,).
     """
 
     camera: Camera | None
     inducing: Array
     factor: Array
     length: float
+    lines: tuple[Array, NDArray[np.int64], Array, NDArray[np.int64]] = field(default_factory=_no_lines)
 
     @staticmethod
     def over(camera: Camera | None, points: Array, depth: DepthModel, spacing: float, most: int) -> DepthBias:
@@ -40,14 +47,17 @@ class DepthBias:
         while True:
             counts = np.maximum(1, np.ceil((high - low) / step)).astype(int) + 1
             if counts.prod() <= 4 * most:
-                axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts)]
-                grid = np.stack([x.ravel() for x in np.meshgrid(*axes)], axis=1)
-                grid = grid[_is_near(grid, uv, step)]
+                u, v = (np.linspace(a, b, n) for a, b, n in zip(low, high, counts))
+                column, row = np.tile(np.arange(len(u)), len(v)), np.repeat(np.arange(len(v)), len(u))
+                grid = np.stack([u[column], v[row]], axis=1)
+                near = _is_near(grid, uv, step)
+                grid, column, row = grid[near], column[near], row[near]
                 if len(grid) <= most:
                     break
             step *= 1.2
         kernel = _kernel(grid, grid, length) + 1e-6 * np.eye(len(grid))
-        return DepthBias(camera, grid, np.asarray(np.linalg.cholesky(kernel), dtype=np.float64), length)
+        factor = np.asarray(np.linalg.cholesky(kernel), dtype=np.float64)
+        return DepthBias(camera, grid, factor, length, (u, column, v, row))
 
     @cached_property
     def _whitening(self) -> Array:
@@ -63,14 +73,8 @@ class DepthBias:
             return np.zeros((len(points), len(self)))
         uv, _ = self.camera.project(points)
         out = np.zeros((len(points), len(self)))
-        lay_bells(np.ascontiguousarray(uv, np.float64), *self._lines, -0.5 / self.length**2, out)
+        lay_bells(np.ascontiguousarray(uv, np.float64), *self.lines, -0.5 / self.length**2, out)
         return np.asarray(out @ self._whitening.T, dtype=np.float64)
-
-    @cached_property
-    def _lines(self) -> tuple[Array, NDArray[np.int64], Array, NDArray[np.int64]]:
-        """Columns and rows (px) on which inducing pixels lie, each with which of them is each pixel's (k,)."""
-        (u, column), (v, row) = (np.unique(self.inducing[:, axis], return_inverse=True) for axis in (0, 1))
-        return u, column.ravel(), v, row.ravel()
 
 
 def _is_near(grid: Array, uv: Array, reach: float) -> NDArray[np.bool_]:

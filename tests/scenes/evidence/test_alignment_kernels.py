@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from scenes.evidence import solver_kernels
 from scenes.evidence import table as evidence
 from scenes.evidence.align import COARSE, AlignSettings, Prior, align, costs, terms
 from scenes.evidence.kernels import SHORTEST_GRADIENT
@@ -395,3 +396,12 @@ def test_one_sided_rows_cost_nothing_outside_wherever_they_stand_in_the_table(mu
     all_of_them = costs(mug, rows.take(order), pose[None])[0]
     assert all_of_them == pytest.approx(costs(mug, rows.take(~silent), pose[None])[0], rel=1e-12)
     assert all_of_them == pytest.approx(terms(mug, rows, pose)[0], rel=1e-12)
+
+
+@pytest.mark.parametrize("size", [1, 6, 13])
+def test_elimination_solves_what_numpy_solves(rng, size):
+    matrix, vector = rng.normal(size=(size, size)), rng.normal(size=size)
+    matrix[0, 0] = 0.0 if size > 1 else 2.0  # no pivot where it is
+    expected = np.linalg.solve(matrix, vector)
+    solver_kernels.eliminate(matrix, vector)
+    np.testing.assert_allclose(vector, expected, rtol=1e-9)

@@ -9,6 +9,7 @@ from scenes.evidence.align import Alignment, Prior
 from scenes.evidence.search import (
     SearchStage,
     distinct_first,
+    first_of_each,
     leaders,
     rotation_grid,
     search,
@@ -198,3 +199,9 @@ def test_rows_are_thinned_as_plain_arrays_are(rng, count):
     few = thin(full, count)
     np.testing.assert_array_equal(few.rows, expected.rows)
     np.testing.assert_array_equal(few.sense, expected.sense)
+
+
+def test_rows_are_taken_once_in_their_order(rng):
+    keys = rng.integers(-3, 3, size=(400, 4))
+    _, first = np.unique(keys, axis=0, return_index=True)
+    assert np.array_equal(first_of_each(keys), np.sort(first))

@@ -13,6 +13,7 @@ from scipy.spatial import ConvexHull
 from scenes.errors import InputError, MeshError
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel, check_size
+from scenes.geometry.surface import hull_of
 from scenes.synthesis import library
 
 
@@ -221,3 +222,18 @@ def test_the_mean_outline_is_a_quarter_of_the_hull(name):
     """Cauchy's formula: the mean projected area of a convex body is a quarter of its surface."""
     model = library.make(name)
     assert model.mean_outline == pytest.approx(0.25 * ConvexHull(model.vertices).area, rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["box", "mug", "drill"])
+def test_few_points_bound_all_of_them_in_every_view(name, rng):
+    model = library.make(name)
+    points, outer = model.bounding_points(200)
+    assert sorted(map(tuple, points)) == sorted(map(tuple, model.sample_surface(200)[0]))
+    assert outer < 150
+    for some, all_of_them in ((points[:outer], points), (model.outer_vertices, model.vertices)):
+        for rotation in poses.random_rotations(40, rng):
+            few, many = (there @ rotation.T + [0.0, 0.0, 0.5] for there in (some, all_of_them))
+            for end in (np.min, np.max):
+                np.testing.assert_allclose(end(few[:, :2] / few[:, 2:], 0), end(many[:, :2] / many[:, 2:], 0))
+    flat = np.concatenate([rng.random((30, 2)), np.zeros((30, 1))], axis=1)
+    assert len(hull_of(flat)) == 30

@@ -147,3 +147,7 @@ def test_contacts_are_moved_as_if_made_anew(rng):
     none.sensors.append("a")  # nobody else's
     assert not len(Contacts.none())
     assert not Contacts.none().sensors
+    assert not Contacts.none().moved(pose).sensors
+    together = Contacts.concatenate([none.take([]), Contacts.none()])
+    assert not len(together)
+    assert together.sigma_known

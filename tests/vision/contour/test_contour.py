@@ -367,26 +367,6 @@ def test_counts_agree_with_their_twins(rng):
         np.testing.assert_allclose(found[i], [len(near), cov[0, 0], cov[1, 1], cov[0, 1]], atol=1e-9)
 
 
-def test_misfit_agrees_with_its_twin(rng):
-    off, weight = rng.normal(0.0, 2.0, 60), rng.uniform(0.0, 2.0, 60)
-    weight[::7] = 0.0
-    share, alone, block = np.full(60, 0.25), np.full(60, 0.5), rng.integers(0, 12, 60)
-    told = weight > 0.0
-    by_line = max(np.median((weight / share * off**2)[told]) * 2.198, 1.0)
-    told_by, pulls = (np.bincount(block, 2.0 * weight * value, minlength=12) for value in (np.ones(60), off))
-    told_by, pulls = told_by / by_line, pulls / by_line
-    total = (pulls**2 / told_by).sum()
-    apart = max(0.0, total - 7) / (told_by.sum() - (told_by**2).sum() / told_by.sum())
-    found, information = np.zeros(3), np.zeros(12)
-    kernels.misfit(off, weight, share, alone, block, 5, found, information)
-    np.testing.assert_allclose(found, [by_line, apart, 7])
-    np.testing.assert_allclose(information, told_by)
-    for used in (weight, np.zeros(60)):  # as many as are fitted tell nothing, and no line neither
-        found, information = np.zeros(3), np.zeros(12)
-        kernels.misfit(off, used, share, alone, block, 12, found, information)
-        np.testing.assert_allclose(found, [by_line if used is weight else 1.0, 0.0, 0.0])
-
-
 @pytest.mark.parametrize("channels", [1, 3])
 def test_counts_are_smoothed_along_every_axis_of_colour(rng, channels):
     levels, counts = 4, rng.uniform(size=(2, 4**channels, 5))
@@ -409,7 +389,9 @@ def test_a_border_is_bracketed_and_halved(rng):
     ):
         out, back = first & ~second, second & ~first
         pairs += [(here[out], there[out]), (there[back], here[back])]
-    inner, outer = kernels.brackets(hit, u, v)
+    seen = np.where(hit, u + 10.0 * v[:, None], np.inf)
+    inner, outer, depth = kernels.brackets(seen, u, v)
+    assert np.array_equal(depth, inner @ [1.0, 10.0])
     assert np.array_equal(inner, np.concatenate([a for a, _ in pairs]))
     assert np.array_equal(outer, np.concatenate([b for _, b in pairs]))
     z = np.where(rng.random(len(inner)) < 0.5, np.inf, rng.random(len(inner)))
@@ -420,22 +402,3 @@ def test_a_border_is_bracketed_and_halved(rng):
     assert np.array_equal(depth, expected)
     assert np.array_equal(inner, ends[0])
     assert np.array_equal(outer, ends[1])
-
-
-def test_lines_are_weighed_and_summed_as_by_numpy(rng):
-    log_p = rng.normal(size=(30, 26))
-    log_p -= np.log(np.exp(log_p).sum(axis=1, keepdims=True))
-    rows, moved, share = rng.normal(size=(30, 9)), 0.5 * rng.normal(size=9), rng.uniform(0.1, 1.0, 30)
-    expected, mean, precision = rows @ moved, np.zeros(30), np.zeros(30)
-    kernels.sites(log_p, -12.5, expected, 2.5, mean, precision)
-    variance = 1.0 / np.maximum(precision, 1e-6) + 0.25**2
-    off = mean - expected
-    odds = 0.01 * np.sqrt(2.0 * np.pi * variance) * np.exp(np.minimum(0.5 * off**2 / variance, 50.0))
-    left, weight = np.zeros(30), np.zeros(30)
-    kernels.weigh(log_p, -12.5, rows, moved, (2.5, 0.25, 0.01), share, left, weight)
-    np.testing.assert_allclose(left, rows[:, :6] @ moved[:6] - mean, atol=1e-9)
-    np.testing.assert_allclose(weight, np.where(precision > 0, share / variance / (1.0 + odds), 0.0), rtol=1e-9)
-    whole, pull = np.zeros((9, 9)), np.zeros(9)
-    kernels.sum_up(rows, weight, left, whole, pull)
-    np.testing.assert_allclose(whole, (rows * weight[:, None]).T @ rows, atol=1e-12)
-    np.testing.assert_allclose(pull, rows.T @ (weight * left), atol=1e-9)
