@@ -16,6 +16,7 @@ from fusion.tracking.filter import Belief
 from fusion.tracking.hypotheses import HypothesisSettings
 from fusion.tracking.motion import HandMotionSettings
 from fusion.tracking.occluders import OccluderSettings
+from fusion.tracking.sizes import SizeSettings
 from fusion.tracking.slip import WatchSettings
 from fusion.tracking.state import GlanceSettings, RenewalSettings
 from scenes.geometry.objects import ObjectModel
@@ -61,6 +62,8 @@ class TrackSettings:
     noise: float = 0.6
     # Share of the first estimate's variance that later frames do not average out.
     first_lasting: float = 0.6
+    # How large what all frames share is, by what looks leave unexplained.
+    sizes: SizeSettings = field(default_factory=SizeSettings)
     # Which frames are only glanced at.
     glance: GlanceSettings = field(default_factory=GlanceSettings)
     # Poses carried from frame to frame until the data decide, and how often frames are searched without a memory.

@@ -17,6 +17,7 @@ from fusion.tracking.filter import Belief, Measurement, block
 from fusion.tracking.hypotheses import Hypotheses
 from fusion.tracking.motion import HandState
 from fusion.tracking.occluders import Occluders
+from fusion.tracking.sizes import Sizes, SizeSettings
 from fusion.tracking.untold import Untold
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -158,12 +159,12 @@ class TrackState:
     index: of that; seen_at (4, 4): camera_from_hand, as reported, where pixels told of the object last; unseen: frames
     without evidence; lost_for: frames; leads: how often another hypothesis has taken the lead; usual: share of pixels
     that the pose explains, usually; things: what goes with the object and is not it; untold: what no frame tells of it;
-    rigs: of each of the first frames, the mean square of how large its shared errors may be (levels); right: chance
-    that the leader is the right one, as last judged; sure: whether the last answer was ok; known: from the last look in
-    full, None when the next frame must be looked at so; correction (4, 4) camera_from_camera of what the robot reports,
-    as the last joint solution has it where no pixels of the hand tell: a calibration stays; None before; lens (4,):
-    focal lengths (px, and shares of the image) of the last image looked at, and lens_for: images since, which had
-    others.
+    sizes: what looks left unexplained; rigs: of each of the first frames, the mean square of how large its shared
+    errors may be (levels); right: chance that the leader is the right one, as last judged; sure: whether the last
+    answer was ok; known: from the last look in full, None when the next frame must be looked at so; correction (4, 4)
+    camera_from_camera of what the robot reports, as the last joint solution has it where no pixels of the hand tell: a
+    calibration stays; None before; lens (4,): focal lengths (px, and shares of the image) of the last image looked at,
+    and lens_for: images since, which had others.
     """
 
     belief: Belief | None = None
@@ -177,6 +178,7 @@ class TrackState:
     usual: float | None = None
     things: Occluders = field(default_factory=Occluders)
     untold: Untold = field(default_factory=Untold)
+    sizes: Sizes = field(default_factory=Sizes)
     rigs: list[float] = field(default_factory=list)
     renewal: Renewal = field(default_factory=Renewal)
     right: float = 0.0
@@ -185,3 +187,11 @@ class TrackState:
     correction: Array | None = None
     lens: Array | None = None
     lens_for: int = 0
+
+    def forget(self) -> None:
+        """What looks at an object have taught, whose place is begun anew."""
+        self.things, self.untold, self.sizes = Occluders(), Untold(), Sizes()
+
+    def told(self, belief: Belief, settings: SizeSettings) -> Belief:
+        """A belief as wide as it is to be told."""
+        return self.sizes.told_of(belief, settings)

@@ -42,7 +42,6 @@ from fusion.tracking.steps.printed import as_before, as_printed
 from fusion.tracking.steps.refining import loose, measurement_of, refine, shift, solve_leader
 from fusion.tracking.steps.searching import leader_at, look_closer, recover, renew, search_around
 from fusion.tracking.steps.sensing import Sensed, pool_near
-from fusion.tracking.untold import Untold
 from scenes.errors import CaptureError
 from scenes.evidence.align import Prior
 from scenes.geometry import poses as se3
@@ -165,7 +164,7 @@ class Tracker:
         votes, odds = several.vote_of(answer.verdict, sure, how), several.log_odds(sure, how)
         state.hypotheses = several.of_modes(answer.modes, votes, how, odds)
         state.index, state.unseen, state.lost_for, state.usual, state.known = frame.index, 0, 0, None, None
-        state.things, state.untold = Occluders(), Untold()
+        state.forget()
         state.renewal.restart(frame.index, s.renewal)
         if self._aside is not None:
             self._aside.forget()
@@ -308,7 +307,7 @@ class Tracker:
         with trace.stage("judge", True, "") as stage:
             belief, watched = self._updated(frame, predicted, common.measured, found.switched, felt)
             leap = (not found.switched) * se3.difference(measured.pose, predicted.pose, model.centroid)
-            said = judge(model, found.hypotheses, belief, now, state.usual, leap, beliefs, s)
+            said = judge(model, found.hypotheses, state.told(belief, s.sizes), now, state.usual, leap, beliefs, s)
             stage.note(len(found.seen) + felt_rows, said.why)
         if said.verdict == "lost" and blind:  # touch alone does not prove that a hand has lost what it held
             self._watch.restart()
@@ -316,6 +315,8 @@ class Tracker:
         if said.verdict != "lost":
             self._accept(frame, felt, belief, found.hypotheses, said.share)
             state.right, state.untold = said.right, untold
+            if sensed.told_apart:
+                state.sizes = state.sizes.learned(solved, said.residuals, s.sizes, found.switched)
             if felt_rows and not placed and looked.hand is None:
                 state.correction = felt.correction
             settled = not found.switched and frame.index == state.index
@@ -342,7 +343,7 @@ class Tracker:
             if found.otherwise or not len(seen):
                 return None
             belief, watched = self._updated(frame, predicted, found.measured, False, felt)
-            said = as_judged(self.model, known, carried, belief, found, s)
+            said = as_judged(self.model, known, carried, state.told(belief, s.sizes), found, s)
         self._accept(frame, felt, belief, carried, found.share)
         return self._believed(as_followed(frame, belief, predicted, said, watched, found.sensed, trace.stages, s))
 
@@ -434,7 +435,8 @@ class Tracker:
             state.hand = HandState.of(frame, felt.reported_contacts)
             self._velocity.coast(frame.index)
         held = state.hand is not None and state.unseen <= s.coast
-        answer = as_carried(self.model, frame, predicted, trace.stages, held, state.hand is not None, because, s)
+        told = state.told(predicted, s.sizes)
+        answer = as_carried(self.model, frame, told, trace.stages, held, state.hand is not None, because, s)
         how = s.first.confidence
         sure = state.right * self._near(answer.modes[0]) if held else 0.0
         wide = whole_covariance(self.model, answer.modes, state.right if held else 0.0, None, how)

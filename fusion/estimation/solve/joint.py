@@ -51,7 +51,9 @@ class JointResult:
     follows (6, 6): by how much xi is expected to be otherwise where the pose turns out to be otherwise.
     unsolved (6, 6): what else of the covariance pixels share, solved for by nothing: the mesh's own error, and by how
     much parts of the image disagree. biased (6, 6): what of `shared` comes of the depth bias. shares: of the mixture,
-    of each rig that was tried; empty where none were.
+    of each rig that was tried; empty where none were. mesh_variance (m^2): of the mesh's own error, as blocks of the
+    image have it; strain: squares of all shared errors, in units of what is believed of them, and told: how many of
+    them the frame tells; 0 where it was not asked for (`strained`).
     """
 
     pose: Array
@@ -70,6 +72,9 @@ class JointResult:
     unsolved: Array = field(default_factory=lambda: np.zeros((6, 6)))
     biased: Array = field(default_factory=lambda: np.zeros((6, 6)))
     shares: tuple[float, ...] = ()
+    mesh_variance: float = 0.0
+    strain: float = 0.0
+    told: float = 0.0
 
     @property
     def millimetres(self) -> float:
@@ -183,7 +188,8 @@ def marginalised(settled: Settled) -> JointResult:
     system.terms(here, unknown)
     misfit = system.misfit()
     whole = (settled.normal + np.diag(system.width))[:free, :free]
-    mesh = mesh_spread(problem.model, system.mesh_variance(), problem.settings)
+    variance = system.mesh_variance()
+    mesh = mesh_spread(problem.model, variance, problem.settings)
     unsolved = system.excess_spread(whole, misfit) + mesh
     return JointResult(
         here,
@@ -197,7 +203,19 @@ def marginalised(settled: Settled) -> JointResult:
         system.seen_cost,
         as_seen=_as_seen(system, here, unknown),
         unsolved=unsolved,
+        mesh_variance=variance,
     )
+
+
+def strained(settled: Settled) -> tuple[float, float]:
+    """How far shared errors were moved, squared, in units of what is believed of them, and how many of them were told:
+    less as much of each as is as uncertain as before. Both 0 where scale and bias are not solved for.
+    """
+    system = settled.system
+    if settled.free != system.size:
+        return 0.0, 0.0
+    left = np.diag(np.linalg.inv(settled.normal + np.diag(system.width)))[6:]
+    return float(np.square(settled.unknown[6:]).sum()), float(np.clip(1.0 - left, 0.0, 1.0).sum())
 
 
 def as_believed(settled: Settled) -> Array:

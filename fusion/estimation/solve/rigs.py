@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.solve.joint import Expected, JointResult, Settled, answered, expected, settle, solve
+from fusion.estimation.solve.joint import Expected, JointResult, Settled, answered, expected, settle, solve, strained
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.settings import JointSettings
 from scenes.geometry import poses as se3
@@ -40,7 +40,8 @@ def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[Joint
     assert isinstance(usual, Settled)
     best = answered(usual)
     first = _averaged(problem.model, [tried[n].pose for n in likely], weights[likely], best)
-    first = replace(first, shares=tuple(float(share) for share in weights))
+    strain, told = strained(usual)
+    first = replace(first, shares=tuple(float(share) for share in weights), strain=strain, told=told)
     return [first, *(solve(one, start, usual.level) for one, start in pairs[1:])]
 
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion.estimation.solve import rigs
-from fusion.estimation.solve.joint import expected, settle, solve
+from fusion.estimation.solve.joint import expected, settle, solve, strained
 from fusion.estimation.solve.kernels import mark_near
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import _averaged, solve_modes
@@ -266,9 +266,26 @@ def test_the_level_of_shared_errors_follows_the_data(drill):
     for result in (agree, disagree):
         assert sum(result.shares) == pytest.approx(1.0)
         assert own.rigs[int(np.argmax(result.shares))].level == result.level
+        # shared errors that were moved, beside how many of them the frame tells
+        unknowns = 7 + len(together.bias)
+        assert 0.0 < result.told < unknowns
         # what a track carries on is all of the covariance, and the bias's part is a part
         assert np.linalg.eigvalsh(result.shared - result.biased).min() > -1e-9 * np.trace(result.shared)
         assert np.linalg.eigvalsh(result.unsolved).min() > 0.0
+
+
+def test_how_far_shared_errors_were_moved_is_told_beside_how_many_are_known(drill):
+    """Of a scale that nothing tells as much is left as was believed; of one that is told exactly nothing is."""
+    problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-5)
+    settled = settle(problem, pose, 1.0)
+    strain, told = strained(settled)
+    covariance = np.linalg.inv(settled.normal + np.diag(settled.system.width))
+    assert strain == pytest.approx(float(np.square(settled.unknown[6:]).sum()))
+    assert told == pytest.approx(len(settled.unknown) - 6 - float(np.trace(covariance[6:, 6:])))
+    off = replace(problem, seen=problem.seen.moved(poses.make_pose(None, [0.0, 0.0, 0.006])))
+    assert strained(settle(off, pose, 1.0))[0] > strain
+    nothing = replace(problem, felt=evidence.empty())
+    assert strained(settle(nothing, pose, 1.0)) == (0.0, 0.0)  # nothing of known shape ties them
 
 
 def test_a_rig_beside_one_that_was_solved_ends_where_its_matrix_says(drill):
