@@ -96,7 +96,7 @@ def make_poses(rotations: Array, translations: Array) -> Array:
 
 def inverse(pose: Array) -> Array:
     """source_from_target of each (..., 4, 4) target_from_source."""
-    out = np.zeros_like(pose)
+    out = np.zeros(pose.shape, pose.dtype)
     if pose.ndim == 2:
         out[:3, :3] = pose[:3, :3].T
         out[:3, 3] = -(out[:3, :3] @ pose[:3, 3])

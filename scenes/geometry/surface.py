@@ -114,7 +114,9 @@ class Surface:
         """As `cast`, of rays (n, 6): origin less `middle`, and direction."""
         if not len(rays):
             return np.zeros(0)
-        return self._scene.cast_rays(open3d().core.Tensor(rays))["t_hit"].numpy().astype(np.float64)
+        # the tensor is the array: nothing keeps it
+        told = self._scene.cast_rays(open3d().core.Tensor.from_numpy(rays))
+        return np.asarray(told["t_hit"].numpy(), dtype=np.float64)
 
 
 def hull_of(points: Array) -> NDArray[np.intp]:

@@ -88,9 +88,9 @@ class Symmetries:
         trace(R_ref^T R G A(angle)), a sine of the angle. A spherical object takes the reference's rotation.
         """
         pose = np.asarray(pose, dtype=np.float64)
-        reference = np.broadcast_to(reference, pose.shape)
         if self.is_trivial:
             return pose
+        reference = np.broadcast_to(reference, pose.shape)
         candidates = pose[..., None, :, :] @ self.discrete
         target = np.swapaxes(reference[..., None, :3, :3], -1, -2)
         if self.is_spherical:

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.solve.kernels import lay_bells, mark_near
+from fusion.estimation.solve.kernels import lay_bells, mark_near, places
 from scenes.geometry.cameras import Camera
 from scenes.recordings.beliefs import DepthModel
 
@@ -41,8 +41,7 @@ class DepthBias:
         length = depth.bias_length
         if camera is None or not len(points):
             return DepthBias(camera, np.zeros((0, 2)), np.zeros((0, 0)), length)
-        uv, _ = camera.project(points)
-        low, high = uv.min(axis=0), uv.max(axis=0)
+        uv, (low, high) = _places(camera, points)
         step = spacing * length
         while True:
             counts = np.maximum(1, np.ceil((high - low) / step)).astype(int) + 1
@@ -71,10 +70,18 @@ class DepthBias:
         """(n, k) bias at the pixels of points (n, 3) per whitened unknown, in units of the bias' sigma."""
         if self.camera is None or not len(self) or not len(points):
             return np.zeros((len(points), len(self)))
-        uv, _ = self.camera.project(points)
+        uv, _ = _places(self.camera, points)
         out = np.zeros((len(points), len(self)))
-        lay_bells(np.ascontiguousarray(uv, np.float64), *self.lines, -0.5 / self.length**2, out)
+        lay_bells(uv, *self.lines, -0.5 / self.length**2, out)
         return np.asarray(out @ self._whitening.T, dtype=np.float64)
+
+
+def _places(camera: Camera, points: Array) -> tuple[Array, Array]:
+    """Pixels (n, 2) of points (n, 3), and the least and the largest of them (2, 2)."""
+    uv, bounds = np.zeros((len(points), 2)), np.zeros((2, 2))
+    lens = float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)
+    places(np.ascontiguousarray(points, np.float64), lens, uv, bounds)
+    return uv, bounds
 
 
 def _is_near(grid: Array, uv: Array, reach: float) -> NDArray[np.bool_]:

@@ -177,6 +177,38 @@ def prior_row(rotation, middle, prior, hessian, gradient):
     return cost
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
+def places(points, lens, uv, bounds):
+    """Fill uv (n, 2) with the pixels of points (n, 3), NaN at z <= 0, and bounds (2, 2) with the least and the largest
+    of them along both axes; lens (fx, fy, cx, cy).
+    """
+    fx, fy, cx, cy = lens
+    bounds[0], bounds[1] = math.inf, -math.inf
+    for n in range(points.shape[0]):
+        z = points[n, 2] if points[n, 2] > 0.0 else math.nan
+        uv[n, 0], uv[n, 1] = fx * points[n, 0] / z + cx, fy * points[n, 1] / z + cy
+        for i in range(2):
+            bounds[0, i], bounds[1, i] = min(bounds[0, i], uv[n, i]), max(bounds[1, i], uv[n, i])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
+def hand_rows(points, directions, centre, basis, jacobian):
+    """Fill jacobian (n, 7 + k): how the distances of a hand's pixels (n, 3) change, whose gradients are directions
+    (n, 3), with a turn and a move of the hand about centre (3,), with a scale of depth, and with k parts of a bias
+    along their rays, which have basis (n, k) there.
+    """
+    for n in range(points.shape[0]):
+        x, y, z = points[n, 0] - centre[0], points[n, 1] - centre[1], points[n, 2] - centre[2]
+        a, b, c = directions[n, 0], directions[n, 1], directions[n, 2]
+        jacobian[n, 0], jacobian[n, 1], jacobian[n, 2] = -(y * c - z * b), -(z * a - x * c), -(x * b - y * a)
+        jacobian[n, 3], jacobian[n, 4], jacobian[n, 5] = -a, -b, -c
+        depth = points[n, 2]
+        along = -(a * (points[n, 0] / depth) + b * (points[n, 1] / depth) + c * (depth / depth))
+        jacobian[n, 6] = along * depth
+        for k in range(basis.shape[1]):
+            jacobian[n, 7 + k] = along * basis[n, k]
+
+
 @numba.njit(cache=True, nogil=True, **LENT)
 def mark_near(grid, points, reach, out):
     """Fill out (k,) with whether any of points (n, 2) is nearer than reach to each of grid (k, 2)."""

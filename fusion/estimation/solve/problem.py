@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.solve.depth_bias import DepthBias
+from fusion.estimation.solve.kernels import hand_rows
 from fusion.estimation.solve.settings import JointSettings
 from scenes.evidence import row_kernels
 from scenes.evidence.align import Prior, lattice_of, prior_of
 from scenes.evidence.table import FACING, GATE_ABOVE, SIGMA, WEIGHT, Evidence
-from scenes.geometry import poses as se3
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
@@ -115,15 +115,11 @@ class JointProblem:
         """The hand's pixels, linear in (xi, s, b): their constant part, for unit sigmas of s and b."""
         if self.hand is None:
             return
-        g = self.hand.directions
         sigma = np.hypot(self.beliefs.depth.independent_sigma(points[:, 2]), self.settings.hand_sigma)
         # All that agree count in full: weights that fall towards the gate would hide how large the bias is
         self.hand_weight = 1.0 / sigma**2 / self.settings.hand_sharing
-        ray = points / points[:, 2:]
-        jac_xi = -np.concatenate([se3.cross(points - self.hand.centre, g), g], axis=1)
-        along = -np.sum(g * ray, axis=1)
-        jac_bias = along[:, None] * self.bias.basis(points)
-        jac = np.concatenate([jac_xi, (along * points[:, 2])[:, None], jac_bias], axis=1)
+        jac = np.zeros((len(points), 7 + len(self.bias)))
+        hand_rows(points, self.hand.directions, self.hand.centre, self.bias.basis(points), jac)
         weighted = jac * self.hand_weight[:, None]
         self.hand_normal = weighted.T @ jac
         self.hand_gradient = weighted.T @ self.hand.residual

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from fusion.estimation.solve import newton_kernels as kernels
-from fusion.estimation.solve.kernels import lay_bells
+from fusion.estimation.solve.kernels import hand_rows, lay_bells, places
+from scenes.geometry.cameras import Camera
 
 
 def positive(rng, size):
@@ -59,9 +60,28 @@ def test_leaving_groups_out_is_a_step_of_the_rest(rng, free):
 
 def test_bells_along_lines_are_those_of_distances(rng):
     columns, rows = np.array([10.0, 40.0, 70.0]), np.array([5.0, 35.0])
-    places = np.array([[u, v] for v in rows for u in columns])[[0, 1, 2, 4]]
+    lines = np.array([[u, v] for v in rows for u in columns])[[0, 1, 2, 4]]
     uv, out = rng.uniform(-20.0, 100.0, (50, 2)), np.zeros((50, 4))
-    (u, column), (v, row) = (np.unique(places[:, axis], return_inverse=True) for axis in (0, 1))
+    (u, column), (v, row) = (np.unique(lines[:, axis], return_inverse=True) for axis in (0, 1))
     lay_bells(uv, u, column, v, row, -0.5 / 30.0**2, out)
-    square = np.square(uv[:, None] - places).sum(axis=-1)
+    square = np.square(uv[:, None] - lines).sum(axis=-1)
     np.testing.assert_allclose(out, np.exp(-0.5 * square / 30.0**2), rtol=1e-12)
+
+
+def test_places_in_the_image_are_a_cameras(rng):
+    camera, points = Camera(600.0, 610.0, 321.3, 238.7, 640, 480), rng.normal(size=(40, 3))
+    points[:, 2] = np.abs(points[:, 2]) + 0.1
+    uv, bounds = np.zeros((40, 2)), np.zeros((2, 2))
+    places(points, (600.0, 610.0, 321.3, 238.7), uv, bounds)
+    assert np.array_equal(uv, camera.project(points)[0])
+    assert np.array_equal(bounds, [uv.min(axis=0), uv.max(axis=0)])
+
+
+def test_rows_of_a_hand_are_those_of_plain_arrays(rng):
+    points, directions, basis = rng.normal(size=(30, 3)) + 5.0, rng.normal(size=(30, 3)), rng.random((30, 4))
+    centre, jacobian = rng.normal(size=3), np.zeros((30, 11))
+    hand_rows(points, directions, centre, basis, jacobian)
+    along = -np.sum(directions * points / points[:, 2:], axis=1)
+    turns = -np.cross(points - centre, directions)
+    expected = [turns, -directions, (along * points[:, 2])[:, None], along[:, None] * basis]
+    np.testing.assert_allclose(jacobian, np.concatenate(expected, axis=1), atol=1e-12)
