@@ -60,6 +60,18 @@ class LocalizeSettings:
     false_gate: float = 4.0
     agreeing_share: float = 0.5
     agreeing_least: int = 8
+    # Contacts that the answer calls false, but another pose explains: from so many on, and this share of them, they may
+    # be those that tell where the object is. A pose can meet six distances by chance, or the distances and normals of
+    # two contacts; these are two and three more. Without normals those that agree with the answer, but for the six that
+    # any pose meets, must be so many times as many as those that do not: the best of many poses meets more.
+    met_anyway: int = 6
+    outnumbered: float = 2.0
+    rivals: int = 8
+    rivals_normal: int = 5
+    rivals_share: float = 0.6
+    # Inferred noise beyond so many times what was claimed is no noise: two places of the object, another mesh, another
+    # unit. Of contacts 5 times as noisy as they claim 4.9 is inferred at most, and their answers were right.
+    misclaimed: float = 5.5
     # Inferred noise has an unknown shape: residuals beyond this many sigmas count linearly.
     huber: float = 0.3
     # So many standard deviations above its usual, what contacts leave over contradicts the answer: 1 in 1000 by chance.

@@ -201,6 +201,14 @@ def multistart(
         # no noise was inferred that would explain it, and no contact was called false
         verdict = "ambiguous"
         notes += ("the contacts contradict every pose: another mesh, or worse contacts than they say",)
+    if some_false is not None and _rivalled(model, modes, few, rng, prior, settings):
+        verdict = "ambiguous"
+        notes += ("some contacts speak for one place, others for another: has the object moved between them?",)
+    claimed = float(np.sqrt(np.mean(contacts.sigma_point**2)))
+    if inferred is not None and contacts.sigma_known and inferred > settings.misclaimed * claimed:
+        verdict = "ambiguous"
+        far = f"{1e3 * inferred:.1f} mm off on average, and say {1e3 * claimed:.1f}"
+        notes += (f"the contacts contradict every pose, they are {far}: another mesh, or has the object moved?",)
     return Localization(
         pose,
         modes,
@@ -241,16 +249,46 @@ def _some_false(
         rows = tables.stack(rows, extra)
     found = find_candidates(model, contacts, rows, rng, prior, settings)
     result = align(model, rows, found.poses, prior)
-    best = result.poses[int(np.argmin(result.costs))]
-    local = se3.apply(se3.inverse(best), contacts.points)
-    residual, outward, _ = model.surface.closest(local)
-    agree = np.abs(residual) < 3.0 * contacts.sigma_point
-    if contacts.has_normal.any():
-        cosine = np.sum(outward * (contacts.normals @ best[:3, :3]), axis=1)
-        limit = np.minimum(3.0 * contacts.sigma_normal, np.pi)
-        agree &= ~contacts.has_normal | (cosine > np.cos(limit))
+    agree = _agreeing(model, contacts, result.poses[int(np.argmin(result.costs))])
     needed = max(settings.agreeing_least, settings.agreeing_share * len(contacts))
     return result if agree.sum() >= needed else None
+
+
+def _agreeing(model: ObjectModel, contacts: Contacts, pose: Array) -> NDArray[np.bool_]:
+    """Which contacts agree with a pose to within three of the sigmas that they claim."""
+    residual, outward, _ = model.surface.closest(se3.apply(se3.inverse(pose), contacts.points))
+    agree = np.abs(residual) < 3.0 * contacts.sigma_point
+    if contacts.has_normal.any():
+        cosine = np.sum(outward * (contacts.normals @ pose[:3, :3]), axis=1)
+        limit = np.minimum(3.0 * contacts.sigma_normal, np.pi)
+        agree &= ~contacts.has_normal | (cosine > np.cos(limit))
+    return np.asarray(agree)
+
+
+def _rivalled(
+    model: ObjectModel,
+    modes: tuple[Mode, ...],
+    contacts: Contacts,
+    rng: np.random.Generator,
+    prior: Prior | None,
+    settings: LocalizeSettings,
+) -> bool:
+    """Whether another pose explains what the first mode calls false, as contacts that are wild alone do not; or might:
+    without normals any pose meets some, and the rest that agree with the first are few beside those that do not.
+    """
+    theirs = contacts.take(np.flatnonzero(~_agreeing(model, contacts, modes[0].pose)))
+    beyond = len(contacts) - len(theirs) - settings.met_anyway
+    if not theirs.has_normal.any() and beyond <= settings.outnumbered * len(theirs):
+        return True
+    few = settings.rivals_normal if theirs.has_normal.any() else settings.rivals
+    needed = max(few, settings.rivals_share * len(theirs))
+    if len(theirs) < needed:
+        return False
+    rows = tables.from_contacts(theirs, gate=settings.false_gate)
+    found = align(model, rows, find_candidates(model, theirs, rows, rng, prior, settings).poses, prior)
+    best = found.poses[np.argsort(found.costs, kind="stable")[: settings.settled_modes]]
+    poses = [*(mode.pose for mode in modes[1:]), *best]
+    return any(int(_agreeing(model, theirs, pose).sum()) >= needed for pose in poses)
 
 
 def _inferred_noise(

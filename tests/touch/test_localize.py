@@ -301,6 +301,38 @@ def test_false_contacts_do_not_speak_for_the_others(drill, false):
     assert hits >= 5
 
 
+@pytest.mark.parametrize(("count", "normals"), [(12, True), (20, True), (20, False), (40, False)])
+def test_contacts_of_two_places_are_no_answer(drill, count, normals):
+    """Half of them are felt, and then the object is moved by 4 cm: each half speaks for its own place."""
+    verdicts, said = [], []
+    for seed in range(8):
+        rng = np.random.default_rng([43, seed])
+        points, directions = drill.sample_surface(count, seed=seed)
+        points = points + 0.0009 * rng.normal(size=points.shape)
+        away = rng.normal(size=3)
+        points[count // 2 :] += 0.04 * away / np.linalg.norm(away)
+        contacts = Contacts(points, directions if normals else None, 0.0009, 0.09)
+        found = localize(drill, contacts, seed=seed)
+        verdicts.append(found.verdict)
+        said += found.notes
+    assert verdicts.count("ambiguous") >= 7
+    assert any("moved" in note for note in said)
+
+
+def test_wild_contacts_are_no_place_of_their_own(drill):
+    """A third of them are wild: they agree with no other pose, and do not take the answer's `ok`."""
+    verdicts = []
+    for seed in range(8):
+        rng = np.random.default_rng([44, seed])
+        points, normals = drill.sample_surface(20, seed=seed)
+        points = points + 0.0009 * rng.normal(size=points.shape)
+        away = rng.normal(size=(6, 3))
+        points[:6] += 0.03 * away / np.linalg.norm(away, axis=1, keepdims=True)
+        normals[:6] = away / np.linalg.norm(away, axis=1, keepdims=True)
+        verdicts.append(localize(drill, Contacts(points, normals, 0.0009, 0.09), seed=seed).verdict)
+    assert verdicts.count("ok") >= 7
+
+
 def test_noise_above_the_claim_is_still_inferred(drill):
     rng = np.random.default_rng(2)
     points, normals = drill.sample_surface(40, seed=2)

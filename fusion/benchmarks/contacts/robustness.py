@@ -117,11 +117,14 @@ def _cases(count: int, seed: int) -> list[tuple[str, str, list[tuple[str, bool]]
         point, normal = drill.sample_surface(1, seed=int(rng.integers(2**31)))
         return felt(np.repeat(point, 12, axis=0), np.repeat(normal, 12, axis=0), rng)
 
-    def contradictory(rng: np.random.Generator) -> Contacts:
-        """Half from where the object is, half from 4 cm away."""
-        both = felt(*drill.sample_surface(12, seed=int(rng.integers(2**31))), rng)
-        both.points[6:] += 0.04 * _directions(1, rng)
-        return both
+    def contradictory(n: int, away: float):  # type: ignore[no-untyped-def]
+        def of(rng: np.random.Generator) -> Contacts:
+            """Half from where the object is, half from `away` (m)."""
+            both = felt(*drill.sample_surface(n, seed=int(rng.integers(2**31))), rng)
+            both.points[n // 2 :] += away * _directions(1, rng)
+            return both
+
+        return of
 
     return [
         ("one contact on a drill", "not ok", verdicts(drill, scattered(drill, 1))),
@@ -129,7 +132,8 @@ def _cases(count: int, seed: int) -> list[tuple[str, str, list[tuple[str, bool]]
         ("three contacts on a drill", "ok only if found", verdicts(drill, scattered(drill, 3))),
         ("twelve contacts on one side of a box", "not ok", verdicts(box, coplanar)),
         ("one place of a drill twelve times", "not ok", verdicts(drill, repeated)),
-        ("half of twelve contacts 4 cm away", "ok only if found", verdicts(drill, contradictory)),
+        ("half of twelve contacts 4 cm away", "ok only if found", verdicts(drill, contradictory(12, 0.04))),
+        ("half of forty contacts 2 cm away", "ok only if found", verdicts(drill, contradictory(40, 0.02))),
         ("twelve contacts on a drill", "ok", verdicts(drill, scattered(drill, 12))),
         ("twelve contacts on a sphere", "ok", verdicts(ball, scattered(ball, 12))),
         ("twenty contacts on a cylinder", "ok", verdicts(tube, scattered(tube, 20))),
