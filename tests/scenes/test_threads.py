@@ -1,21 +1,39 @@
 """One thread for linear algebra, whoever asks for it and however many do."""
 
 import threading
+from contextlib import contextmanager
 
+import pytest
 from threadpoolctl import threadpool_info
 
+from scenes import threads
 from scenes.threads import one_blas_thread
 
 
-def most_threads():
-    return max(lib["num_threads"] for lib in threadpool_info() if lib["user_api"] == "blas")
+class Blas:
+    """Stands for what limits a BLAS; limits: how many are in force, and were ever."""
+
+    def __init__(self):
+        self.now = self.ever = 0
+
+    @contextmanager
+    def limit(self, limits, user_api):
+        assert (limits, user_api) == (1, "blas")
+        self.now, self.ever = self.now + 1, self.ever + 1
+        yield
+        self.now -= 1
 
 
-def test_the_limit_holds_until_the_last_thread_leaves():
-    import numpy as np
+@pytest.fixture
+def blas(monkeypatch):
+    """A BLAS of this test's own: searches of a live track may still hold the process's."""
+    made = Blas()
+    monkeypatch.setattr(threads, "_blas", lambda loaded: made)
+    monkeypatch.setattr(threads, "_limit", threads._Limit())
+    return made
 
-    np.ones((2, 2)) @ np.ones((2, 2))
-    before = most_threads()
+
+def test_the_limit_holds_until_the_last_thread_leaves(blas):
     inside, leave = threading.Event(), threading.Event()
 
     def other():
@@ -27,12 +45,25 @@ def test_the_limit_holds_until_the_last_thread_leaves():
     with one_blas_thread():
         thread.start()
         assert inside.wait(10.0)
-    try:
-        assert most_threads() == 1
-    finally:
-        leave.set()
-        thread.join(10.0)
-    assert most_threads() == before
+    assert (blas.now, blas.ever) == (1, 1)
+    leave.set()
+    thread.join(10.0)
+    assert blas.now == 0
     with one_blas_thread(), one_blas_thread():
-        assert most_threads() == 1
-    assert most_threads() == before
+        assert (blas.now, blas.ever) == (1, 2)
+    assert blas.now == 0
+
+
+def test_an_error_inside_lifts_the_limit(blas):
+    with pytest.raises(ValueError, match="inside"), one_blas_thread():
+        raise ValueError("inside")
+    assert blas.now == 0
+
+
+def test_inside_every_blas_has_one_thread():
+    import numpy as np
+
+    with one_blas_thread():
+        np.ones((2, 2)) @ np.ones((2, 2))
+        of_numpy = [lib for lib in threadpool_info() if lib["user_api"] == "blas" and "numpy" in lib["filepath"]]
+        assert all(lib["num_threads"] == 1 for lib in of_numpy)
