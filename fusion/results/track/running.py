@@ -154,6 +154,7 @@ class TrackRun:
         if not in_real_time:
             return
         tracker = self._new_tracker()
+        tracker.live = True
         tracker.step(first)
         with contextlib.suppress(PalpateError):
             tracker.step(replace(first, index=first.index + 1))
