@@ -164,7 +164,7 @@ def multistart(
         rows = tables.stack(rows, extra)
     found = find_candidates(model, few, rows, rng, prior, settings)
     result = align(model, rows, found.poses, prior)
-    sigma = float(np.sqrt(np.mean(contacts.sigma_point**2)))
+    claimed = sigma = float(np.sqrt(np.mean(contacts.sigma_point**2)))
     inferred = _inferred_noise(model, few, result, settings)
     some_false = None
     if inferred is not None and contacts.sigma_known:
@@ -204,11 +204,10 @@ def multistart(
     if some_false is not None and _rivalled(model, modes, few, rng, prior, settings):
         verdict = "ambiguous"
         notes += ("some contacts speak for one place, others for another: has the object moved between them?",)
-    claimed = float(np.sqrt(np.mean(contacts.sigma_point**2)))
     if inferred is not None and contacts.sigma_known and inferred > settings.misclaimed * claimed:
         verdict = "ambiguous"
-        far = f"{1e3 * inferred:.1f} mm off on average, and say {1e3 * claimed:.1f}"
-        notes += (f"the contacts contradict every pose, they are {far}: another mesh, or has the object moved?",)
+        sizes = f"their noise would be {1e3 * inferred:.1f} mm, and they say {1e3 * claimed:.1f}"
+        notes += (f"the contacts contradict every pose, {sizes}: another mesh, or has the object moved?",)
     return Localization(
         pose,
         modes,

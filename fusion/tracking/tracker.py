@@ -133,6 +133,7 @@ class Tracker:
             return self._begin(frame)
         if self.live and self._aside is None:
             self._aside = Aside()
+            state.renewal.hurry(frame.index, self.settings.renewal)  # a search that ran when it was saved is not kept
         heard = self._aside.ready if self._aside is not None and frame.index > state.index else ""
         with one_blas_thread():
             answer = self._follow(frame, state.belief, not heard)

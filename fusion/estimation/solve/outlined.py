@@ -116,7 +116,7 @@ def outlined(
 
 
 def _solved(matrix: Array, vector: Array) -> Array:
-    """What a matrix (6, 6) takes to a vector (6,), both of which are spent; NumPy takes five times as long."""
+    """What a positive matrix (6, 6) takes to a vector (6,); both are spent. NumPy takes five times as long."""
     eliminate(matrix, vector)
     return vector
 

@@ -27,7 +27,7 @@ from scenes.evidence.align import Prior
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
 
-# A frame by itself, with a prior or without; by what it is searched for, and None while it is being searched.
+# A frame by itself, with a prior or without. Searched: by what it is for, and None while it is not known.
 Estimated = Callable[[Frame, Prior | None], Estimate]
 Searched = Callable[[str, Frame, Prior | None], Estimate | None]
 # Believe an estimate of a frame that was tracked to a pose (4, 4).
@@ -59,11 +59,11 @@ def recover(
         place = aside.place(state, s.found_again)
         if place is not None:
             tries.append(Prior.isotropic(place, s.near_angle, s.near_distance))
-    everywhere = state.lost_for == 2 or state.lost_for % s.global_every == 0
-    if everywhere and aside is None:
-        tries.append(None)
-    elif everywhere and aside is not None:
-        aside.ask(ANEW, estimated, frame, None, leader_at(lost, state), state)
+    if state.lost_for == 2 or state.lost_for % s.global_every == 0:
+        if aside is None:
+            tries.append(None)
+        else:
+            aside.ask(ANEW, estimated, frame, None, leader_at(lost, state), state)
     for prior in tries:
         found = estimated(frame, prior)
         likely = prior is not None or several.sure_of(found) >= s.found_again
@@ -141,11 +141,11 @@ def look_closer(
         return answer
     if frame.index - renewal.closest < every:
         return answer
+    renewal.closest = frame.index
     prior = Prior.isotropic(answer.pose, s.loose_angle, s.loose_distance)
     looked = _looked_around(model, frame, answer, prior, estimated)
     if looked is None:
         return answer
-    renewal.closest = frame.index
     found, mode = looked
     sure, better = several.sure_of(found), -prefers(answer, mode, sensed, s)
     why = f"{sure:.0%} sure, {state.right:.0%} before; {better:.0f} nats better"
