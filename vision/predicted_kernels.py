@@ -24,7 +24,7 @@ HITS, UNREAD, SEEN, AGREE, PAST, BEHIND, BEHIND_HAND, OUTLINE, WITHIN = range(9)
 SUMS = 9
 
 # Nearer than this (m) before the camera nothing is projected.
-_NEAREST = 1e-3
+NEAREST = 1e-3
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
@@ -55,7 +55,7 @@ def outline_rays(points, outer, poses, camera, middle, u, v, across, rays, index
             x = r[0, 0] * px + r[0, 1] * py + r[0, 2] * pz + t[0]
             y = r[1, 0] * px + r[1, 1] * py + r[1, 2] * pz + t[1]
             z = r[2, 0] * px + r[2, 1] * py + r[2, 2] * pz + t[2]
-            if not z > _NEAREST:
+            if not z > NEAREST:
                 ahead = False
                 z = 1.0
             a, b = fx * x / z + cx, fy * y / z + cy
@@ -107,12 +107,8 @@ def compare_pixels(met, index, u, v, image, camera, noise, limits, expected, see
     state: bits as named here; expected and seen: depths (m), 0 where there is none; past: how much of a ray is seen
     past; fade: how well one at the predicted depth agrees.
     """
-    depth, mask, hand_low, hand_high, planes = image
-    floor, growth, least_from, bias, scale = noise
-    tolerance_sigmas, fading, beside_share, reach, step, hand_margin, plane_margin, plane_sigmas = limits
-    height, width = depth.shape
+    depth = image[0]
     side = u.shape[1]
-    has_hand, has_mask = hand_low.shape[0] > 0, mask.shape[0] > 0
     # which pose and row of rays the next one is of: counted, for divisions take as long as all else together
     n, j, begin = 0, 0, 0
     for k in range(index.shape[0]):
@@ -136,35 +132,46 @@ def compare_pixels(met, index, u, v, image, camera, noise, limits, expected, see
         if not read:
             state[place] = bits
             continue
-        independent = floor + growth * (z - least_from) * (z - least_from)
-        smooth = math.sqrt(independent * independent + bias * bias)
-        tolerance = tolerance_sigmas * math.sqrt(smooth * smooth + scale * scale * z * z)
-        off = reading - z
-        by_hand = False
-        if has_hand:
-            beside, below = column // step, row // step
-            low, high = hand_low[below, beside], hand_high[below, beside]
-            by_hand = low - hand_margin < reading < high + hand_margin
-        is_plane = _on_planes(planes, camera, noise, column, row, reading, plane_margin, plane_sigmas)
-        # nothing is under the table or behind the wall; what is at its depth is the table, and hides the object at most
-        is_past = off > tolerance or (is_plane and off < -tolerance)
-        if is_past:
-            past[place] = 1.0
-            # beside the edge of something near a camera often reads what is behind it: stereo's windows, mixed light
-            if off > 0.0 and _beside(depth, row, column, reach, z + tolerance, height, width):
-                past[place] = beside_share
-        other = is_plane or (has_mask and not mask[row, column])
-        near = not by_hand and not other and abs(off) <= tolerance
-        if near:
-            bits |= NEAR
-            away = off / (fading * smooth)
-            fade[place] = math.exp(-0.5 * away * away)
-        if by_hand:
-            if not is_past:
-                bits |= BY_HAND
-        elif not is_past and not near:
-            bits |= HIDDEN
-        state[place] = bits
+        state[place], past[place], fade[place] = what_is(image, camera, noise, limits, column, row, reading, z)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
+def what_is(image, camera, noise, limits, column, row, reading, z):
+    """What a ray or point is that meets the object at depth z (m), and of whose pixel the `reading` (m) is one: its
+    state, how much of it is seen past, and how well it agrees. image, camera, noise, limits: of compare_pixels.
+    """
+    depth, mask, hand_low, hand_high, planes = image
+    floor, growth, least_from, bias, scale = noise
+    tolerance_sigmas, fading, beside_share, reach, step, hand_margin, plane_margin, plane_sigmas = limits
+    independent = floor + growth * (z - least_from) * (z - least_from)
+    smooth = math.sqrt(independent * independent + bias * bias)
+    tolerance = tolerance_sigmas * math.sqrt(smooth * smooth + scale * scale * z * z)
+    off = reading - z
+    by_hand = False
+    if hand_low.shape[0] > 0:
+        beside, below = column // step, row // step
+        by_hand = hand_low[below, beside] - hand_margin < reading < hand_high[below, beside] + hand_margin
+    is_plane = _on_planes(planes, camera, noise, column, row, reading, plane_margin, plane_sigmas)
+    # nothing is under the table or behind the wall; what is at its depth is the table, and hides the object at most
+    is_past = off > tolerance or (is_plane and off < -tolerance)
+    bits, past, fade = HIT | READ, 0.0, 0.0
+    if is_past:
+        past = 1.0
+        # beside the edge of something near a camera often reads what is behind it: stereo's windows, mixed light
+        if off > 0.0 and _beside(depth, row, column, reach, z + tolerance, depth.shape[0], depth.shape[1]):
+            past = beside_share
+    other = is_plane or (mask.shape[0] > 0 and not mask[row, column])
+    near = not by_hand and not other and abs(off) <= tolerance
+    if near:
+        bits |= NEAR
+        away = off / (fading * smooth)
+        fade = math.exp(-0.5 * away * away)
+    if by_hand:
+        if not is_past:
+            bits |= BY_HAND
+    elif not is_past and not near:
+        bits |= HIDDEN
+    return bits, past, fade
 
 
 @numba.njit(cache=True, nogil=True, **LENT)
@@ -232,7 +239,7 @@ def sum_up(u, v, image, camera, noise, limits, seen, state, past, fade, out):
                     step = abs(u[n, i + di] - u[n, i]) if di else abs(v[n, j + dj] - v[n, j])
                     column, row = u[n, i + di] + di * reach, v[n, j + dj] + dj * reach
                     lead = seen[k] + slope * (1.0 + reach / max(step, 1))
-                    running += _leads_to(image, camera, noise, column, row, lead, room, plane_margin, plane_sigmas)
+                    running += leads_to(image, camera, noise, column, row, lead, room, plane_margin, plane_sigmas)
         out[n, OUTLINE] = running / max(edges, 1)
         out[n, WITHIN] = within / max(edges, 1)
 
@@ -295,12 +302,11 @@ def bound_pieces(pieces, step, whole, sizes, u, v, fade, state, total, limits, s
     compare_pixels. total (n,): rays of which shares are taken. limits: the bound, as a share; the share of a piece that
     may be beside the outline; what one cell beyond it costs, as a share; and cells of a whole outline.
     """
-    bound, beside, dear, cells = limits
     side = u.shape[1]
-    each, met, sums = np.zeros(whole.shape[0]), np.zeros(whole.shape[0]), np.zeros(whole.max() + 1)
+    words = np.zeros((3, max(whole.shape[0], whole.max() + 1)))
     column = np.zeros(side, dtype=np.int64)
     for n in range(u.shape[0]):
-        each[:], met[:], sums[:] = 0.0, 0.0, 0.0
+        words[:] = 0.0
         for i in range(side):
             column[i] = min(max(u[n, i] // step, 0), pieces.shape[1] - 1)
         for j in range(side):
@@ -308,25 +314,40 @@ def bound_pieces(pieces, step, whole, sizes, u, v, fade, state, total, limits, s
             for i in range(side):
                 k = (n * side + j) * side + i
                 label = pieces[row, column[i]] + 1
-                each[label] += fade[k]
-                met[label] += state[k] & HIT
-        for label in range(whole.shape[0]):
-            each[label] /= total[n]
-            sums[whole[label]] += each[label]
-        for surface in range(sums.shape[0]):
-            seen[n] += min(sums[surface], bound)
-        # pixels that each ray stands for, and how much of each part is beyond what the outline holds, in cells
+                words[0, label] += fade[k]
+                words[1, label] += state[k] & HIT
+        # pixels that each ray stands for
         across = float((u[n].max() - u[n].min()) * (v[n].max() - v[n].min())) if sizes.shape[0] else 0.0
-        area = across / max(side - 1, 1) ** 2
-        cell = max(total[n] * area, 1.0) / cells
-        for label in range(1, sizes.shape[0] + 1):
-            earned = each[label] * min(1.0, bound / max(sums[whole[label]], 1e-9))
-            outside = max((1.0 - beside) * sizes[label - 1] - met[label] * area, 0.0) / cell
-            lost[n] += min(dear * outside, earned)
+        seen[n], lost[n] = bound_words(words, whole, sizes, total[n], across / max(side - 1, 1) ** 2, limits)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
-def _leads_to(image, camera, noise, column, row, lead, room, plane_margin, plane_sigmas):
+def bound_words(words, whole, sizes, total, area, limits):
+    """The share of all rays that are seen, of each whole surface no more than bounds its word; and how much of that is
+    of pieces of one colour that go on beyond the outline.
+
+    words (3, k): how well the rays on each piece agree, how many there are, and zeros, to work in; made use of. area:
+    pixels (px^2) that each ray stands for; all else as of bound_pieces.
+    """
+    bound, beside, dear, cells = limits
+    each, met, sums = words[0], words[1], words[2]
+    seen = lost = 0.0
+    for label in range(whole.shape[0]):
+        each[label] /= total
+        sums[whole[label]] += each[label]
+    for surface in range(sums.shape[0]):
+        seen += min(sums[surface], bound)
+    # how much of each part is beyond what the outline holds, in cells
+    cell = max(total * area, 1.0) / cells
+    for label in range(1, sizes.shape[0] + 1):
+        earned = each[label] * min(1.0, bound / max(sums[whole[label]], 1e-9))
+        outside = max((1.0 - beside) * sizes[label - 1] - met[label] * area, 0.0) / cell
+        lost += min(dear * outside, earned)
+    return seen, lost
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
+def leads_to(image, camera, noise, column, row, lead, room, plane_margin, plane_sigmas):
     """Whether a pixel is read within `room` (m) of depth `lead` (m), and may be of the object."""
     depth, mask, _, _, planes = image
     if not (0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]):

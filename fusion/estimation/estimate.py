@@ -51,6 +51,7 @@ from scenes.recordings.validation import check_scale
 from scenes.threads import one_blas_thread
 from scenes.words import counted
 from touch.gels.localize import build_tables
+from vision.aspects import aspects_of
 from vision.look.looked import Looked
 from vision.plausibility import doubts
 from vision.visibility import visibility
@@ -89,6 +90,8 @@ def estimate(
     # built or read once per object, not part of a frame's time
     model.field, model.outer_vertices  # noqa: B018
     near_symmetries(model)
+    if frame.depth is not None and "vision" in asked.senses:
+        aspects_of(model)
     if model.texture is not None:
         model.texture.levels  # noqa: B018
     if asked.prior is None:
@@ -193,7 +196,8 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
     modes = (first, *modes[1:])
     if finish and not facing.pixels:
         # where a print is read, it has asked about every way round
-        modes = with_twins(model, modes, rows, believed, settings, predictor.costs if predictor.sees else None)
+        by_picture = (predictor.costs, predictor.rough_costs) if predictor.sees else (None, None)
+        modes = with_twins(model, modes, rows, believed, settings, *by_picture)
     useless = *useless, *unread(facing)
     with trace.stage("judge", True, "") as stage:
         pose = modes[0].pose

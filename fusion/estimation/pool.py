@@ -53,8 +53,6 @@ class PoolSettings:
     fitted_in_doubt: int = 12
     sides: tuple[int, ...] = (24, 40)
     least_pixels: int = 25
-    # Rays along each side of an outline while hundreds of poses walk: half as many in all as where answers are ranked.
-    walking_side: int = 12
     # A pose that costs so many nats more than the best is not fitted, but for a few, and after a first fit not again:
     # nine in ten ends of walks gained up to 14 by a fit, one in a hundred 23; a pose that touch proposes may gain more.
     hopeless: float = 25.0
@@ -125,10 +123,9 @@ class PoolSettings:
     promising: float = 15.0
     # Poses that a walk begins at, of all that are proposed: the best, where nothing is known, not even what hides the
     # object, and else (of 549 answers with a start no verdict was another with 400; of 296 by vision without one as
-    # many were missed); and the rays along each side of an outline that say so.
+    # many were missed).
     sifted: int = 400
     sifted_near: int = 120
-    sifting_side: int = 7
 
 
 @dataclass(frozen=True)
@@ -168,8 +165,8 @@ class Pool:
         return costs(self.model, self.felt, candidates, self.prior) + self.predictor.costs(candidates, side)
 
     def walking(self, candidates: Array) -> Array:
-        """Costs (n,) by few rays, as a walk over hundreds of poses (n, 4, 4) needs them."""
-        return self.costs(candidates, self.settings.walking_side)
+        """Costs (n,) by the object's aspects, without a ray, as a walk over hundreds of poses (n, 4, 4) needs them."""
+        return costs(self.model, self.felt, candidates, self.prior) + self.predictor.rough_costs(candidates)
 
     def by_touch(self, starts: Array, stages: tuple[SearchStage, ...]) -> Array:
         """(n, 4, 4) poses that touch alone proposes from starts (k, 4, 4), best first; none where nothing is felt.
@@ -296,9 +293,9 @@ class Pool:
         )
 
     def sifted(self, candidates: Array) -> Array:
-        """The most promising of poses (n, 4, 4) by few rays, best first."""
+        """The most promising of poses (n, 4, 4) by the object's aspects, best first."""
         s = self.settings
-        order = np.argsort(self.costs(candidates, s.sifting_side), kind="stable")
+        order = np.argsort(self.walking(candidates), kind="stable")
         wide = self.prior is None and not self.predictor.told_apart
         return candidates[order[: s.sifted if wide else s.sifted_near]]
 

@@ -338,7 +338,7 @@ def modes_anywhere(
         of_pieces.extend(pool.piece_starts(pieces))
         own = [starts for _, starts in of_pieces]
         everywhere = np.concatenate([poses_of(asked.modes), *begun, *own, pool.held_starts()])
-        return walk(pool.model, pool.sifted(everywhere), pool.costs, pool.rng, pool.proposals.walk_far)
+        return walk(pool.model, pool.sifted(everywhere), pool.walking, pool.rng, pool.proposals.walk_far)
 
     if not pool.predictor.told_apart:
         asked.enter(f"{counted(len(pool.coloured), 'piece')} by colour", by_colour, enough or pool.no_colours)

@@ -10,7 +10,7 @@ from vision.predicted import Prediction
 
 def predicted(found, pose, side):
     """Shares (seen, agree, past, hidden, behind_hand, outline, within) and hits of a pose; found: a Predictor."""
-    s, camera, depth, belief = found.settings, found.camera, found._depth, found.belief
+    s, camera, depth = found.settings, found.camera, found._depth
     u, v, inside = grid(found, pose, side)
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
     inverse = se3.inverse(pose)
@@ -20,14 +20,25 @@ def predicted(found, pose, side):
         origins = np.broadcast_to(inverse[:3, 3], local.shape)
         expected[inside] = found.model.surface.cast(origins[inside], local[inside])
     hit = np.isfinite(expected)
-    z = np.where(hit, expected, 1.0)
     at = np.where(inside, v, 0), np.where(inside, u, 0)
     seen = np.where(inside, depth[at].astype(np.float64), 0.0)
     read = is_reading(seen) & inside
     seen = np.where(read, seen, 0.0)
+    near, past_share, hidden, by_hand, fade = told(found, rays, at, seen, np.where(hit, expected, 1.0), read & hit)
+    share = in_image(found, pose)
+    total = max(hit.sum() - s.unread * (hit & ~read).sum(), 1.0) / max(share, 1e-3)
+    sums = [x.sum() / total for x in (fade, near, past_share, hidden, by_hand)]
+    sums[3] += 1.0 - share
+    return *sums, *runs_on(found, hit, near, read, hidden, seen, u, v, side), int(hit.sum())
+
+
+def told(found, rays, at, seen, z, known):
+    """What rays or points at depth z, whose pixels `at` are read as `seen`, are, of those that are known: near, how
+    much they are seen past, hidden, hidden by the hand, and how well they agree.
+    """
+    s, depth, belief = found.settings, found._depth, found.belief
     smooth = np.hypot(belief.independent_sigma(z), belief.bias_sigma)
     tolerance = s.tolerance * np.hypot(smooth, belief.scale_sigma * z)
-    known = read & hit
     off = np.where(known, seen - z, 0.0)
     by_hand = known & is_hand(found, at, seen)
     plane = known & is_plane(found, rays, seen)
@@ -38,11 +49,65 @@ def predicted(found, pose, side):
     near = known & ~by_hand & ~other & (np.abs(off) <= tolerance)
     hidden = known & ~by_hand & ~past & ~near
     fade = np.exp(-0.5 * np.square(off / (s.fading * smooth))) * near
-    share = in_image(found, pose)
+    return near, past_share, hidden, by_hand & ~past, fade
+
+
+def by_aspect(found, pose, aspects, which):
+    """Shares (seen, agree, past, hidden, behind_hand, outline, within) and hits of a pose by the points of one of an
+    object's aspects; area (px^2); and how much of what is seen is of parts that go on beyond the outline.
+    """
+    s, c, depth = found.settings, found.camera, found._depth
+    points = se3.apply(pose, aspects.points[which, : aspects.count[which]].astype(np.float64))
+    beside = aspects.near[which, : aspects.count[which]].astype(int)
+    if not (points[:, 2] > 1e-3).all():
+        return np.zeros(8), 0.0, 0.0
+    z = points[:, 2]
+    u = np.rint(np.clip(c.fx * points[:, 0] / z + c.cx, -c.width, 2 * c.width)).astype(int)
+    v = np.rint(np.clip(c.fy * points[:, 1] / z + c.cy, -c.width, 2 * c.width)).astype(int)
+    hit = (u >= 0) & (v >= 0) & (u < c.width) & (v < c.height)
+    at = np.where(hit, v, 0), np.where(hit, u, 0)
+    seen = depth[at].astype(np.float64)
+    read = hit & is_reading(seen)
+    rays = np.stack([(u - c.cx) / c.fx, (v - c.cy) / c.fy, np.ones(len(u))], axis=1)
+    near, past, hidden, by_hand, fade = told(found, rays, at, seen, z, read)
+    share = float(hit.mean())
     total = max(hit.sum() - s.unread * (hit & ~read).sum(), 1.0) / max(share, 1e-3)
-    sums = [x.sum() / total for x in (fade, near, past_share, hidden, by_hand & ~past)]
-    sums[3] += 1.0 - share
-    return *sums, *runs_on(found, hit, near, read, hidden, seen, u, v, side), int(hit.sum())
+    each = aspects.cell[which] * c.fx * c.fy / se3.apply(pose, found.model.centroid[None])[0, 2] ** 2
+    edges = goes_on = within = 0
+    for k in np.flatnonzero(hit):
+        for way in range(4):
+            on, back = beside[k, way], beside[k, way - 2]
+            inner = on >= 0 and hit[on]
+            edges += not inner
+            if back < 0 or not near[k] or not near[back]:
+                continue
+            slope, room = seen[k] - seen[back], s.smooth + s.smooth_share * seen[k]
+            if inner:
+                within += hidden[on] and abs(seen[on] - seen[k] - slope) < room
+                continue
+            along = np.array([u[k] - u[back], v[k] - v[back]])
+            i, j = np.array([u[k], v[k]]) + along
+            if not (0 <= i < c.width and 0 <= j < c.height) or abs(depth[j, i] - seen[k] - slope) >= room:
+                continue
+            more = found.reach / max(np.linalg.norm(along), 1.0)
+            far = np.rint(np.array([i, j]) + more * along).astype(int)
+            lead = seen[k] + slope * (1.0 + more)
+            goes_on += leads_to(found, far[:1], far[1:], np.array([lead]), np.array([room]))[0]
+    agrees, lost = fade.sum() / total, 0.0
+    if found._pieces is not None:
+        label = found._pieces[at[0] // s.piece_step, at[1] // s.piece_step] + 1
+        labels = len(found._whole)
+        of_each = np.bincount(label[hit], fade[hit], minlength=labels) / total
+        sums = np.bincount(found._whole, of_each)
+        bound, parts = s.most_of_piece / (s.cells * s.seen), len(found._sizes)
+        agrees = np.minimum(sums, bound).sum()
+        earned = (of_each * np.minimum(1.0, bound / np.maximum(sums, 1e-9))[found._whole])[1 : parts + 1]
+        met = np.bincount(label[hit], minlength=labels)[1 : parts + 1]
+        outside = np.maximum((1.0 - s.beside) * found._sizes - met * each, 0.0) / (max(total * each, 1.0) / s.cells)
+        lost = np.minimum(s.beyond / (s.cells * s.seen) * outside, earned).sum()
+    shares = [agrees, *(x.sum() / total for x in (near, past, hidden, by_hand))]
+    shares[3] += 1.0 - share
+    return np.array([*shares, goes_on / max(edges, 1), within / max(edges, 1), hit.sum()]), total * each, lost
 
 
 def size(found, candidates, picture):

@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 
 # Rows and steps by which a turned pose is laid onto what was sensed: it is within the tolerance of where it ends.
 ROWS, STEPS = 200, 6
+# Nats by which rough costs may have a pose costlier beside the first than those by rays: one in a thousand more.
+ROUGHLY = 15.0
 
 
 def with_twins(
@@ -35,13 +37,14 @@ def with_twins(
     prior: Prior | None,
     settings: EstimateSettings,
     picture: Callable[[Array], Array] | None = None,
+    rough: Callable[[Array], Array] | None = None,
 ) -> tuple[Mode, ...]:
     """The modes and what the first looks like when it is turned, with weights by what rows (frame_from_object,
     corrected), the prior and the picture say of each beside the first; the first stays the first.
 
     picture: costs (n,) of poses (n, 4, 4) by what must be seen of each, in place of the pixels' rows, which are of the
     first's outline. Without one these tell poses of one shape apart no better than other minima (see
-    pixel_temperature).
+    pixel_temperature). rough: about as picture, for less: what it has far costlier is not asked about.
     """
     most = settings.felt if picture is None else settings.told
     first, turns = modes[0], near_symmetries(model)
@@ -56,8 +59,12 @@ def with_twins(
     laid = align(model, thin(rows, ROWS), turned, prior, AlignSettings(iterations=STEPS)).poses
     kept, poses = [first.pose, *(mode.pose for mode in modes[1:])], np.concatenate([first.pose[None], laid])
     pixels, rest = rows.of(VISION), rows.take(rows.sense != VISION)
-    shown = costs(model, pixels, poses) / settings.pixel_temperature if picture is None else picture(poses)
-    total = costs(model, rest, poses, prior) + shown
+    total = costs(model, rest, poses, prior)
+    if rough is not None:
+        about = total + rough(poses)
+        near = about <= about[0] + most.cost_margin + ROUGHLY
+        poses, total = poses[near], total[near]
+    total = total + (costs(model, pixels, poses) / settings.pixel_temperature if picture is None else picture(poses))
     # a twin cannot be likelier than the one that was solved with everything
     more = np.maximum(total[1:] - total[0], 0.0)
     found = list(modes)

@@ -143,6 +143,22 @@ def test_every_way_round_is_a_mode(scanned):
     assert len(with_twins(mug, alone, rows, None, EstimateSettings())) <= 2
 
 
+def test_of_ways_round_only_those_are_predicted_that_roughly_may_be(scanned):
+    points, normals = scanned.sample_surface(30, seed=2)
+    rows = make(se3.apply(place(), points), 0.002, TOUCH, normals=normals @ place()[:3, :3].T, sigma_normal=0.2)
+    alone, asked = (Mode(place(), 1.0, 0.0, SHARP),), []
+
+    def stands(poses):
+        asked.append(poses)
+        return np.where(poses[:, :3, 2] @ place()[:3, 2] > 0.0, 0.0, 60.0)
+
+    whole = with_twins(scanned, alone, rows, None, EstimateSettings(), stands)
+    sifted = with_twins(scanned, alone, rows, None, EstimateSettings(), stands, lambda poses: stands(poses) - 5.0)
+    assert len(asked[-1]) < len(asked[0])
+    assert (asked[-1][:, :3, 2] @ place()[:3, 2] > 0.0).all()
+    assert [mode.weight for mode in sifted] == [mode.weight for mode in whole]
+
+
 def test_a_handle_that_nothing_touches_may_be_anywhere():
     """Where a mug is felt all around but for its handle, every way round is a mode, and the answer as wide as that."""
     mug = library.make("mug")

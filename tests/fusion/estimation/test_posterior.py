@@ -244,7 +244,9 @@ def test_one_normal_the_wrong_way_round_does_not_lose_what_a_camera_sees():
     assert answer.verdict != "lost", answer.notes
     assert Judge(model).errors(answer.pose, frame.camera_from_object_truth).add_s < 0.005
     turned = estimate(replace(frame, contacts=Contacts(frame.contacts.points, -frame.contacts.normals)), model)
-    assert turned.verdict == "lost", "all of them do"
+    # all of them do: no pose explains what is seen and felt
+    assert turned.verdict != "ok"
+    assert turned.confidence < 0.7
 
 
 def test_what_contradicts_counts_no_more_than_false_contacts():

@@ -1,0 +1,142 @@
+"""What of an object's surface a camera sees from each of many directions: its aspects, cast once per object.
+
+Hundreds of poses are asked how well they agree with an image before the best are looked at ray by ray. Seen from nearly
+the same direction an object shows nearly the same points, wherever it is and however it is turned about the line of
+sight: these are projected, and no ray is cast (sparse views; Stoiber et al. 2022 have them of outlines). Object frame,
+metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.geometry.objects import ObjectModel
+from vision.aspect_kernels import sum_aspects
+from vision.predicted_kernels import SUMS
+
+Array = NDArray[np.float64]
+
+# Directions: cells along either side of each face of a cube, of equal angles: 7.5 degrees, by which a point's own
+# direction is off, too, where the object is near.
+CELLS = 12
+# Rays along each side of the box around an outline: some six in ten of their square meet the object.
+SIDE = 12
+# Radii from which it is looked at: a thing in a hand from half a metre to one.
+AWAY = 6.0
+# Points of the surface whose projections bound the outline.
+BOUNDING = 200
+
+
+@dataclass(frozen=True)
+class Aspects:
+    """Of each of k directions: points (k, m, 3) that are seen, the first count (k,) of which are there; near (k, m, 4):
+    which of them is beside each in the grid of rays, one up, left, down and right, -1 for none; and cell (k,): what
+    of the outline each stands for (m^2, at the centroid's distance).
+    """
+
+    points: NDArray[np.float32]
+    near: NDArray[np.int16]
+    count: NDArray[np.int64]
+    cell: Array
+
+
+# images, and camera, noise and limits, of vision.predicted_kernels.compare_pixels; parts of bound_pieces
+Images = tuple[NDArray[Any], ...]
+Numbers = tuple[float, ...]
+Parts = tuple[NDArray[np.int64], int, NDArray[np.int64], Array, Numbers]
+
+_MADE: WeakKeyDictionary[ObjectModel, Aspects] = WeakKeyDictionary()
+
+
+def aspects_of(model: ObjectModel) -> Aspects:
+    """Those of an object; made at its first call."""
+    found = _MADE.get(model)
+    if found is None:
+        found = _MADE[model] = make_aspects(model)
+    return found
+
+
+def directions(cells: int) -> Array:
+    """(6 cells^2, 3) unit vectors through the middles of the cells of a cube's faces: first those of +x, -x, +y, ..."""
+    middles = np.tan((2.0 * (np.arange(cells) + 0.5) / cells - 1.0) * np.pi / 4.0)
+    out = np.zeros((6, cells, cells, 3))
+    for face in range(6):
+        axis = face // 2
+        out[face, ..., axis] = 1.0 - 2.0 * (face % 2)
+        out[face, ..., (axis + 1) % 3], out[face, ..., (axis + 2) % 3] = np.meshgrid(middles, middles, indexing="ij")
+    flat = out.reshape(-1, 3)
+    return np.asarray(flat / np.linalg.norm(flat, axis=1, keepdims=True))
+
+
+def make_aspects(model: ObjectModel, cells: int = CELLS, side: int = SIDE) -> Aspects:
+    """The aspects of an object from `cells` directions along each side of a cube's faces, side^2 rays each."""
+    towards, away = directions(cells), AWAY * model.radius
+    across = np.cross(towards, np.eye(3)[np.argmin(np.abs(towards), axis=1)])
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    # axes of each camera, as rows
+    axes = np.stack([across, np.cross(-towards, across), -towards], axis=1)
+    outer, _ = model.bounding_points(BOUNDING)
+    local = (outer - model.centroid) @ axes.transpose(0, 2, 1) + np.array([0.0, 0.0, away])
+    plane = local[..., :2] / local[..., 2:]
+    low, high = plane.min(axis=1), plane.max(axis=1)
+    step = (high - low) / side
+    at = low[:, None] + step[:, None] * (np.arange(side) + 0.5)[:, None]
+    rays = np.ones((len(towards), side, side, 3))
+    rays[..., 0], rays[..., 1] = at[:, None, :, 0], at[:, :, None, 1]
+    rays = np.einsum("krci,kij->krcj", rays, axes)
+    origins = np.broadcast_to((model.centroid + away * towards)[:, None, None], rays.shape)
+    depth = model.surface.cast(origins.reshape(-1, 3), rays.reshape(-1, 3)).reshape(rays.shape[:3])
+    hit = np.isfinite(depth)
+    count = hit.reshape(len(towards), -1).sum(axis=1)
+    # a ray's place among those that meet the object; a border of none around all
+    place = np.full((len(towards), side + 2, side + 2), -1, dtype=np.int16)
+    inner = place[:, 1:-1, 1:-1]
+    inner[hit] = (np.cumsum(hit.reshape(len(towards), -1), axis=1) - 1).reshape(hit.shape)[hit]
+    points = np.zeros((len(towards), int(count.max()), 3), dtype=np.float32)
+    near = np.full((*points.shape[:2], 4), -1, dtype=np.int16)
+    which = np.nonzero(hit)[0]
+    points[which, inner[hit]] = (origins + depth[..., None] * rays)[hit]
+    for way, (down, right) in enumerate(((0, 1), (1, 0), (2, 1), (1, 2))):
+        near[which, inner[hit], way] = place[:, down : down + side, right : right + side][hit]
+    return Aspects(points, near, count, np.prod(step, axis=1) * away**2)
+
+
+def sums_of(
+    model: ObjectModel,
+    poses: Array,
+    images: Images,
+    camera: Numbers,
+    noise: Numbers,
+    limits: Numbers,
+    running: Numbers,
+    parts: Parts,
+) -> tuple[Array, Array, Array]:
+    """What the points that the object shows at poses (n, 4, 4) camera_from_object add up to: shares (n, SUMS), how much
+    of what is seen is of parts that go on beyond the outline (n,), and the outline's area (n,) px^2. All else as
+    `sum_aspects` takes it.
+    """
+    known = aspects_of(model)
+    sums, (beyond, area) = np.zeros((len(poses), SUMS)), np.zeros((2, len(poses)))
+    most, whole = known.points.shape[1], parts[2]
+    (seen, fade), (column, row) = np.zeros((2, most)), np.zeros((2, most), dtype=np.int64)
+    sum_aspects(
+        (known.points, known.near, known.count, known.cell),
+        CELLS,
+        model.centroid,
+        np.ascontiguousarray(poses),
+        images,
+        camera,
+        noise,
+        limits,
+        running,
+        parts,
+        (seen, fade, np.zeros(most, dtype=np.uint8), column, row),
+        np.zeros((3, max(len(whole), int(whole.max(initial=0)) + 1))),
+        (sums, beyond, area),
+    )
+    return sums, beyond, area
