@@ -16,9 +16,11 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 METHODS = (
-    "icp", "particle filter", "vision", "estimate", "track", "track without hand", "track begun wrong",
-    "track begun off",
+    "icp", "particle filter", "vision", "estimate", "track", "track by vision", "track by touch", "track without hand",
+    "track begun wrong", "track begun off",
 )  # fmt: skip
+# Tracks that use one sense of the two; both know of the hand.
+OF_ONE_SENSE = {"track by vision": "vision", "track by touch": "touch"}
 # Single frames have no memory, so that some of a sequence speak for all: every so many.
 SINGLE_EVERY = 5
 # Frames at a sequence's end whose rotation is what it ends with; single frames are asked of each of them, too.
@@ -50,6 +52,8 @@ def stepper(method: str, model: ObjectModel, seed: int, last: int) -> Step:
     """What a method does with one frame after another; last: index of the last one."""
     makers = {"icp": _icp, "particle filter": _particles, "vision": _vision, "track": _track}
     makers["track without hand"] = _no_hand
+    if method in OF_ONE_SENSE:
+        return _track(model, seed, (OF_ONE_SENSE[method],))
     if method == "estimate":
         return _estimate(model, seed, last)
     if method in WRONG_STARTS:
@@ -122,10 +126,10 @@ def _estimate(model: ObjectModel, seed: int, last: int) -> Step:
     return step
 
 
-def _track(model: ObjectModel, seed: int) -> Step:
+def _track(model: ObjectModel, seed: int, use: tuple[str, ...] = ("vision", "touch")) -> Step:
     from fusion.tracking.tracker import Tracker
 
-    tracker = Tracker(model, seed=seed)
+    tracker = Tracker(model, use=use, seed=seed)
 
     def step(frame: Frame) -> Said:
         answer = tracker.step(frame)

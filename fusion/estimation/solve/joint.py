@@ -52,8 +52,8 @@ class JointResult:
     unsolved (6, 6): what else of the covariance pixels share, solved for by nothing: the mesh's own error, and by how
     much parts of the image disagree. biased (6, 6): what of `shared` comes of the depth bias. shares: of the mixture,
     of each rig that was tried; empty where none were. mesh_variance (m^2): of the mesh's own error, as blocks of the
-    image have it; strain: squares of all shared errors, in units of what is believed of them, and told: how many of
-    them the frame tells; 0 where it was not asked for (`strained`).
+    image have it, 0 where nothing is seen; strain: squares of all shared errors, in units of what is believed of them,
+    and told: how many of them the frame tells; 0 where it was not asked for (`strained`).
     """
 
     pose: Array
@@ -203,7 +203,7 @@ def marginalised(settled: Settled) -> JointResult:
         system.seen_cost,
         as_seen=_as_seen(system, here, unknown),
         unsolved=unsolved,
-        mesh_variance=variance,
+        mesh_variance=variance if problem.on.any() else 0.0,
     )
 
 

@@ -392,8 +392,12 @@ def test_a_surface_that_is_off_smoothly_speaks_of_the_mesh(drill, rng):
     believed = problem.beliefs.mesh_sigma**2
     assert found[0] < believed < found[1]
     # what is believed stays where nothing is seen
-    blind = System(replace(problem, seen=evidence.empty()), pose, 1.0)
+    unseen = replace(problem, seen=evidence.empty())
+    blind = System(unseen, pose, 1.0)
     assert blind.mesh_variance() == pytest.approx(believed)
+    # and is no sign of the mesh
+    assert solve(unseen, pose, 1.0).mesh_variance == 0.0
+    assert solve(problem, pose, 1.0).mesh_variance > 0.0
 
 
 def test_what_exceeds_is_what_another_covariance_lacks(rng):

@@ -52,6 +52,15 @@ def test_every_family_has_its_tables_and_a_wrong_beginning_its_row():
     assert any("no longer ok in 10" in claim.what for claim in report.claims)
 
 
+def test_a_track_by_touch_alone_has_its_row():
+    report = run(
+        BenchSettings(
+            trials=1, methods=("track by touch",), family="clean", objects=("box",), motions=("carry",), frames=3
+        )
+    )
+    assert {row[0] for row in report.tables[0].rows} == {"track", "track by touch"}
+
+
 def test_a_wrong_beginning_counts_frames_until_doubted_and_right():
     tally = Tally(doubted=[1, 11], righted=[30], never=1, add_s=[0.04, 0.04, 0.03], ok=[True, True, True])
     tally.end_errors, tally.still_wrong_ok = [0.001], 1
