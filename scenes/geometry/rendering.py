@@ -31,6 +31,8 @@ LARGEST_REFINEMENT = 1e-4
 NEAREST_CORNER = 1e-3
 # A mesh of at most this many faces (walls, tables, boxes) is met by formula instead of a ray-casting scene.
 FEW_FACES = 4
+# Rays up to here are cast by one thread: more take longer to begin than to end, and twice as long where cores are busy.
+MANY_RAYS = 16384
 # A mesh of more vertices than this is bounded by the corners of its box.
 MANY_VERTICES = 4000
 
@@ -129,7 +131,8 @@ class _Caster:
         kernels.mesh_rays(*view, origin - self.centre, rotation, rays)
         from scenes._open3d import open3d
 
-        answer = self._build().cast_rays(open3d().core.Tensor(rays), nthreads=thread_count())
+        threads = thread_count() if shape[0] * shape[1] > MANY_RAYS else 1
+        answer = self._build().cast_rays(open3d().core.Tensor(rays), nthreads=threads)
         hits, triangles = answer["t_hit"].numpy(), answer["primitive_ids"].numpy()
         depth = np.zeros(shape)
         planes = (self.normals, self.offsets, LARGEST_REFINEMENT)

@@ -17,6 +17,7 @@ from fusion.benchmarks.families.table import Family, chosen
 from fusion.benchmarks.printing.charts import Chart
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Quantile, Rate, Report, Table
 from fusion.benchmarks.strata import Answer, add_strata, answered, quick_levels
+from scenes.errors import unknown
 
 if TYPE_CHECKING:
     from scenes.geometry.objects import ObjectModel
@@ -40,7 +41,7 @@ MOST_SEEN = ("clean", "lab")
 
 def run(settings: BenchSettings) -> Report:
     """Tables of success, error, verdicts, calibration and time by family, level and method; curves of the errors."""
-    families = chosen(settings.family)
+    families, asked = chosen(settings.family), _methods(settings)
     report = Report(
         "occlusion",
         "Error against the hidden share of the object, from a start 16 degrees and 33 mm off",
@@ -55,9 +56,17 @@ def run(settings: BenchSettings) -> Report:
         if reason:
             missing.append(f"{family.name}: {reason}")
         else:
-            answers += _family(report, family, settings)
+            answers += _family(report, family, asked, settings)
     add_strata(report, answers, missing, settings)
     return report
+
+
+def _methods(settings: BenchSettings) -> tuple[str, ...]:
+    """Those that are asked for. Raises InputError for an unknown one."""
+    for name in settings.methods or ():
+        if name not in METHODS:
+            raise unknown("method", name, METHODS)
+    return METHODS if settings.methods is None else tuple(m for m in METHODS if m in settings.methods)
 
 
 COLUMNS = (
@@ -92,7 +101,7 @@ class Judged:
         return float(self.row.errors.add_s)
 
 
-def _family(report: Report, family: Family, settings: BenchSettings) -> list[Answer]:
+def _family(report: Report, family: Family, asked: tuple[str, ...], settings: BenchSettings) -> list[Answer]:
     from fusion.truth.compare import compare_frame
 
     table = Table(
@@ -111,7 +120,7 @@ def _family(report: Report, family: Family, settings: BenchSettings) -> list[Ans
         for made in frames_of(family, level, trials, settings.seed, (name,)):
             judge = judge_for(family, made)
             judge.model.field  # noqa: B018  (built before anything is timed)
-            methods = [m for m in METHODS if m not in ("touch", "icp_touch") or len(made.frame.contacts)]
+            methods = [m for m in asked if m not in ("touch", "icp_touch") or len(made.frame.contacts)]
             if not warm:
                 compare_frame(made.frame, judge, methods)
                 warm = True
@@ -126,7 +135,7 @@ def _family(report: Report, family: Family, settings: BenchSettings) -> list[Ans
     settings.show(table)
     series = {
         method: [(100 * level, 1e3 * _median(found[level, method])) for level in levels if found[level, method]]
-        for method in METHODS
+        for method in asked
     }
     report.charts.append(Chart(f"Median ADD-S: {family.name}", "hidden, %", "ADD-S, mm", series, log_y=True))
     if family.name in MOST_SEEN:
@@ -186,12 +195,13 @@ def _claims(report: Report, family: Family, found: dict[tuple[float, str], list[
             share, error = DEMANDS[level]
             report.claims.append(Claim(what.format(level, "fused success"), success(level, "fused"), share, True))
             report.claims.append(Claim(what.format(level, "fused ADD-S mm"), 1e3 * fused, error, False))
-        if family.name == "lab" and level in BELOW_ICP:
+        if family.name == "lab" and level in BELOW_ICP and found[level, "icp"]:
             ratio = _median(found[level, "icp"]) / max(fused, 1e-9)
             report.claims.append(Claim(what.format(level, "ICP on the crop ÷ fused"), ratio, BELOW_ICP[level], True))
-        better = min(_median(found[level, "vision"]), _median(found[level, "touch"]))
-        ratio = fused / max(better, 1e-9)
-        report.claims.append(Claim(what.format(level, "fused ÷ the better single sense"), ratio, 1.05, False))
+        if found[level, "vision"] and found[level, "touch"]:
+            better = min(_median(found[level, "vision"]), _median(found[level, "touch"]))
+            ratio = fused / max(better, 1e-9)
+            report.claims.append(Claim(what.format(level, "fused ÷ the better single sense"), ratio, 1.05, False))
     if family.name == "lab" and found[0.8, "fused"]:
         held = np.array([[one.held_distance, one.held_angle] for one in found[0.8, "fused"]])
         report.claims.append(Claim(what.format(0.8, "in the hand, mm"), 1e3 * float(np.median(held[:, 0])), 1.0, False))

@@ -41,9 +41,9 @@ class BenchSettings:
     """trials: of every cell, None = the benchmark's own number; quick: a tenth of the work or less, but all of it;
     progress(items, total, what) yields the items and may draw a bar; show(table) is told of a table that is complete
     while others are still to come; family: of frames, "all", "tuning" or "report", None = the benchmark's own choice;
-    motions, frames, methods: of sequences, None = all, the benchmark's own number; data, bop: folders of recordings of
-    `real` (data: of `gel`, too), None = where they usually are, none; told: of frames by family, the estimator is told
-    how large their errors are.
+    motions, frames: of sequences, methods: of sequences and of `occlusion`, None = all, the benchmark's own number;
+    data, bop: folders of recordings of `real` (data: of `gel`, too), None = where they usually are, none; told: of
+    frames by family, the estimator is told how large their errors are.
     """
 
     # As the docstring says; objects: only these; folder: where recordings are kept.

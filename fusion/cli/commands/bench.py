@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--methods",
         metavar="A,B",
         type=names_list,
-        help="methods that follow the sequences of `tracking` (default: all)",
+        help="methods that follow the sequences of `tracking`, or that `occlusion` compares (default: all)",
     )
     parser.add_argument(
         "--data",

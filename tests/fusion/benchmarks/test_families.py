@@ -219,3 +219,13 @@ def test_unknown_families_are_refused_before_any_work(capsys):
 
 def test_tuned_objects_are_not_among_the_held_out():
     assert not set(TUNED_OBJECTS) & set(library.held_out_names())
+
+
+def test_occlusion_compares_the_methods_that_are_asked_for():
+    from fusion.benchmarks.frames.occlusion import run
+
+    asked = BenchSettings(trials=1, quick=True, family="clean", objects=("box",), methods=("fused",))
+    table = run(asked).tables[0]
+    assert {row[1] for row in table.rows} == {"fused"}
+    with pytest.raises(InputError, match="got 'both'"):
+        run(replace(asked, methods=("both",)))
