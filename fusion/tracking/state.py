@@ -17,7 +17,7 @@ from fusion.tracking.filter import Belief, Measurement, block
 from fusion.tracking.hypotheses import Hypotheses
 from fusion.tracking.motion import HandState
 from fusion.tracking.occluders import Occluders
-from fusion.tracking.sizes import Sizes, SizeSettings
+from fusion.tracking.sizes import Jumps, Sizes, SizeSettings
 from fusion.tracking.untold import Untold
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -159,12 +159,12 @@ class TrackState:
     index: of that; seen_at (4, 4): camera_from_hand, as reported, where pixels told of the object last; unseen: frames
     without evidence; lost_for: frames; leads: how often another hypothesis has taken the lead; usual: share of pixels
     that the pose explains, usually; things: what goes with the object and is not it; untold: what no frame tells of it;
-    sizes: what looks left unexplained; rigs: of each of the first frames, the mean square of how large its shared
-    errors may be (levels); right: chance that the leader is the right one, as last judged; sure: whether the last
-    answer was ok; known: from the last look in full, None when the next frame must be looked at so; correction (4, 4)
-    camera_from_camera of what the robot reports, as the last joint solution has it where no pixels of the hand tell: a
-    calibration stays; None before; lens (4,): focal lengths (px, and shares of the image) of the last image looked at,
-    and lens_for: images since, which had others.
+    sizes: what looks left unexplained; jumps: how far frames were from what was predicted; rigs: of each of the first
+    frames, the mean square of how large its shared errors may be (levels); right: chance that the leader is the right
+    one, as last judged; sure: whether the last answer was ok; known: from the last look in full, None when the next
+    frame must be looked at so; correction (4, 4) camera_from_camera of what the robot reports, as the last joint
+    solution has it where no pixels of the hand tell: a calibration stays; None before; lens (4,): focal lengths (px,
+    and shares of the image) of the last image looked at, and lens_for: images since, which had others.
     """
 
     belief: Belief | None = None
@@ -179,6 +179,7 @@ class TrackState:
     things: Occluders = field(default_factory=Occluders)
     untold: Untold = field(default_factory=Untold)
     sizes: Sizes = field(default_factory=Sizes)
+    jumps: Jumps = field(default_factory=Jumps)
     rigs: list[float] = field(default_factory=list)
     renewal: Renewal = field(default_factory=Renewal)
     right: float = 0.0
@@ -188,10 +189,11 @@ class TrackState:
     lens: Array | None = None
     lens_for: int = 0
 
-    def forget(self) -> None:
+    def forget(self, settings: SizeSettings) -> None:
         """What looks at an object have taught, whose place is begun anew."""
-        self.things, self.untold, self.sizes = Occluders(), Untold(), Sizes()
+        self.things, self.untold, self.jumps = Occluders(), Untold(), Jumps()
+        self.sizes = self.sizes.faded(settings)
 
-    def told(self, belief: Belief, settings: SizeSettings) -> Belief:
-        """A belief as wide as it is to be told."""
-        return self.sizes.told_of(belief, settings)
+    def told(self, belief: Belief, settings: SizeSettings, sizes: Sizes | None = None) -> Belief:
+        """A belief as wide as it is to be told; sizes: with those of a look that is not remembered yet."""
+        return self.jumps.told_of((sizes or self.sizes).told_of(belief, settings), settings)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate, Mode
 from fusion.estimation.asked import as_prior, check_senses, sure_to_be_within
-from fusion.estimation.confidence import whole_covariance, within
+from fusion.estimation.confidence import ConfidenceSettings, whole_covariance, within
 from fusion.estimation.estimate import estimate
 from fusion.estimation.trace import Trace
 from fusion.tracking import hypotheses as several
@@ -35,7 +35,7 @@ from fusion.tracking.slip import SlipWatch, Watched
 from fusion.tracking.state import TrackState
 from fusion.tracking.steps.aside import ANEW, AROUND, Aside
 from fusion.tracking.steps.glancing import as_judged, glance, known_of, may_glance, steadied
-from fusion.tracking.steps.judging import as_believed, as_followed, judge
+from fusion.tracking.steps.judging import as_believed, as_followed, as_learned, judge
 from fusion.tracking.steps.lens import through_one_lens
 from fusion.tracking.steps.predicting import predict
 from fusion.tracking.steps.printed import as_before, as_printed
@@ -168,11 +168,11 @@ class Tracker:
         votes, odds = several.vote_of(answer.verdict, sure, how), several.log_odds(sure, how)
         state.hypotheses = several.of_modes(answer.modes, votes, how, odds)
         state.index, state.unseen, state.lost_for, state.usual, state.known = frame.index, 0, 0, None, None
-        state.forget()
+        state.forget(s.sizes)
         state.renewal.restart(frame.index, s.renewal)
         if self._aside is not None:
             self._aside.forget()
-        near = self._near(answer.modes[0])
+        near = self._near(answer.modes[0], s.first.confidence)
         state.right = min(1.0, several.sure_of(answer) / near) if near > 1e-9 else 0.0
         state.sure = answer.verdict == "ok"
         felt = self._feel(frame)
@@ -181,9 +181,8 @@ class Tracker:
         self._watch.let_go()
         self._skins(frame, felt)
 
-    def _near(self, mode: Mode) -> float:
+    def _near(self, mode: Mode, how: ConfidenceSettings) -> float:
         """Probability that the object is within the tolerance of a mode, if that is the right one."""
-        how = self.settings.first.confidence
         return within(self.model, mode.pose, mode.covariance, how.tolerance, how.seen.nearest)
 
     def _anchor(self, answer: Estimate, tracked: Array | None = None) -> None:
@@ -208,7 +207,7 @@ class Tracker:
             return lost
         found = replace(as_before(self.model, found, lost, self.settings.first), trace=(*lost.trace, *found.trace))
         self.believe(frame, found)
-        return as_tracked(found, "re-initialised")
+        return as_tracked(as_learned(self.model, found, self._state.sizes, self.settings), "re-initialised")
 
     def _search(self, frame: Frame, answer: TrackedEstimate, heard: str) -> TrackedEstimate:
         """A tracked frame searched by itself, where that is due: close around its answer, and as if nothing were known.
@@ -311,16 +310,14 @@ class Tracker:
         with trace.stage("judge", True, "") as stage:
             belief, watched = self._updated(frame, predicted, common.measured, found.switched, felt)
             leap = (not found.switched) * se3.difference(measured.pose, predicted.pose, model.centroid)
-            said = judge(model, found.hypotheses, state.told(belief, s.sizes), now, state.usual, leap, beliefs, s)
+            said = judge(model, found, solved, belief, now, state, leap, beliefs, s)
             stage.note(len(found.seen) + felt_rows, said.why)
         if said.verdict == "lost" and blind:  # touch alone does not prove that a hand has lost what it held
             self._watch.restart()
             return self._carry(frame, predicted, carried, trace, felt, OUT_OF_SIGHT)
         if said.verdict != "lost":
             self._accept(frame, felt, belief, found.hypotheses, said.share)
-            state.right, state.untold = said.right, untold
-            if sensed.told_apart:
-                state.sizes = state.sizes.learned(solved, said.residuals, s.sizes, found.switched)
+            state.right, state.untold, state.sizes = said.right, untold, said.sizes
             if felt_rows and not placed and looked.hand is None:
                 state.correction = felt.correction
             settled = not found.switched and frame.index == state.index
@@ -389,6 +386,8 @@ class Tracker:
             self._watch.restart()
         elif state.hand is not None:
             watched = self._watch.step(measured, belief, pixel, watched)
+        if state.sizes.looks and not (watched.slip or switched or late):
+            state.jumps = state.jumps.learned(model, predicted, measured, self.settings.sizes)
         if watched.slip and not switched:  # what was believed of the hold is worth no more than how far it was off
             step = se3.difference(measured.pose, predicted.pose, model.centroid)
             wide = replace(predicted, own=predicted.own + np.outer(step, step))
@@ -441,7 +440,7 @@ class Tracker:
         held = state.hand is not None and state.unseen <= s.coast
         told = state.told(predicted, s.sizes)
         answer = as_carried(self.model, frame, told, trace.stages, held, state.hand is not None, because, s)
-        how = s.first.confidence
-        sure = state.right * self._near(answer.modes[0]) if held else 0.0
+        how = s.confident
+        sure = state.right * self._near(answer.modes[0], how) if held else 0.0
         wide = whole_covariance(self.model, answer.modes, state.right if held else 0.0, None, how)
         return replace(answer, covariance=wide, confidence=sure, sure_within=how.tolerance)

@@ -82,23 +82,24 @@ WORN = replace(
     depth=replace(_HARSH, baseline=0.09, disparity_step=0.1, bias_length=27.0),
 )
 # A camera and a robot as bad as those, of other sizes, that may be tuned on.
+_ROUGH = DepthNoise(
+    axial=1.7,
+    lateral=1.1,
+    disparity_step=1 / 11,
+    baseline=0.07,
+    grazing_start=float(np.deg2rad(62.0)),
+    grazing_end=float(np.deg2rad(81.0)),
+    dropout=0.03,
+    shadow=True,
+    flying=0.6,
+    bias=0.0031,
+    bias_length=55.0,
+    scale=0.0074,
+    thin=3,
+)
 ROUGH = NoisePreset(
     "rough",
-    DepthNoise(
-        axial=1.7,
-        lateral=1.1,
-        disparity_step=1 / 11,
-        baseline=0.07,
-        grazing_start=float(np.deg2rad(62.0)),
-        grazing_end=float(np.deg2rad(81.0)),
-        dropout=0.03,
-        shadow=True,
-        flying=0.6,
-        bias=0.0031,
-        bias_length=55.0,
-        scale=0.0074,
-        thin=3,
-    ),
+    _ROUGH,
     TouchNoise(
         point=0.0016,
         normal=float(np.deg2rad(9.0)),
@@ -113,6 +114,25 @@ ROUGH = NoisePreset(
         dead=0.06,
     ),
     RobotNoise(float(np.deg2rad(0.5)), 0.0034, float(np.deg2rad(0.5))),
+)
+# Errors of half as much again as what is believed of a camera and a robot: what a track must learn of its recording.
+CRUDE = replace(
+    ROUGH,
+    name="crude",
+    depth=replace(
+        _ROUGH,
+        axial=2.3,
+        lateral=1.3,
+        dropout=0.04,
+        flying=0.7,
+        bias=0.0046,
+        bias_length=33.0,
+        scale=0.0115,
+        thin=4,
+        multipath=0.35,
+    ),
+    touch=replace(ROUGH.touch, point=0.0022, normal=float(np.deg2rad(11.0)), offset=0.0007, shape=0.00065),
+    robot=RobotNoise(float(np.deg2rad(0.66)), 0.0045, float(np.deg2rad(0.66))),
 )
 # A structured-light camera that nobody sells, whose image is as full of its pattern's dots as theirs, every number of
 # it another than theirs: to be tuned on.
@@ -130,7 +150,7 @@ _DOTS = PatternCamera(
 DOTS = NoisePreset("dots", _DOTS, PRESETS["lab"].touch, PRESETS["lab"].robot)
 # Active stereo with a colour camera beside it whose calibration is off, as in most recordings that are published.
 STUDIO = NoisePreset("studio", PRESETS["d435"].depth, PRESETS["lab"].touch, PRESETS["lab"].robot, colour=ColourCamera())
-OWN_PRESETS = {preset.name: preset for preset in (WORKSHOP, WORN, ROUGH, DOTS, STUDIO)}
+OWN_PRESETS = {preset.name: preset for preset in (WORKSHOP, WORN, ROUGH, CRUDE, DOTS, STUDIO)}
 
 
 @dataclass(frozen=True)
@@ -224,6 +244,13 @@ FAMILIES: dict[str, Family] = {
             levels=OPEN_LEVELS,
         ),
         _tuned("rough", "rough", "a bad camera, a badly calibrated robot, worn fingertips", hand="five-finger"),
+        _tuned(
+            "crude",
+            "crude",
+            "a worse camera and robot than is believed of any, from farther away",
+            hand="five-finger",
+            distance=(0.5, 0.9),
+        ),
         _tuned("bent", "lab", "the mesh is bent, 1.6 mm a direction", hand="five-finger", mesh_error="bent"),
         _tuned(
             "stranger",

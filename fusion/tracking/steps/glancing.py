@@ -164,7 +164,7 @@ def as_judged(
     model: ObjectModel, known: Known, carried: Hypotheses, belief: Belief, glanced: Glanced, settings: TrackSettings
 ) -> Judged:
     """What the last look in full said holds of this frame, too, as far as the belief is sure of it."""
-    confident = settings.first.confidence
+    confident = settings.confident if glanced.sensed.told_apart else settings.first.confidence
     part = weights(carried, settings.hypotheses)
     modes = (
         Mode(belief.pose, float(part[0]), 0.0, belief.covariance),

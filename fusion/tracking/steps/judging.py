@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation import verdict as posterior
-from fusion.estimation.answer import ContactResidual, Mode, Stage
-from fusion.estimation.confidence import told_covariance, whole_covariance
+from fusion.estimation.answer import ContactResidual, Estimate, Mode, Stage
+from fusion.estimation.confidence import told_covariance, whole_covariance, within
+from fusion.estimation.solve.joint import JointResult
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
 from fusion.tracking.filter import Belief
 from fusion.tracking.hypotheses import Hypotheses, weights
+from fusion.tracking.sizes import Sizes
 from fusion.tracking.slip import Watched
+from fusion.tracking.state import TrackState
+from fusion.tracking.steps.refining import Refined
 from fusion.tracking.steps.sensing import Sensed
 from scenes.evidence.alike import alike
 from scenes.geometry.objects import ObjectModel
@@ -25,13 +29,15 @@ from vision.visibility import Visibility, visibility
 Array = NDArray[np.float64]
 
 _DOUBTED = "no frame searched by itself has found the object there"
+_LARGE = "what frames of this recording share is larger than one frame believes"
 
 
 @dataclass(frozen=True)
 class Judged:
     """verdict, its reason; covariance (6, 6) of all that may be the case; right: chance that the first mode is right;
     confidence; modes: the hypotheses with their weights; how contacts (residuals) and pixels (share explained, rms m)
-    agree; visible: share of the object that is seen; unobservable: directions, in words.
+    agree; visible: share of the object that is seen; unobservable: directions, in words; sizes: with what this look
+    left unexplained, of a glance nothing.
     """
 
     verdict: str
@@ -45,47 +51,52 @@ class Judged:
     rms: float
     visible: float
     unobservable: tuple[str, ...]
+    sizes: Sizes = field(default_factory=Sizes)
 
 
 def judge(
     model: ObjectModel,
-    hypotheses: Hypotheses,
+    found: Refined,
+    solved: JointResult,
     belief: Belief,
     sensed: Sensed,
-    usual: float | None,
+    state: TrackState,
     leap: Array,
     beliefs: Beliefs,
     settings: TrackSettings,
 ) -> Judged:
-    """Judge the belief of the leading hypothesis. usual: share of pixels explained in earlier frames; leap (6,): of the
-    frame's own answer from the prediction.
+    """Judge the belief of the leading hypothesis, told as wide as looks until this one have shown. solved: the frame's
+    own solution; state: what was remembered before; leap (6,): of the frame's own answer from the prediction.
     """
-    first, pose = settings.first, belief.pose
+    first, pose, hypotheses, sizes = settings.first, belief.pose, found.hypotheses, state.sizes
+    contacts = sensed.felt.contacts
+    residuals = posterior.contact_residuals(model, contacts, pose, first.verdict)
+    if sensed.told_apart:
+        sizes = sizes.learned(solved, residuals, settings.sizes, found.switched)
+    belief = state.told(belief, settings.sizes, sizes)
     part = weights(hypotheses, settings.hypotheses)
     best = hypotheses[0].score
     modes = (
         Mode(pose, float(part[0]), 0.0, belief.covariance),
         *(Mode(h.pose, float(w), best - h.score, h.covariance) for h, w in zip(hypotheses[1:], part[1:])),
     )
-    contacts = sensed.felt.contacts
-    residuals = posterior.contact_residuals(model, contacts, pose, first.verdict)
     share, rms = posterior.pixel_agreement(model, sensed.seen, pose)
     picture = None if sensed.pool is None else sensed.pool.predictor.predict(pose[None], settings.side)
     seeing = visibility(sensed.viewed, model, pose, beliefs.depth) if picture is None else as_seen(picture)
     nats = posterior.nats_of_contacts(model, sensed.felt.rows, len(contacts), pose)
     agreed, same = (residuals, nats, share, seeing, picture), alike(model, modes, first.confidence.tolerance)
     against = posterior.contradiction(model, sensed.felt.rows, len(contacts), pose, first.verdict)
-    rules = first.verdict, first.confidence
+    rules = first.verdict, settings.confident if sensed.told_apart else first.confidence
     right, sure, word, why = posterior.judged(model, modes, *agreed, *rules, same=same, contradicted=against)
-    if word != "lost" and strays(share, usual, len(sensed.looked.pixels), settings):
-        word, why = "lost", f"{share:.0%} of the pixels explained, {usual:.0%} before"
+    if word != "lost" and strays(share, state.usual, len(sensed.looked.pixels), settings):
+        word, why = "lost", f"{share:.0%} of the pixels explained, {state.usual:.0%} before"
     if word != "lost" and settings.leaps(leap):
         word, why = "lost", f"{1e3 * np.linalg.norm(leap[3:]):.0f} mm from the prediction"
     covariance = as_open(model, modes, word, right, settings)
     unknown = posterior.unobservable(model, pose, belief.covariance, first.verdict)
     # what is lost is not to be trusted at all
     sure = 0.0 if word == "lost" else sure
-    return Judged(word, why, covariance, right, sure, modes, residuals, share, rms, seeing.visible, unknown)
+    return Judged(word, why, covariance, right, sure, modes, residuals, share, rms, seeing.visible, unknown, sizes)
 
 
 def as_open(model: ObjectModel, modes: tuple[Mode, ...], word: str, right: float, settings: TrackSettings) -> Array:
@@ -106,6 +117,23 @@ def as_believed(
     wide = told_covariance(model, answer.modes, "ambiguous", sure, None, settings.first.confidence)
     notes = (_DOUBTED, *answer.notes)
     return replace(answer, verdict="ambiguous", covariance=wide, confidence=sure, notes=notes)
+
+
+def as_learned(model: ObjectModel, answer: Estimate, sizes: Sizes, settings: TrackSettings) -> Estimate:
+    """A frame's own answer amid a track: less sure where looks before it have shown that what frames of this recording
+    share is larger than one frame believes.
+    """
+    how, lasting, first = settings.first.confidence, settings.first_lasting, answer.modes[0]
+    wider = 1.0 + lasting * (sizes.factor(settings.sizes) - 1.0)
+    if answer.verdict != "ok" or wider <= 1.0:
+        return answer
+    told = how.tolerance, how.seen.nearest
+    near, less = (within(model, first.pose, by * first.covariance, *told) for by in (1.0, wider))
+    sure = answer.confidence * less / max(near, less)
+    wide = replace(answer, covariance=wider * answer.covariance, confidence=sure)
+    if sure >= how.sure:
+        return wide
+    return replace(wide, verdict="ambiguous", notes=(_LARGE, *answer.notes))
 
 
 def as_seen(picture: Prediction) -> Visibility:
