@@ -103,6 +103,10 @@ class PoolSettings:
     glance_share: float = 0.9
     glance_past: float = 0.03
     glance_runs_on: float = 0.03
+    # Share of the whole that agrees from which on what a glance finds ends the search where it is known what hides the
+    # object, if neither turned poses nor draws around it are likelier. Of 30 such answers of tuning families the whole
+    # search ended each within a millimetre; of 18 of which less agreed it ended 3 nearer to the truth by 2 to 3 mm.
+    glance_enough: float = 0.25
     # Nats by which what nearly looks the same, turned by a near symmetry, must cost more for a glance to tell them
     # apart: where it costs less, the whole search lays each onto what is seen.
     glance_apart: float = 8.0
@@ -387,6 +391,11 @@ class Pool:
         """Whether most of what nothing hides at pose (4, 4), which convinces, agrees with what is seen."""
         s = self.settings
         return self._shows(pose, s.least_shown, s.least_agree, s.most_past, s.most_runs_on_unknown)
+
+    def shows_enough(self, pose: Array) -> bool:
+        """Whether so much agrees at pose (4, 4), which convinces, that what nothing nearby betters is the answer."""
+        s = self.settings
+        return self._shows(pose, s.glance_enough, 0.0, s.most_past, s.most_runs_on_unknown)
 
     @property
     def turns_freely(self) -> bool:

@@ -101,6 +101,18 @@ def test_without_touch_a_glance_that_convinces_is_enough_where_the_hand_is_known
     assert ("propose: around the best" in asked) == enough
 
 
+@pytest.mark.parametrize(("least", "enough"), [(0.1, True), (1.01, False)])
+def test_where_less_agrees_a_glance_is_enough_if_no_turn_is_likelier(sensed, lab_frame, monkeypatch, least, enough):
+    settings = replace(PoolSettings(), glance_shown=1.01, glance_enough=least)
+    pool = replace(sensed.pool, settings=settings, felt=tables.empty())
+    monkeypatch.setattr(type(pool), "shows_most", lambda *_: False)
+    starts = np.tile(lab_frame.camera_from_object_truth, (8, 1, 1))
+    found = glance(pool, sensed.seen, starts, trace := Trace())
+    assert bool(found.why) == enough
+    ran = [stage.name for stage in trace.stages if stage.ran]
+    assert ("propose: the best turned" in ran) == enough
+
+
 @pytest.mark.parametrize(("costlier", "convinces"), [(9.0, True), (5.0, False)])
 def test_a_wide_mode_is_a_doubt_only_where_it_does_not_cost_far_more(sensed, lab_frame, costlier, convinces):
     truth, wide = lab_frame.camera_from_object_truth, np.eye(6)
