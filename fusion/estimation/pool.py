@@ -387,15 +387,12 @@ class Pool:
         at = self.walking(np.concatenate([pose[None], turned]))
         return bool((at[1:] > at[0] + s.glance_apart).all())
 
-    def shows_most(self, pose: Array) -> bool:
-        """Whether most of what nothing hides at pose (4, 4), which convinces, agrees with what is seen."""
-        s = self.settings
-        return self._shows(pose, s.least_shown, s.least_agree, s.most_past, s.most_runs_on_unknown)
-
-    def shows_enough(self, pose: Array) -> bool:
-        """Whether so much agrees at pose (4, 4), which convinces, that what nothing nearby betters is the answer."""
-        s = self.settings
-        return self._shows(pose, s.glance_enough, 0.0, s.most_past, s.most_runs_on_unknown)
+    def shows_most(self, pose: Array, least: float = 0.0) -> bool:
+        """Whether most of what nothing hides at pose (4, 4), which convinces, agrees with what is seen; where `least` is
+        given, whether that share of the whole does.
+        """
+        s, clear = self.settings, (self.settings.most_past, self.settings.most_runs_on_unknown)
+        return self._shows(pose, least or s.least_shown, 0.0 if least else s.least_agree, *clear)
 
     @property
     def turns_freely(self) -> bool:

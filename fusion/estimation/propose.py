@@ -189,7 +189,7 @@ def glance(pool: Pool, rows: Evidence, starts: Array, trace: Trace) -> Competiti
         alone = asked.proposed == 1 and len(asked.modes) == 1
         asked.look_around(ONE_PLACE if alone else "")
         why = asked.enough
-    elif asked.convinced and pool.predictor.told_apart and pool.shows_enough(asked.modes[0].pose):
+    elif asked.convinced and pool.predictor.told_apart and pool.shows_most(asked.modes[0].pose, s.glance_enough):
         # less of it agrees: neither what it looks like when it is turned nor any draw may be likelier
         asked.look_beside()
         why = asked.enough if asked.gained < s.hardly else ""

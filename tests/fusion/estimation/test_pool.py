@@ -105,7 +105,7 @@ def test_without_touch_a_glance_that_convinces_is_enough_where_the_hand_is_known
 def test_where_less_agrees_a_glance_is_enough_if_no_turn_is_likelier(sensed, lab_frame, monkeypatch, least, enough):
     settings = replace(PoolSettings(), glance_shown=1.01, glance_enough=least)
     pool = replace(sensed.pool, settings=settings, felt=tables.empty())
-    monkeypatch.setattr(type(pool), "shows_most", lambda *_: False)
+    monkeypatch.setattr(type(pool), "shows_most", lambda own, pose, share=0.0: 0.0 < share < 1.0)
     starts = np.tile(lab_frame.camera_from_object_truth, (8, 1, 1))
     found = glance(pool, sensed.seen, starts, trace := Trace())
     assert bool(found.why) == enough
