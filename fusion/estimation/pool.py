@@ -388,8 +388,8 @@ class Pool:
         return bool((at[1:] > at[0] + s.glance_apart).all())
 
     def shows_most(self, pose: Array, least: float = 0.0) -> bool:
-        """Whether most of what nothing hides at pose (4, 4), which convinces, agrees with what is seen; or, where `least`
-        is given, that share of the whole.
+        """Whether most of what nothing hides at pose (4, 4), which convinces, agrees with what is seen; or, where
+        `least` is given, that share of the whole.
         """
         s, clear = self.settings, (self.settings.most_past, self.settings.most_runs_on_unknown)
         return self._shows(pose, least or s.least_shown, 0.0 if least else s.least_agree, *clear)
