@@ -35,12 +35,14 @@ from vision.predicted_kernels import (
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
 def aspect_at(cells, x, y, z):
-    """Which of 6 cells^2 directions (x, y, z), of any length, is nearest to; see vision.aspects.directions."""
+    """Which of 6 cells^2 directions (x, y, z), of any length, is nearest to, the first for none; see vision.aspects.directions."""
     face, a, b, c = 0, x, y, z
     if abs(y) > abs(a) and abs(y) >= abs(z):
         face, a, b, c = 2, y, z, x
     elif abs(z) > abs(x):
         face, a, b, c = 4, z, x, y
+    if not abs(a) > 0.0:
+        return 0  # from its own centroid an object shows nothing: any will do
     half = 0.5 * cells
     i = int(half * (1.0 + math.atan(b / abs(a)) * (4.0 / math.pi)))
     j = int(half * (1.0 + math.atan(c / abs(a)) * (4.0 / math.pi)))

@@ -39,6 +39,11 @@ def test_a_direction_is_in_its_own_cell_and_any_other_is_near_one(rng):
         assert found @ corner / np.linalg.norm(corner) > np.cos(np.deg2rad(0.75 * 90.0 / cells))
 
 
+def test_a_camera_at_the_centroid_sees_any_aspect():
+    assert aspect_at(making.CELLS, 0.0, 0.0, 0.0) == 0
+    assert aspect_at(making.CELLS, np.nan, np.nan, np.nan) == 0
+
+
 def test_points_are_on_the_surface_and_neighbours_beside_each_other():
     model = library.make("mug")
     made = make_aspects(model, 3, 10)
