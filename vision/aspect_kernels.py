@@ -35,7 +35,9 @@ from vision.predicted_kernels import (
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
 def aspect_at(cells, x, y, z):
-    """Which of 6 cells^2 directions (x, y, z), of any length, is nearest to, the first for none; see vision.aspects.directions."""
+    """Which of 6 cells^2 directions (x, y, z), of any length, is nearest to, the first for none; see
+    vision.aspects.directions.
+    """
     face, a, b, c = 0, x, y, z
     if abs(y) > abs(a) and abs(y) >= abs(z):
         face, a, b, c = 2, y, z, x

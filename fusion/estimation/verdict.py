@@ -328,6 +328,14 @@ def no_answer(
         frame.hand_from_object(pose, np.eye(4)),
         0.0,
         trace,
-        notes=("no evidence: no pixel of the object and no contact",),
+        notes=(f"no evidence: no pixel of the object{_near(frame, model, prior)} and no contact",),
         start=prior.pose if prior is not None else None,
     )
+
+
+def _near(frame: Frame, model: ObjectModel, prior: Prior | None) -> str:
+    """Where nothing is, in words: a start may lie where no camera looks."""
+    if prior is None:
+        return ""
+    behind = frame.camera is not None and se3.apply(prior.pose, model.centroid[None])[0, 2] <= 0.0
+    return " near the start, which is behind the camera," if behind else " near the start"

@@ -104,6 +104,13 @@ def test_free_space_of_an_object_alone_before_a_wall():
     assert not found.told_apart
 
 
+def test_free_space_ends_at_the_camera(lab_frame, drill):
+    start = np.eye(4)
+    start[:3, 3] = -drill.centroid
+    rows = free_space_rows(look(lab_frame, drill, start=start), ROWS)
+    assert (rows.points[:, 2] > 0.0).all()
+
+
 # ---- frames with little or nothing in them ----
 
 

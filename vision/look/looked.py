@@ -146,7 +146,8 @@ def free_space_rows(looked: Looked, settings: RowSettings) -> Evidence:
     along = direction @ looked.region.centre
     across = np.linalg.norm(looked.region.centre - along[:, None] * direction, axis=1)
     half = np.sqrt(np.maximum(looked.region.radius**2 - across**2, 0.0))
-    first, last = along - half, np.minimum(along + half, length - settings.free_clearance)
+    # a region may reach behind the camera, which sees nothing there
+    first, last = np.maximum(along - half, 0.0), np.minimum(along + half, length - settings.free_clearance)
     use = (half > 0) & (last > first)
     first, last, direction = first[use], last[use], direction[use]
     if len(first) == 0:

@@ -278,3 +278,20 @@ def test_an_answer_is_as_wide_across_the_rays_as_the_image_may_lie_beside(lab_fr
     assert with_shift(mug, mode, replace(lab_frame, depth=None, mask=None), depth) is mode
     exact = with_shift(mug, mode, lab_frame, replace(depth, shift_sigma=0.0))
     assert np.array_equal(exact.covariance, SHARP)
+
+
+@pytest.mark.parametrize("place", [[0.0, 0.0, 0.0], [0.0, 0.0, -0.5], [0.0, 0.0, 0.05], [0.0, 0.0, 30.0]])
+@pytest.mark.parametrize("use", [("vision", "touch"), ("vision",), ("touch",)])
+def test_a_start_where_no_camera_looks_is_lost(lab_frame, drill, place, use):
+    start = poses.make_pose(np.eye(3), np.array(place) - drill.centroid)
+    for frame in (lab_frame, replace(lab_frame, hand=None, joints=None, world_from_hand=None)):
+        answer = estimate(frame, drill, prior=start, use=use)
+        assert answer.verdict == "lost"
+        assert np.isfinite(answer.pose).all()
+        assert np.isfinite(answer.covariance).all()
+
+
+def test_a_start_behind_the_camera_is_said_to_be(lab_frame, drill):
+    behind = poses.make_pose(np.eye(3), [0.0, 0.0, -0.5])
+    (why, *_) = estimate(lab_frame, drill, prior=behind, use=("vision",)).notes
+    assert why == "no evidence: no pixel of the object near the start, which is behind the camera, and no contact"
