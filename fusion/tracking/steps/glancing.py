@@ -164,13 +164,14 @@ def as_judged(
     model: ObjectModel, known: Known, carried: Hypotheses, belief: Belief, glanced: Glanced, settings: TrackSettings
 ) -> Judged:
     """What the last look in full said holds of this frame, too, as far as the belief is sure of it."""
-    confident = settings.confident if glanced.sensed.told_apart else settings.first.confidence
+    confident = settings.first.confidence
+    nearest = settings.nearest if glanced.sensed.told_apart else confident.seen.nearest
     part = weights(carried, settings.hypotheses)
     modes = (
         Mode(belief.pose, float(part[0]), 0.0, belief.covariance),
         *(Mode(h.pose, float(w), carried[0].score - h.score, h.covariance) for h, w in zip(carried[1:], part[1:])),
     )
-    near = within(model, belief.pose, belief.covariance, confident.tolerance, confident.seen.nearest)
+    near = within(model, belief.pose, belief.covariance, confident.tolerance, nearest)
     word, why, sure = known.verdict, known.why, known.right * near
     if word == "ok" and sure < confident.sure:
         word, why = "ambiguous", f"only {sure:.0%} sure to be within {1e3 * confident.tolerance:.3g} mm"
