@@ -19,7 +19,7 @@ from scenes.recordings.frames import Frame
 from vision.contour import edge_kernels, kernels
 from vision.contour.edges import EdgeSettings, edges_near
 from vision.contour.lines import Lines, LineSettings, lines_across
-from vision.contour.outline import Outline, OutlineSettings, inner_depths, outline_of
+from vision.contour.outline import Outline, OutlineSettings, inner_depths, outline_near, outline_of
 from vision.look.pixels import median
 from vision.predicted import Predictor
 
@@ -179,16 +179,23 @@ class ContourEvidence:
         pose: Array,
         mesh_sigma: float,
         settings: ContourSettings | None = None,
+        before: tuple[Outline, Array] | None = None,
     ) -> None:
-        """predictor: the frame's, which knows what hides the object. mesh_sigma (m): what a mesh leaves out."""
+        """predictor: the frame's, which knows what hides the object. mesh_sigma (m): what a mesh leaves out. before:
+        `drawn` of a pose nearby.
+        """
         self.settings = s = settings or ContourSettings()
         self.lines: Lines | None = None
         self.why_not = ""
+        # the whole outline, hidden or not, and the pose it is of
+        self.drawn: tuple[Outline, Array] | None = None
         if frame.rgb is None or frame.camera is None or not predictor.sees:
             self.why_not = "no colour image" if frame.rgb is None else "no depth image beside the colours"
             return
         camera = frame.camera
-        outline, rounded = outline_of(model, camera, pose, s.outline), np.zeros(0)
+        known, rounded = (model, camera, pose), np.zeros(0)
+        outline = outline_of(*known, s.outline) if before is None else outline_near(*known, before, s.outline)
+        self.drawn = outline, pose
         if len(outline):
             inner = inner_depths(model, camera, pose, outline, s.bulge)
             is_open = ~_hidden(outline, inner, predictor, s)

@@ -30,6 +30,10 @@ class OutlineSettings:
     # it by more than this share (least over largest standard deviation) the outline has a corner and no normal.
     around: float = 3.0
     straight: float = 0.3
+    # An outline that is drawn anew from the one before follows it, where at least this share of its places still is a
+    # border between so many steps of the rays on either side of where it moved to.
+    follows: float = 0.9
+    across: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -73,15 +77,53 @@ def outline_of(model: ObjectModel, camera: Camera, pose: Array, settings: Outlin
     for _ in range(s.halvings):
         middle = 0.5 * (inner + outer)
         kernels.narrow(inner, outer, middle, caster.depth(middle), depth)
-    places = 0.5 * (inner + outer)
-    within = (places >= 0.0).all(axis=1) & (places[:, 0] <= camera.width - 1) & (places[:, 1] <= camera.height - 1)
+    places, within = _in_image(camera, inner, outer)
     within &= np.isfinite(depth)
     places, away, depth = places[within], away[within], depth[within]
     if len(places) < 3:
         return none
     normals, straight = _normals(places, away, step, s)
-    points = np.concatenate([(places - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones((len(places), 1))], 1)
-    return Outline(places, normals, points * depth[:, None], step).take(straight)
+    return Outline(places, normals, _points(camera, places) * depth[:, None], step).take(straight)
+
+
+def outline_near(
+    model: ObjectModel,
+    camera: Camera,
+    pose: Array,
+    before: tuple[Outline, Array],
+    settings: OutlineSettings | None = None,
+) -> Outline:
+    """As `outline_of`, from the outline at a pose (4, 4) nearby: its places move with their points of the surface, keep
+    their normals, and are bracketed across these; what is no border there any more is left out. Where that is much of
+    it, the outline is looked for anew.
+    """
+    s, (drawn, there) = settings or OutlineSettings(), before
+    points = se3.apply(pose @ se3.inverse(there), drawn.points)
+    caster, middle, room = Caster(model, camera, pose), camera.project(points)[0], s.across * drawn.step
+    inner, outer = middle - room * drawn.normals, middle + room * drawn.normals
+    ends = caster.depth(np.concatenate([inner, outer]))
+    is_border = np.isfinite(ends[: len(middle)]) & ~np.isfinite(ends[len(middle) :])
+    if is_border.sum() < s.follows * len(middle):
+        return outline_of(model, camera, pose, s)
+    inner, outer, depth = inner[is_border], outer[is_border], ends[: len(middle)][is_border]
+    for _ in range(s.halvings):
+        middle = 0.5 * (inner + outer)
+        kernels.narrow(inner, outer, middle, caster.depth(middle), depth)
+    places, within = _in_image(camera, inner, outer)
+    points = _points(camera, places) * depth[:, None]
+    return Outline(places, drawn.normals[is_border], points, drawn.step).take(within)
+
+
+def _in_image(camera: Camera, inner: Array, outer: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """The middles (n, 2) of brackets, and whether they are in the image."""
+    places = 0.5 * (inner + outer)
+    within = (places >= 0.0).all(axis=1) & (places[:, 0] <= camera.width - 1) & (places[:, 1] <= camera.height - 1)
+    return places, within
+
+
+def _points(camera: Camera, places: Array) -> Array:
+    """(n, 3) points of depth 1 that are seen at places (n, 2)."""
+    return np.concatenate([(places - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones((len(places), 1))], 1)
 
 
 def inner_depths(model: ObjectModel, camera: Camera, pose: Array, outline: Outline, across: tuple[float, ...]) -> Array:

@@ -67,9 +67,10 @@ def outlined(
     known = solved.independent + lateral @ solved.shared @ lateral.T + wider
     information = np.asarray(np.linalg.inv(how.others * known), dtype=np.float64)
     hessian, lines = np.zeros((6, 6)), 0
-    at, reach = mode.pose, how.lines.reach
+    at, reach, drawn = mode.pose, how.lines.reach, None
     for turn in range(how.rounds):
-        evidence = ContourEvidence(frame, model, pool.predictor, at, mesh_sigma, how)
+        evidence = ContourEvidence(frame, model, pool.predictor, at, mesh_sigma, how, drawn)
+        drawn = evidence.drawn
         why_not = evidence.why_not
         if turn == 0:
             first = evidence

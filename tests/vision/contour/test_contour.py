@@ -14,7 +14,7 @@ from scenes.synthesis import library
 from vision.contour import kernels
 from vision.contour.evidence import ContourEvidence, ContourSettings
 from vision.contour.lines import LineSettings, lines_across
-from vision.contour.outline import outline_of
+from vision.contour.outline import outline_near, outline_of
 from vision.predicted import Predictor
 
 MESH = 1e-4
@@ -48,6 +48,28 @@ def test_the_outline_of_a_ball_is_where_its_tangents_are():
     np.testing.assert_allclose(np.einsum("ij,ij->i", outline.normals, from_middle / size[:, None]), 1.0, atol=0.02)
     projected, _ = camera.project(outline.points)
     np.testing.assert_allclose(projected, outline.places, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["sphere", "mug", "drill"])
+def test_an_outline_follows_a_pose_nearby_and_is_drawn_anew_from_far(name):
+    frame, model = plain_view(name), library.make(name)
+    truth, camera = frame.camera_from_object_truth, frame.camera
+    drawn = outline_of(model, camera, truth)
+    near = poses.perturb(truth, np.array([0.01, -0.02, 0.015, 0.002, -0.001, 0.003]), model.centroid)
+    whole, followed = outline_of(model, camera, near), outline_near(model, camera, near, (drawn, truth))
+    assert 0.9 * len(drawn) <= len(followed) <= len(drawn)
+    off = followed.places[:, None] - whole.places[None]
+    beside = np.argmin(np.linalg.norm(off, axis=2), axis=1)
+    across = np.einsum("ni,ni->n", off[np.arange(len(off)), beside], whole.normals[beside])
+    assert np.median(np.abs(across)) < 0.1
+    projected, _ = camera.project(followed.points)
+    np.testing.assert_allclose(projected, followed.places, atol=1e-6)
+    aside = poses.make_pose(None, [0.03, 0.0, 0.0]) @ poses.perturb(
+        truth, np.array([1.0, 0, 0, 0, 0, 0]), model.centroid
+    )
+    anew = outline_near(model, camera, aside, (drawn, truth))
+    if name != "sphere":
+        np.testing.assert_array_equal(anew.places, outline_of(model, camera, aside).places)
 
 
 def test_an_object_beside_the_image_has_no_outline():
