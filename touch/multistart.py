@@ -197,7 +197,8 @@ def multistart(
     pose, verdict = modes[0].pose, verdict_of(modes, model, settings)
     # what is claimed to be finer than the lattice leaves over the lattice's own errors
     believed = inferred is None and some_false is None and few is contacts and not exact
-    if believed and _contradicted(model, modes[0], contacts, prior, settings):
+    unlike = exact and inferred is None and some_false is None and _unlike(model, modes[0], contacts, settings)
+    if unlike or (believed and _contradicted(model, modes[0], contacts, prior, settings)):
         # no noise was inferred that would explain it, and no contact was called false
         verdict = "ambiguous"
         notes += ("the contacts contradict every pose: another mesh, or worse contacts than they say",)
@@ -234,6 +235,12 @@ def _contradicted(
     return bool(2.0 * mode.cost > free * (1.0 - spread + settings.contradicted_sigmas * np.sqrt(spread)) ** 3)
 
 
+def _unlike(model: ObjectModel, mode: Mode, contacts: Contacts, settings: LocalizeSettings) -> bool:
+    """Whether contacts that claim to be finer than the lattice disagree with a pose by more than the lattice is off."""
+    agree = _agreeing(model, contacts, mode.pose, settings.exact_below * model.field.spacing)
+    return bool((~agree).sum() > settings.unlike_share * len(contacts))
+
+
 def _some_false(
     model: ObjectModel,
     contacts: Contacts,
@@ -253,10 +260,12 @@ def _some_false(
     return result if agree.sum() >= needed else None
 
 
-def _agreeing(model: ObjectModel, contacts: Contacts, pose: Array) -> NDArray[np.bool_]:
-    """Which contacts agree with a pose to within three of the sigmas that they claim."""
+def _agreeing(model: ObjectModel, contacts: Contacts, pose: Array, least: float = 0.0) -> NDArray[np.bool_]:
+    """Which contacts agree with a pose to within three of the sigmas that they claim; of points these are at least
+    `least` (m).
+    """
     residual, outward, _ = model.surface.closest(se3.apply(se3.inverse(pose), contacts.points))
-    agree = np.abs(residual) < 3.0 * contacts.sigma_point
+    agree = np.abs(residual) < 3.0 * np.maximum(contacts.sigma_point, least)
     if contacts.has_normal.any():
         cosine = np.sum(outward * (contacts.normals @ pose[:3, :3]), axis=1)
         limit = np.minimum(3.0 * contacts.sigma_normal, np.pi)

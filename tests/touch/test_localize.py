@@ -407,3 +407,15 @@ def test_a_few_contacts_that_contradict_every_pose_are_no_answer(seed):
     wrong = localize(large, contacts, seed=seed)
     assert wrong.verdict == "ambiguous"
     assert "contradict every pose" in " ".join(wrong.notes)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_few_contacts_that_claim_to_be_exact_and_contradict_every_pose_are_no_answer(seed):
+    """Felt from inside, which no pose of a convex body explains."""
+    box = library.make("box")
+    points, normals = box.sample_surface(6, seed=seed)
+    right = localize(box, Contacts(points, normals, sigma_point=1e-6))
+    assert "contradict every pose" not in " ".join(right.notes)
+    wrong = localize(box, Contacts(points, -normals, sigma_point=1e-6))
+    assert wrong.verdict == "ambiguous"
+    assert "contradict every pose" in " ".join(wrong.notes)
