@@ -90,8 +90,8 @@ class LocalizeSettings:
     settling_steps: int = 6
     # Contacts finer than this share of the lattice's spacing are finished on the exact mesh.
     exact_below: float = 0.2
-    # More of those than this share that disagree with the answer, by three times that or in their normals, contradict
-    # it; fewer may lie at an edge, where a normal is of either face.
+    # More of those than this share that disagree with the answer, by three spacings or in their normals, contradict it;
+    # fewer may lie at an edge, where a normal is of either face.
     unlike_share: float = 0.25
 
 

@@ -237,7 +237,7 @@ def _contradicted(
 
 def _unlike(model: ObjectModel, mode: Mode, contacts: Contacts, settings: LocalizeSettings) -> bool:
     """Whether contacts that claim to be finer than the lattice disagree with a pose by more than the lattice is off."""
-    agree = _agreeing(model, contacts, mode.pose, settings.exact_below * model.field.spacing)
+    agree = _agreeing(model, contacts, mode.pose, model.field.spacing)
     return bool((~agree).sum() > settings.unlike_share * len(contacts))
 
 
