@@ -17,7 +17,6 @@ from fusion.benchmarks.families.table import Family, chosen
 from fusion.benchmarks.printing.charts import Chart
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Quantile, Rate, Report, Table
 from fusion.benchmarks.strata import Answer, add_strata, answered, quick_levels
-from scenes.errors import unknown
 
 if TYPE_CHECKING:
     from scenes.geometry.objects import ObjectModel
@@ -41,7 +40,7 @@ MOST_SEEN = ("clean", "lab")
 
 def run(settings: BenchSettings) -> Report:
     """Tables of success, error, verdicts, calibration and time by family, level and method; curves of the errors."""
-    families, asked = chosen(settings.family), _methods(settings)
+    families, asked = chosen(settings.family), settings.of_methods(METHODS)
     report = Report(
         "occlusion",
         "Error against the hidden share of the object, from a start 16 degrees and 33 mm off",
@@ -59,14 +58,6 @@ def run(settings: BenchSettings) -> Report:
             answers += _family(report, family, asked, settings)
     add_strata(report, answers, missing, settings)
     return report
-
-
-def _methods(settings: BenchSettings) -> tuple[str, ...]:
-    """Those that are asked for. Raises InputError for an unknown one."""
-    for name in settings.methods or ():
-        if name not in METHODS:
-            raise unknown("method", name, METHODS)
-    return METHODS if settings.methods is None else tuple(m for m in METHODS if m in settings.methods)
 
 
 COLUMNS = (

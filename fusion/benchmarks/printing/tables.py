@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fusion.benchmarks.printing.provenance import command_line, machine, machine_line, source_version
+from scenes.errors import unknown
 
 if TYPE_CHECKING:
     from fusion.benchmarks.printing.charts import Chart
@@ -71,6 +72,15 @@ class BenchSettings:
     def some(self, items: Sequence[T], quick: int) -> Sequence[T]:
         """All of the items; when in a hurry the first `quick`."""
         return items[:quick] if self.quick else items
+
+    def of_methods(self, known: tuple[str, ...], always: str = "") -> tuple[str, ...]:
+        """Those of the known methods that are asked for, all by default, and the one that is always among them. Raises
+        InputError for an unknown one.
+        """
+        for name in self.methods or ():
+            if name not in known:
+                raise unknown("method", name, known)
+        return known if self.methods is None else tuple(m for m in known if m in (*self.methods, always))
 
 
 def own_seed(seed: int, *what: str | float) -> int:

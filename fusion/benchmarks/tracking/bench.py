@@ -38,7 +38,7 @@ def run(settings: BenchSettings) -> Report:
     """
     trials = settings.count(1, 1)
     frames = settings.frames or (QUICK_FRAMES if settings.quick else FRAMES)
-    methods, motions = _methods(settings), _motions(settings)
+    methods, motions = settings.of_methods(METHODS, always="track"), _motions(settings)
     families = [family for family in chosen(settings.family) if family.hand]
     report = Report(
         "tracking",
@@ -107,14 +107,6 @@ def _motions(settings: BenchSettings) -> tuple[str, ...]:
         if name not in MOTIONS:
             raise unknown("motion", name, MOTIONS)
     return settings.motions
-
-
-def _methods(settings: BenchSettings) -> tuple[str, ...]:
-    """Those that are asked for; the track is always among them. Raises InputError for an unknown one."""
-    for name in settings.methods or ():
-        if name not in METHODS:
-            raise unknown("method", name, METHODS)
-    return METHODS if settings.methods is None else tuple(m for m in METHODS if m in (*settings.methods, "track"))
 
 
 def _claims(tracked: Tracked) -> list[Claim]:

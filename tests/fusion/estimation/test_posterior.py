@@ -244,7 +244,7 @@ def test_one_normal_the_wrong_way_round_does_not_lose_what_a_camera_sees():
     assert answer.verdict != "lost", answer.notes
     assert Judge(model).errors(answer.pose, frame.camera_from_object_truth).add_s < 0.005
     turned = estimate(replace(frame, contacts=Contacts(frame.contacts.points, -frame.contacts.normals)), model)
-    # all of them do: no pose explains what is seen and felt
+    # all of them do: whatever is likeliest then, nobody may be sure of it
     assert turned.verdict != "ok"
     assert turned.confidence < 0.7
 
