@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from fusion.estimation.settings import EstimateSettings
     from fusion.settings import Settings
     from fusion.tracking.answer import TrackedEstimate, TrackSettings
+    from fusion.tracking.rehearsal import rehearse
     from fusion.tracking.tracker import Tracker, track
 
 __all__ = [
@@ -36,6 +37,7 @@ __all__ = [
     "TrackedEstimate",
     "Tracker",
     "estimate",
+    "rehearse",
     "track",
 ]
 
@@ -52,6 +54,7 @@ _HOMES = {
     "TrackedEstimate": "fusion.tracking.answer",
     "Tracker": "fusion.tracking.tracker",
     "estimate": "fusion.estimation.estimate",
+    "rehearse": "fusion.tracking.rehearsal",
     "track": "fusion.tracking.tracker",
 }
 

@@ -153,7 +153,7 @@ class Tracker:
     def _begin(self, frame: Frame) -> TrackedEstimate:
         if self.live:
             pair_table(self.model)  # a search beside the frames would build it, and keep them waiting
-        answer = self._estimated(frame, self._prior)
+        answer = self.estimated(frame, self._prior)
         self._prior = None  # it was the first frame's
         if answer.verdict == "lost":
             return as_tracked(answer, "lost")
@@ -200,7 +200,7 @@ class Tracker:
     def _recover(self, frame: Frame, lost: TrackedEstimate, heard: str) -> TrackedEstimate:
         """Look for the object; the track begins again from where it is found."""
         try:
-            found = recover(frame, lost, self._state, self._estimated, self._aside, heard, self.settings)
+            found = recover(frame, lost, self._state, self.estimated, self._aside, heard, self.settings)
         except CaptureError as error:  # a frame amid a track whose sizes make no sense is a frame without evidence
             return replace(lost, notes=(*lost.notes, str(error)))
         if found is None:
@@ -217,18 +217,18 @@ class Tracker:
         asks = answer, self._sensed, state
 
         def near(pose: Array) -> Estimate:
-            return self._estimated(replace(frame, prior=None), Prior.isotropic(pose, s.near_angle, s.near_distance))
+            return self.estimated(replace(frame, prior=None), Prior.isotropic(pose, s.near_angle, s.near_distance))
 
         def searched(what: str, frame: Frame, prior: Prior | None) -> Estimate | None:
             if aside is None:
-                return self._estimated(frame, prior)
+                return self.estimated(frame, prior)
             leader = leader_at(answer, state)
             if heard == what:
                 return aside.result(self.model, leader, state, near, s.hypotheses)
-            aside.ask(what, self._estimated, frame, prior, leader, state)
+            aside.ask(what, self.estimated, frame, prior, leader, state)
             return None
 
-        answer = look_closer(self.model, frame, *asks, self._estimated, self._anchor, s)
+        answer = look_closer(self.model, frame, *asks, self.estimated, self._anchor, s)
         asks = answer, self._sensed, state
         if heard == ANEW:
             state.renewal.due = frame.index
@@ -246,8 +246,8 @@ class Tracker:
     def _believed(self, answer: TrackedEstimate) -> TrackedEstimate:
         return as_believed(self.model, answer, self._state.hypotheses, self.settings)
 
-    def _estimated(self, frame: Frame, prior: Prior | None) -> Estimate:
-        """The frame by itself."""
+    def estimated(self, frame: Frame, prior: Prior | None) -> Estimate:
+        """The frame by itself, by the settings and beliefs of this track."""
         first, senses, beliefs = self.settings.first, self._senses, self._beliefs
         return estimate(frame, self.model, prior, senses, seed=self._seed, settings=first, beliefs=beliefs)
 

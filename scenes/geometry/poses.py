@@ -306,8 +306,11 @@ def difference(pose: Array, reference: Array, centre: ArrayLike) -> Array:
 
 
 def _rows(values: ArrayLike, *shape: int) -> Array:
-    """(n, *shape) of numbers that lie one after the other, as kernels take them."""
-    return np.ascontiguousarray(values, dtype=np.float64).reshape(-1, *shape)
+    """(n, *shape) of numbers that lie one after the other, as kernels take them: for numba an array that may not be
+    written is of another type, for which it would compile again.
+    """
+    rows = np.ascontiguousarray(values, dtype=np.float64)
+    return (rows if rows.flags.writeable else rows.copy()).reshape(-1, *shape)
 
 
 def random_rotations(count: int, rng: np.random.Generator) -> Array:

@@ -21,6 +21,7 @@ from fusion.results.track.pictures import Photographer
 from fusion.results.track.replay import InTurn, Next, RealTime
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
 from fusion.tracking.checkpoint import plain_state, restore_tracker, save_tracker
+from fusion.tracking.rehearsal import rehearse
 from fusion.tracking.tracker import Tracker
 from fusion.truth.errors import Judge
 from scenes.errors import PalpateError
@@ -145,19 +146,14 @@ class TrackRun:
         self._saved_at = time.monotonic()
 
     def _look_before(self, in_real_time: bool) -> None:
-        """Whether the first frame can be what it says. Where a clock will run, the compiled kernels and the lattice are
-        loaded, too, by a throw-away tracker: times should tell of frames. Otherwise no frame is searched twice.
+        """Whether the first frame can be what it says. Where a clock will run it is rehearsed, too: times should tell
+        of frames. Otherwise no frame is searched twice.
         """
         with _reporting(self.capture, refuse):
             first = self._prepare(self.capture[0], self.model)
         check_scale(first, self.model)
-        if not in_real_time:
-            return
-        tracker = self._new_tracker()
-        tracker.live = True
-        tracker.step(first)
-        with contextlib.suppress(PalpateError):
-            tracker.step(replace(first, index=first.index + 1))
+        if in_real_time:
+            rehearse(self._new_tracker, first)
 
     def _step(self, one: Next, pace: InTurn) -> Step:
         numbers = self.capture.frame_ids

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from made_frames import CARRIED, off_by, recording
 
-from fusion import Tracker
+from fusion import Tracker, rehearse
 from fusion.estimation.answer import Estimate, Mode
 from fusion.tracking.answer import TrackSettings, as_tracked
 from fusion.tracking.checkpoint import restore_tracker, save_tracker
@@ -261,3 +261,30 @@ def test_what_was_not_found_is_nowhere_to_look():
         aside.ask(ANEW, lambda frame, prior, found=found: found, None, None, leader, TrackState())
         worker.work()
         assert aside.place(TrackState(), 0.5) is None
+
+
+def test_a_rehearsal_searches_by_itself_and_around_what_it_believes(mug, carried):
+    asked, made = [], []
+
+    class Heard(Tracker):
+        def estimated(self, frame, prior):
+            asked.append(prior)
+            return super().estimated(frame, prior)
+
+    def new_tracker():
+        made.append(Heard(mug))
+        return made[-1]
+
+    first = carried[0]
+    rehearse(new_tracker, first)
+    assert len(made) == 1
+    assert asked[-2] is None
+    assert asked[-1].pose.shape == (4, 4)
+
+
+def test_a_rehearsal_refuses_what_a_track_would(mug, carried):
+    elsewhere = replace(carried[0], depth=1e6 * carried[0].depth)  # no unit makes this a table top
+    with pytest.raises(CaptureError):
+        Tracker(mug).step(elsewhere)
+    with pytest.raises(CaptureError):
+        rehearse(lambda: Tracker(mug), elsewhere)
