@@ -72,6 +72,16 @@ class DistanceField:
         return float(self.values.min())
 
     @cached_property
+    def blocks(self) -> tuple[Array, Array, Array, Array, float]:
+        """What `lattice.bounds_at` asks for: the least and the largest distance (i, j, k) of blocks of nodes, where the
+        lattice ends (3,) and begins (3,), and its spacing.
+        """
+        shape = np.array(self.values.shape)
+        low, high = (np.zeros(tuple((shape - 2) // lattice.BLOCK + 1)) for _ in range(2))
+        lattice.blocks(self.values, low, high)
+        return low, high, shape - 1.0 - lattice.END, self.origin, self.spacing
+
+    @cached_property
     def coarser(self) -> DistanceField | None:
         """The same at every second node, an eighth of the memory; None where the nodes are no such number."""
         if any(n % 2 == 0 or n < 5 for n in self.values.shape):

@@ -294,6 +294,44 @@ def seen_distances(values, origin, spacing, step, points, rays, facing, out, gra
         gradients[n, 2] = gz
 
 
+# Cells a side of a block of which the least and the largest node are kept.
+BLOCK = 4
+
+
+@numba.njit(cache=True, nogil=True, **LENT)
+def blocks(values, low, high):
+    """Fill low and high (i, j, k) with the least and the largest node of each block of BLOCK cells a side."""
+    for i in range(low.shape[0]):
+        for j in range(low.shape[1]):
+            for k in range(low.shape[2]):
+                least, most = np.inf, -np.inf
+                for a in range(i * BLOCK, min((i + 1) * BLOCK + 1, values.shape[0])):
+                    for b in range(j * BLOCK, min((j + 1) * BLOCK + 1, values.shape[1])):
+                        for c in range(k * BLOCK, min((k + 1) * BLOCK + 1, values.shape[2])):
+                            value = np.float64(values[a, b, c])
+                            least, most = min(least, value), max(most, value)
+                low[i, j, k] = least
+                high[i, j, k] = most
+
+
+@numba.njit(cache=True, nogil=True, **LENT)
+def bounds_at(low, high, last, origin, spacing, x, y, z):
+    """Bounds (least, most) of the distance at one point, but for rounding: of the block (see `blocks`) it is in, or
+    beyond which it is. last (3,): where the lattice ends, nodes along each axis less 1 and END.
+    """
+    inverse = 1.0 / spacing
+    u, v, w = (x - origin[0]) * inverse, (y - origin[1]) * inverse, (z - origin[2]) * inverse
+    cu, cv, cw = _clamp(u, last[0]), _clamp(v, last[1]), _clamp(w, last[2])
+    i, j, k = int(cu) // BLOCK, int(cv) // BLOCK, int(cw) // BLOCK
+    ou, ov, ow = u - cu, v - cv, w - cw
+    beyond = ou * ou + ov * ov + ow * ow
+    if beyond == 0.0:
+        return low[i, j, k], high[i, j, k]
+    length = spacing * math.sqrt(beyond)
+    # a hair beyond the end counts as inside
+    return low[i, j, k] + (length if beyond > 5.0 * END * END else 0.0), high[i, j, k] + length
+
+
 def check_finite(points: np.ndarray, name: str) -> np.ndarray:
     """(n, 3) contiguous float64 copy-if-needed; raises InputError when a value is not finite."""
     from scenes.errors import InputError

@@ -8,8 +8,11 @@ so that render -> back-project lands on the mesh to better than a micrometre.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -33,6 +36,8 @@ NEAREST_CORNER = 1e-3
 FEW_FACES = 4
 # Rays up to here are cast by one thread: more take longer to begin than to end, and twice as long where cores are busy.
 MANY_RAYS = 16384
+# One of fewer vertices has no need of its convex hull to be bounded quickly.
+FEW_CORNERS = 500
 # A mesh of more vertices than this is bounded by the corners of its box.
 MANY_VERTICES = 4000
 
@@ -105,14 +110,13 @@ class _Caster:
         """The part of `region` that the mesh's box can project to; empty when u1 <= u0 or v1 <= v0."""
         if not len(self.faces):
             return (region[0], region[1], region[0], region[1])
-        corners = apply(pose, self.outline)
-        if (corners[:, 2] <= 0).all():
+        nearest, farthest, *box = kernels.box_of(*_lens(camera), pose, self.outline)
+        if farthest <= 0:
             return (region[0], region[1], region[0], region[1])
-        if (corners[:, 2] < NEAREST_CORNER).any():
+        if nearest < NEAREST_CORNER:
             return region
-        pixels, _ = camera.project(corners)
-        low = np.clip(np.floor(pixels.min(axis=0)) - 1, -1e9, 1e9).astype(int)
-        high = np.clip(np.ceil(pixels.max(axis=0)) + 2, -1e9, 1e9).astype(int)
+        u0, v0, u1, v1 = (min(max(x, -1e9), 1e9) for x in box)
+        low, high = (math.floor(u0) - 1, math.floor(v0) - 1), (math.ceil(u1) + 2, math.ceil(v1) + 2)
         return (max(region[0], low[0]), max(region[1], low[1]), min(region[2], high[0]), min(region[3], high[1]))
 
     def cast(self, camera: Camera, part: Region, pose: Array) -> tuple[Array, NDArray[np.uint32]]:
@@ -120,24 +124,70 @@ class _Caster:
         if len(self.faces) <= FEW_FACES:
             shape = (part[3] - part[1], part[2] - part[0])
             depth, found = np.zeros(shape), np.zeros(shape, dtype=np.uint32)
-            lens = (camera.fx, camera.fy, camera.cx, camera.cy, part[0], part[1])
-            kernels.few_faces(*lens, apply(pose, self.vertices)[self.faces], depth, found)
+            kernels.few_faces(*_lens(camera), *part[:2], apply(pose, self.vertices)[self.faces], depth, found)
             return depth, found
-        mesh_from_camera = inverse(pose)
-        origin, rotation = mesh_from_camera[:3, 3].copy(), np.ascontiguousarray(mesh_from_camera[:3, :3])
+        origin, rotation = self._view(pose)
         shape = (part[3] - part[1], part[2] - part[0])
-        view = (camera.fx, camera.fy, camera.cx, camera.cy, part[0], part[1])
+        view = (*_lens(camera), part[0], part[1])
         rays = np.zeros((*shape, 6), dtype=np.float32)
         kernels.mesh_rays(*view, origin - self.centre, rotation, rays)
-        from scenes._open3d import open3d
-
-        threads = thread_count() if shape[0] * shape[1] > MANY_RAYS else 1
-        answer = self._build().cast_rays(open3d().core.Tensor(rays), nthreads=threads)
-        hits, triangles = answer["t_hit"].numpy(), answer["primitive_ids"].numpy()
+        hits, triangles = self._hits(rays)
         depth = np.zeros(shape)
         planes = (self.normals, self.offsets, LARGEST_REFINEMENT)
         kernels.exact_hits(*view, origin, rotation, *planes, hits, triangles, depth)
         return depth, triangles
+
+    def _hits(self, rays: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+        """Ray parameters, inf for no hit, and triangles of rays (..., 6)."""
+        from scenes._open3d import open3d
+
+        threads = thread_count() if rays.size > 6 * MANY_RAYS else 1
+        answer = self._build().cast_rays(open3d().core.Tensor(rays), nthreads=threads)
+        return answer["t_hit"].numpy(), answer["primitive_ids"].numpy()
+
+    @cached_property
+    def hull(self) -> Array:
+        """(n, 3) vertices of the convex hull: what bounds the mesh in an image most narrowly."""
+        from scenes.geometry.surface import hull_of
+
+        return np.ascontiguousarray(self.vertices[hull_of(self.vertices)])
+
+    def seen_at(self, camera: Camera, part: Region, pose: Array) -> tuple[NDArray[np.int64], Array]:
+        """Pixels (n, 2) of `part` in which the mesh is seen when it is alone, row by row, and its depths (n,) there."""
+        pixels = np.zeros(((part[2] - part[0]) * (part[3] - part[1]), 2), dtype=np.int64)
+        corners = self.hull if len(self.vertices) > FEW_CORNERS else self.vertices
+        if float((corners @ pose[2, :3]).min()) + pose[2, 3] < NEAREST_CORNER:
+            corners = corners[:0]
+        pixels = pixels[: kernels.pixels_about(*_lens(camera), pose, corners, part, pixels)]
+        own, view, planes = np.zeros(len(pixels)), self._view(pose), (self.normals, self.offsets, LARGEST_REFINEMENT)
+        _, hits, triangles = self._hits_at(camera, part, pixels, *view)
+        count = kernels.hit_pixels(*_lens(camera), *view, *planes, hits, triangles, pixels, own)
+        return pixels[:count], own[:count]
+
+    def keep_seen(self, camera: Camera, part: Region, pose: Array, pixels: NDArray[np.int64], own: Array) -> int:
+        """How many of pixels (n, 2) with depths own (n,) this mesh, seen in `part` alone, does not cover; these are put
+        first.
+        """
+        view, planes = self._view(pose), (self.normals, self.offsets, LARGEST_REFINEMENT)
+        which, hits, triangles = self._hits_at(camera, part, pixels, *view)
+        return int(kernels.keep_seen(*_lens(camera), *view, *planes, hits, triangles, which, pixels, own))
+
+    def _view(self, pose: Array) -> tuple[Array, Array]:
+        """The camera's place (3,) and axes (3, 3) in the mesh's frame."""
+        mesh_from_camera = inverse(pose)
+        return mesh_from_camera[:3, 3].copy(), np.ascontiguousarray(mesh_from_camera[:3, :3])
+
+    def _hits_at(
+        self, camera: Camera, part: Region, pixels: NDArray[np.int64], origin: Array, rotation: Array
+    ) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.uint32]]:
+        """Which of pixels (n, 2) are in `part` (m,), and their rays' hits (m,) and triangles (m,)."""
+        which, rays = np.zeros(len(pixels), dtype=np.int64), np.zeros((len(pixels), 6), dtype=np.float32)
+        count = kernels.rays_at(*_lens(camera), pixels, part, origin - self.centre, rotation, which, rays)
+        return which[:count], *self._hits(rays[:count])
+
+
+def _lens(camera: Camera) -> tuple[float, float, float, float]:
+    return camera.fx, camera.fy, camera.cx, camera.cy
 
 
 class Renderer:
@@ -146,6 +196,7 @@ class Renderer:
     def __init__(self, meshes: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None) -> None:
         """meshes: name -> (vertices (n, 3) metres, faces (m, 3)), each in its own frame; a mesh may be empty."""
         self._casters: dict[str, _Caster] = {}
+        self._last: tuple[_Caster, Camera, Array, Region, NDArray[np.int64], Array] | None = None
         for name, (vertices, faces) in (meshes or {}).items():
             self.add(name, vertices, faces)
 
@@ -158,6 +209,12 @@ class Renderer:
         """Add a mesh, or replace the one of that name. Raises InputError for non-finite vertices or bad indices."""
         self._casters[name] = _Caster(name, vertices, faces)
 
+    def copy(self) -> Renderer:
+        """Another that holds the same meshes, and shares what was built to cast at them."""
+        other = Renderer()
+        other._casters = dict(self._casters)
+        return other
+
     def vertices(self, name: str, pose: Array) -> Array:
         """(n, 3) vertices of the named mesh at a pose target_from_mesh (4, 4)."""
         return apply(pose, self._casters[name].vertices)
@@ -166,7 +223,11 @@ class Renderer:
         unknown = [name for name in poses if name not in self._casters]
         if unknown:
             raise InputError(f"renderer: expected meshes among {list(self.names)}, got {unknown[0]!r}")
-        return {name: check_pose(pose, f"pose of {name!r}") for name, pose in poses.items()}
+        named = [np.asarray(pose, dtype=np.float64) for pose in poses.values()]
+        if len(named) > 1 and all(pose.shape == (4, 4) for pose in named):
+            with suppress(InputError):  # which names none of them
+                return dict(zip(poses, check_pose(np.stack(named))))
+        return {name: check_pose(pose, f"pose of {name!r}") for name, pose in zip(poses, named)}
 
     def render(self, camera: Camera, poses: Mapping[str, ArrayLike], region: Region | None = None) -> Rendering:
         """See the posed meshes.
@@ -191,7 +252,7 @@ class Renderer:
             columns = slice(part[0] - whole[0], part[2] - whole[0])
             rotation = np.ascontiguousarray(pose[:3, :3])
             image = (depth[rows, columns], ids[rows, columns], normals[rows, columns])
-            view = (camera.fx, camera.fy, camera.cx, camera.cy, part[0], part[1])
+            view = (*_lens(camera), part[0], part[1])
             kernels.merge(*view, rotation, caster.normals, index, t, triangles, *image)
         depth[ids < 0] = 0.0
         return Rendering(depth.astype(np.float32), ids, tuple(checked), normals, whole)
@@ -201,23 +262,35 @@ class Renderer:
         checked = self._checked(poses)
         if name not in checked:
             raise InputError(f"renderer: expected a pose of {name!r}, got poses of {list(checked)}")
-        part = self._casters[name].bounds(camera, checked[name], _clip(None, camera))
-        if part[2] <= part[0] or part[3] <= part[1]:
-            return 0, 0
-        own, _ = self._casters[name].cast(camera, part, checked[name])
-        alone = np.isfinite(own)
-        front = alone.copy()
+        part, pixels, own = self._alone(camera, checked[name], name)
+        count = len(own)
         for other, pose in checked.items():
-            if other == name:
+            if other == name or not count:
                 continue
             caster = self._casters[other]
             sub = caster.bounds(camera, pose, part)
             if sub[2] <= sub[0] or sub[3] <= sub[1]:
                 continue
-            t, _ = caster.cast(camera, sub, pose)
-            rows, columns = slice(sub[1] - part[1], sub[3] - part[1]), slice(sub[0] - part[0], sub[2] - part[0])
-            front[rows, columns] &= own[rows, columns] <= t
-        return int(alone.sum()), int(front.sum())
+            if len(caster.faces) <= FEW_FACES:
+                t, _ = caster.cast(camera, sub, pose)
+                count = kernels.keep_before(*sub[:2], t, pixels[:count], own[:count])
+            else:
+                count = caster.keep_seen(camera, sub, pose, pixels[:count], own[:count])
+        return len(own), count
+
+    def _alone(self, camera: Camera, pose: Array, name: str) -> tuple[Region, NDArray[np.int64], Array]:
+        """Where the mesh may be in the image, its pixels (n, 2) when it is alone, and their depths (n,). Those of the
+        last view are kept: what hides an object is tried many times in one view of it. Both arrays are the caller's.
+        """
+        caster = self._casters[name]
+        last = self._last
+        if last is None or last[0] is not caster or last[1] != camera or not np.array_equal(last[2], pose):
+            part = caster.bounds(camera, pose, _clip(None, camera))
+            pixels, own = np.zeros((0, 2), dtype=np.int64), np.zeros(0)
+            if part[2] > part[0] and part[3] > part[1]:
+                pixels, own = caster.seen_at(camera, part, pose)
+            last = self._last = caster, camera, pose, part, pixels, own
+        return last[3], last[4].copy(), last[5].copy()
 
     def visible_fraction(self, camera: Camera, poses: Mapping[str, ArrayLike], name: str) -> float:
         """Share of the named mesh's own in-image pixels that stay visible among all posed meshes.

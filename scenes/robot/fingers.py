@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scenes.errors import InputError
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
+from scenes.robot import clearance_kernels as kernels
 from scenes.robot import roles
 from scenes.robot.hands import Hand
 from scenes.robot.sensors import Sensor
@@ -148,8 +149,9 @@ class Clearance:
         order = [i for i in np.argsort(link, kind="stable") if link[i] in rows]
         points, link = points[order], link[order]
         self._links = np.unique(link)
-        self._blocks = [points[link == i] for i in self._links]
-        self._starts = np.concatenate([[0], np.cumsum([len(b) for b in self._blocks])[:-1]])
+        self._points = np.ascontiguousarray(points)
+        self._starts = np.searchsorted(link, self._links, side="left")
+        self._starts = np.append(self._starts, len(link))
         self._tip_rows = [f.tip_link for f in self.fingers]
         self._centres = np.array([f.centre for f in self.fingers])
         self._cores = [poses.apply(f.link_from_tip, f.tip.samples(COARSE)) for f in self.fingers]
@@ -161,27 +163,43 @@ class Clearance:
         tips = hand_from_link[:, self._tip_rows]
         return np.einsum("nfij,fj->nfi", tips[..., :3, :3], self._centres) + tips[..., :3, 3]
 
-    def links_and_tips(self, configurations: Array, hand_from_object: Array) -> tuple[Array, Array]:
+    def links_and_tips(
+        self, configurations: Array, hand_from_object: Array, moved: NDArray[np.bool_] | None = None
+    ) -> tuple[Array, Array]:
         """Clearance of each link (n, l), tips included, and of each tip (n, f); metres, by the lattice.
 
-        configurations (n, j), hand_from_object (n, 4, 4).
+        configurations (n, j), hand_from_object (n, 4, 4); moved (n, l): links that are asked for, others may be told
+        farther.
         """
-        hand_from_link = self.hand.link_poses(configurations)
-        object_from_hand = poses.inverse(hand_from_object)
-        frames = object_from_hand[:, None] @ hand_from_link
-        blocks = [poses.apply(frames[:, i], points) for i, points in zip(self._links, self._blocks)]
-        cores = [poses.apply(frames[:, row], core) for row, core in zip(self._tip_rows, self._cores)]
-        n = len(configurations)
-        samples = np.concatenate(blocks, axis=1)
-        count = samples.shape[1]
-        everything = np.concatenate([samples, *cores], axis=1)
-        distance = self.model.field.distance(everything.reshape(-1, 3)).reshape(n, -1)
-        links = np.full((n, len(self.hand.link_names)), np.inf)
-        links[:, self._links] = np.minimum.reduceat(distance[:, :count], self._starts, axis=1)
-        tips = np.minimum.reduceat(distance[:, count:], self._core_starts, axis=1) - self._rounding
+        frames = poses.inverse(hand_from_object)[:, None] @ self.hand.link_poses(configurations)
+        links = np.full((len(frames), len(self.hand.link_names)), np.inf)
+        links[:, self._links] = self._nearest(frames, moved).reshape(len(frames), -1)
+        tips = self._tips(frames)
         for f, finger in enumerate(self.fingers):
             links[:, finger.tip_link] = np.minimum(links[:, finger.tip_link], tips[:, f])
         return links, tips
+
+    def least(self, hand_from_link: Array, hand_from_object: Array) -> Array:
+        """Least clearance (n,) of the hand, tips included, of hand_from_link (n, l, 4, 4)."""
+        frames = poses.inverse(hand_from_object)[:, None] @ hand_from_link
+        return np.minimum(self._nearest(frames, None, together=True), self._tips(frames).min(axis=1))
+
+    def _tips(self, frames: Array) -> Array:
+        """Clearance (n, f) of each tip, of frames (n, l, 4, 4) object from link."""
+        cores = [poses.apply(frames[:, row], core) for row, core in zip(self._tip_rows, self._cores)]
+        distance = self.model.field.distance(np.concatenate(cores, axis=1).reshape(-1, 3)).reshape(len(frames), -1)
+        return np.asarray(np.minimum.reduceat(distance, self._core_starts, axis=1) - self._rounding)
+
+    def _nearest(self, frames: Array, moved: NDArray[np.bool_] | None, together: bool = False) -> Array:
+        """(n * b,) least distance of each link that has samples, (n,) of all together; of frames (n, l, 4, 4)."""
+        n, count, links = len(frames), len(self._points), len(self._links)
+        wanted = np.ones((n, links), dtype=bool) if moved is None else moved[:, self._links]
+        least = np.full(n if together else n * links, np.inf)
+        near, group = np.zeros((n * count, 3)), np.zeros(n * count, dtype=np.int64)
+        given = frames, wanted, self._links, self._points, self._starts, self.model.field.blocks, together
+        found = kernels.may_be_least(*given, np.zeros(count), near, group)
+        kernels.least_of_groups(self.model.field.distance(near[:found]), group, least)
+        return least
 
 
 @lru_cache(maxsize=16)
@@ -244,10 +262,14 @@ def close(
         fastest = velocity @ bounds.T
         room = haste * np.maximum(links[rows], 0.5 * touch)
         allowed = np.where(fastest > 0, room / np.maximum(fastest, 1e-12), 1e9)
+        before = q[rows]
         for finger in clearance.fingers:
             step = allowed[:, list(finger.links)].min(axis=1)
             own = list(finger.closing)
             here = np.ix_(rows, np.array(own))
             q[here] = np.minimum(q[here] + step[:, None] * velocity[:, own], hand.limits[own, 1])
-        links[rows], tips[rows] = clearance.links_and_tips(q[rows], hand_from_object[rows])
+        # links that none of these joints moves are where they were
+        moved = (q[rows] != before) @ hand.moved_by.T
+        found, tips[rows] = clearance.links_and_tips(q[rows], hand_from_object[rows], moved)
+        links[rows] = np.where(moved, found, links[rows])
     return q, links, tips

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,9 +151,15 @@ def _finger(
     return capsule_mesh(first, last, radius)
 
 
+@lru_cache(maxsize=8)
+def object_renderer(model: ObjectModel) -> Renderer:
+    """Of the mesh "object" alone, made once for all frames of an object; not to be added to."""
+    return Renderer({"object": (model.vertices, model.faces)})
+
+
 def random_contacts(model: ObjectModel, count: int, rng: np.random.Generator) -> Contacts:
     """Exact contacts (count of them) where random rays from outside first meet the object; object frame, metres."""
-    renderer = Renderer({"object": (model.vertices, model.faces)})
+    renderer = object_renderer(model)
     lens = Camera(64.0, 64.0, 31.5, 31.5, 64, 64)
     points: list[Array] = []
     normals: list[Array] = []

@@ -19,12 +19,11 @@ from numpy.typing import NDArray
 from scenes.errors import InputError
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.depth_cameras import DEPTH_CAMERAS
 from scenes.recordings.frames import Contacts, EmptyRegions, Frame, GelImage, Wrench
 from scenes.synthesis.grasping.hiding import Placement, place
-from scenes.synthesis.loose_fingers import random_contacts
+from scenes.synthesis.loose_fingers import object_renderer, random_contacts
 from scenes.synthesis.noise import presets as noise_models
 from scenes.synthesis.noise.presets import LastingErrors, NoisePreset
 from scenes.synthesis.photography import photograph, smeared
@@ -171,7 +170,7 @@ class _Recording:
             from scenes.synthesis.gels import with_gels
 
             self.hand = with_gels(self.hand or hand, seed)
-        self.renderer = Renderer({"object": (model.vertices, model.faces)})
+        self.renderer = object_renderer(model).copy()
         self.stage = Stage(self.renderer, model, settings, self.staging)
         self.motion_notes: dict[str, Any] = {}
         self.placement: Placement | None = None

@@ -63,13 +63,18 @@ class View:
     def camera_from_scene(self, target: Array) -> Array:
         """(4, 4) pose of the scene in the camera."""
         forward = -self.direction
-        helper = np.eye(3)[np.argmin(np.abs(forward))]
-        right = np.cross(helper, forward)
-        right /= np.linalg.norm(right)
-        axes = np.stack([right, np.cross(forward, right), forward])
+        right = _crossed(np.eye(3)[np.argmin(np.abs(forward))], forward)
+        right /= np.sqrt(right.dot(right))
+        axes = np.stack([right, _crossed(forward, right), forward])
         rotation = poses.exp_rotation([0.0, 0.0, self.roll]) @ axes
         place = np.array([*self.tangent, 1.0]) * self.distance
         return poses.make_pose(rotation, place - rotation @ target)
+
+
+def _crossed(first: Array, second: Array) -> Array:
+    """The cross product of (3,) and (3,): of two vectors NumPy takes ten times as long."""
+    (a, b, c), (x, y, z) = first.tolist(), second.tolist()
+    return np.array([b * z - c * y, c * x - a * z, a * y - b * x])
 
 
 def look_at(direction: Array, target: Array, distance: float, roll: float = 0.0) -> Array:

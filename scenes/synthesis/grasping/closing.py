@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
+from scenes.robot import clearance_kernels as kernels
 from scenes.robot.fingers import Finger, find_fingers, reach_bounds
 from scenes.robot.hands import Hand
 from scenes.robot.tips import FINE, nearest
@@ -39,6 +40,10 @@ class ExactClosing:
         self._cores = {f.sensor: f.tip.samples(FINE) for f in self.fingers}
         self._points, _, self._link = hand.surface_samples(spacing)
         self._pieces = [self._points[self._link == row] for row in range(len(hand.link_names))]
+        self._starts = np.cumsum([0, *map(len, self._pieces)])
+        self._sorted = np.concatenate(self._pieces)
+        count = len(self._sorted)
+        self._room = np.zeros(count), np.zeros((count, 3)), np.zeros(count, dtype=np.int64)
         surface, _ = model.sample_surface(3000, seed=0)
         # every corner of the mesh counts; beyond 40,000 they are nearer to one another than any tolerance
         corners = model.vertices[:: len(model.vertices) // 40_000 + 1]
@@ -70,7 +75,7 @@ class ExactClosing:
         misses = 0
         for finger in sorted(self.fingers, key=lambda f: f.is_thumb):  # the thumb last: it gives way to the fingers
             if finger.sensor in sensors:
-                around = object_in_hand[self._around(finger, q, object_in_hand)]
+                around = self._around(finger, q, object_in_hand)
                 q = self._close_finger(finger, q, start, speed, hand_from_object, around)
             if self.clearance(finger, q, hand_from_object, object_in_hand) < 0:
                 return None
@@ -94,12 +99,13 @@ class ExactClosing:
             return True
         return self._overlap(q) > self.self_overlap
 
-    def _around(self, finger: Finger, q: Array, points: Array) -> NDArray[np.bool_]:
-        """Which points (n, 3) the finger can meet within a little motion; the rest is checked once, at the end."""
+    def _around(self, finger: Finger, q: Array, points: Array) -> Array:
+        """Those of points (n, 3) that the finger can meet in a little motion; the rest is checked once, at the end."""
         hand_from_link = self.hand.link_poses(q)
         reach = np.concatenate([poses.apply(hand_from_link[row], self._pieces[row]) for row in finger.links])
         low, high = reach.min(axis=0) - REACH, reach.max(axis=0) + REACH
-        return ((points > low) & (points < high)).all(axis=1)
+        near = np.zeros(points.shape)
+        return near[: kernels.in_box(points, low, high, near)]
 
     def _close_finger(
         self, finger: Finger, q: Array, start: Array, speed: Array, hand_from_object: Array, object_in_hand: Array
@@ -215,20 +221,20 @@ class ExactClosing:
         """Smallest distance between these links and the object, both ways; negative when one is inside the other."""
         hand_from_link = self.hand.link_poses(q)
         object_from_hand = poses.inverse(hand_from_object)
-        samples = np.concatenate(
-            [poses.apply(object_from_hand @ hand_from_link[row], self._pieces[row]) for row in rows]
-        )
-        smallest = self._sample_clearance(samples)
+        smallest = self._sample_clearance(object_from_hand @ hand_from_link, rows)
         if finger is not None and finger.tip_link in rows:
             smallest = min(smallest, self._tip_gap(finger, object_from_hand @ hand_from_link[finger.tip_link])[1])
-        for row in rows:
-            smallest = min(smallest, _points_to_link(self.hand, row, hand_from_link[row], object_in_hand))
+        smallest = _points_to_links(self.hand, rows, hand_from_link, object_in_hand, smallest)
         if finger is not None and finger.is_thumb:
             smallest = min(smallest, self._thumb_to_fingers(finger, hand_from_link, rows))
         return smallest
 
-    def _sample_clearance(self, samples: Array) -> float:
-        rough = self.model.field.distance(samples)
+    def _sample_clearance(self, object_from_link: Array, rows: tuple[int, ...]) -> float:
+        """Least distance (m) of the samples of these links, of object_from_link (l, 4, 4), from the object."""
+        field = self.model.field
+        given = object_from_link, np.array(rows), self._sorted, self._starts, field.blocks
+        samples = self._room[1][: kernels.may_be_near(*given, EXACT_BELOW, *self._room)]
+        rough = field.distance(samples)
         near = np.abs(rough) < EXACT_BELOW
         smallest = float(rough[~near].min(initial=np.inf))
         if near.any():
@@ -272,8 +278,7 @@ class ExactClosing:
         """Distance from the thumb's samples to the other fingers' links, the allowed overlap added."""
         points = np.concatenate([poses.apply(hand_from_link[row], self._pieces[row]) for row in rows])
         others = {i for f in self.fingers if f is not thumb for i in f.links}
-        gaps = [_points_to_link(self.hand, row, hand_from_link[row], points) for row in others]
-        return min(gaps, default=np.inf) + self.self_overlap
+        return _points_to_links(self.hand, tuple(others), hand_from_link, points) + self.self_overlap
 
     def _overlap(self, q: Array) -> float:
         """How deep links of one finger lie inside links of another (m), 0 when they do not."""
@@ -285,38 +290,56 @@ class ExactClosing:
             for other in self.fingers:
                 if other is not finger:
                     # knuckles sit in the palm beside one another
-                    for row in other.links[1:]:
-                        deepest = max(deepest, -_points_to_link(self.hand, row, hand_from_link[row], points))
+                    deepest = max(deepest, -_points_to_links(self.hand, other.links[1:], hand_from_link, points))
         return deepest
 
 
+# Convex pieces of all links: outward normals (p, 3), offsets (p,), of each piece a box a little larger, low and high
+# (k, 3), where its planes begin (k + 1,), where the pieces of each link do (l + 1,), and balls about a link's boxes
+# (l, 4), middle and radius.
+Pieces = tuple[Array, Array, Array, Array, NDArray[np.int64], NDArray[np.int64], Array]
+
+
 @lru_cache(maxsize=16)
-def _convex_links(hand: Hand) -> list[list[tuple[Array, Array, Array, Array]]]:
-    """For each link its convex pieces: outward normals (m, 3), offsets (m,), corners of a box a little larger."""
+def _convex_pieces(hand: Hand) -> Pieces:
+    """The convex pieces of each link."""
     import trimesh
 
-    links = []
-    for shapes in hand.robot.links.values():
-        pieces = []
+    normals, offsets, boxes, links = [np.zeros((0, 3))], [np.zeros(0)], [np.zeros((0, 2, 3))], [0]
+    balls = np.zeros((len(hand.link_names), 4))
+    for row, shapes in enumerate(hand.robot.links.values()):
         for shape in shapes:
             mesh = trimesh.Trimesh(shape.vertices, shape.faces, process=False)
             if not mesh.is_convex:
                 continue  # only its samples are held against the object
-            normals = np.array(mesh.face_normals)
-            offsets = np.einsum("ij,ij->i", normals, np.array(mesh.triangles_center))
-            pieces.append((normals, offsets, shape.vertices.min(axis=0) - 0.002, shape.vertices.max(axis=0) + 0.002))
-        links.append(pieces)
-    return links
+            normals.append(np.array(mesh.face_normals))
+            offsets.append(np.einsum("ij,ij->i", normals[-1], np.array(mesh.triangles_center)))
+            boxes.append(np.array([[shape.vertices.min(axis=0) - 0.002, shape.vertices.max(axis=0) + 0.002]]))
+        links.append(len(boxes) - 1)
+        if links[-1] > links[-2]:
+            own = np.concatenate(boxes[1 + links[-2] :])
+            low, high = own[:, 0].min(axis=0), own[:, 1].max(axis=0)
+            balls[row] = (*(low + high) / 2, np.linalg.norm(high - low) / 2 + kernels.SLACK)
+    box, starts = np.concatenate(boxes), np.cumsum([len(planes) for planes in normals])
+    ends = np.ascontiguousarray(box[:, 0]), np.ascontiguousarray(box[:, 1])
+    return np.concatenate(normals), np.concatenate(offsets), *ends, starts, np.array(links), balls
 
 
-def _points_to_link(hand: Hand, row: int, hand_from_link: Array, points: Array) -> float:
-    """Least distance from points (n, 3), hand frame, to the link's convex pieces; negative inside; far: infinity."""
-    smallest = np.inf
-    local = (points - hand_from_link[:3, 3]) @ hand_from_link[:3, :3]
-    for normals, offsets, low, high in _convex_links(hand)[row]:
-        near = np.nonzero((local[:, 0] > low[0]) & (local[:, 0] < high[0]))[0]
-        candidates = local[near]
-        candidates = candidates[((candidates > low) & (candidates < high)).all(axis=1)]
-        if len(candidates):
-            smallest = min(smallest, float((candidates @ normals.T - offsets).max(axis=1).min()))
-    return smallest
+def _points_to_links(
+    hand: Hand, rows: tuple[int, ...], hand_from_link: Array, points: Array, smallest: float = np.inf
+) -> float:
+    """Least of `smallest` and the distances (m) from points (n, 3), hand frame, to these links' convex pieces, of each
+    those in its box; negative inside. hand_from_link (l, 4, 4).
+    """
+    pieces = _convex_pieces(hand)
+    normals, offsets, low, _, starts, links, _ = pieces
+    seen, first = np.zeros(len(low), dtype=np.int64), np.zeros((len(low), 3))
+    given = hand_from_link, np.array(rows, dtype=np.int64), pieces
+    smallest, alone = kernels.least_to_pieces(points, *given, smallest, np.zeros(3), seen, first)
+    if alone:
+        for row in rows:
+            for k in range(links[row], links[row + 1]):
+                if seen[k] == 1:
+                    own = slice(starts[k], starts[k + 1])
+                    smallest = min(smallest, float((first[k : k + 1] @ normals[own].T - offsets[own]).max()))
+    return float(smallest)

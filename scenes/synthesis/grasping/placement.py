@@ -135,13 +135,14 @@ def across_palm(
         y = rng.normal(0.0, settings.across) - place
         placed[i] = poses.make_pose(rotation, (x, y, 0.3 - turned[:, 2].min()))
     q = open_hand(hand, count, rng, settings)
-    # straight down the palm's normal: clearance is how far it may move at least
+    # straight down the palm's normal: clearance is how far it may move at least; what does not move stays where it is
+    hand_from_link, move, rows = hand.link_poses(q), np.zeros(count), np.arange(count)
     for _ in range(30):
-        links, _ = clearance.links_and_tips(q, placed)
-        move = links.min(axis=1) - settings.gap[0]
+        move[rows] = clearance.least(hand_from_link[rows], placed[rows]) - settings.gap[0]
         placed[:, 2, 3] -= np.maximum(move, 0.0)
         if move.max() < 4e-4:
             break
+        rows = rows[move[rows] > 0.0]
     placed[:, 2, 3] += rng.uniform(0.0, settings.gap[1] - settings.gap[0], size=count)
     return placed, q
 
@@ -266,8 +267,7 @@ def between_tips(
                 q[:, j] = low + curl * (high - low)
     if len(q) == 0:
         return placed, q
-    links, _ = clearance.links_and_tips(q, placed)
-    free = np.nonzero(links.min(axis=1) > 1e-3)[0][:count]
+    free = np.nonzero(clearance.least(hand.link_poses(q), placed) > 1e-3)[0][:count]
     return placed[free], q[free]
 
 

@@ -109,6 +109,27 @@ def test_own_pixels_agree_with_the_rendered_ids(seed):
     assert alone == renderer.render(SMALL, {"a": where["a"]}).mask("a").sum()
 
 
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10**6), st.floats(0.06, 0.9))
+def test_own_pixels_of_many_vertices_behind_several_things(seed, distance):
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=0.05)
+    assert len(ball.vertices) > 4000
+    ball.vertices *= (1.0, 0.3, 2.0)
+    wall = np.array([[-0.05, -1, 0], [1, -1, 0], [1, 1, 0.1], [-0.05, 1, 0.1]]), np.array([[0, 1, 2], [0, 2, 3]])
+    shapes = {"a": (ball.vertices, ball.faces), "wall": wall, "b": (BOX.vertices, BOX.faces)}
+    renderer = Renderer(shapes)
+    where = {"a": placed(seed, distance), "wall": placed(seed + 1, 0.4), "b": placed(seed + 2, 0.5)}
+    for _ in range(2):  # then once more in a view that is known
+        alone, seen = renderer.own_pixels(SMALL, where, "a")
+        assert seen == renderer.render(SMALL, where).mask("a").sum()
+        assert alone == renderer.render(SMALL, {"a": where["a"]}).mask("a").sum()
+    assert renderer.copy().own_pixels(SMALL, {"a": where["a"]}, "a") == (alone, alone)
+    renderer.add("a", *shapes["b"])
+    assert renderer.own_pixels(SMALL, {"a": where["a"]}, "a") == Renderer({"a": shapes["b"]}).own_pixels(
+        SMALL, {"a": where["a"]}, "a"
+    )
+
+
 def test_nothing_to_see_is_zero_depth():
     renderer = Renderer({"none": (np.zeros((0, 3)), np.zeros((0, 3))), "box": (BOX.vertices, BOX.faces)})
     behind = poses.make_pose(None, [0, 0, -1.0])
