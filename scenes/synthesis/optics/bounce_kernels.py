@@ -7,7 +7,8 @@ import math
 import numba
 import numpy as np
 
-from scenes.synthesis.optics.light_kernels import reflectance
+from scenes._numba import LENT
+from scenes.synthesis.optics.light_kernels import no_spots, spotted
 
 
 @numba.njit(cache=True, nogil=True)
@@ -50,6 +51,17 @@ def phasors(  # type: ignore[no-untyped-def]
     and detoured (r, c, f) complex: surfaces at every `step`-th ray from step // 2 on, and the light that comes to them
     by way of others, over that which would come straight at their distance.
     """
+    images, near = (depth, ids, normals, materials, meshes), (near_ids, near_normals, near_depth, detoured)
+    room = no_spots(), np.zeros(len(waves), dtype=np.complex128)
+    _phasor_rows(first, last, samples, lens, images, waves, step, near, ambient, room, swing_out, steady_out)
+
+
+@numba.njit(cache=True, nogil=True, **LENT)
+def _phasor_rows(first, last, samples, lens, images, waves, step, near, ambient, room, swing_out, steady_out):  # type: ignore[no-untyped-def]
+    """As phasors, which has room for `spotted` (2, 11) and for sums (f,) complex."""
+    depth, ids, normals, materials, meshes = images
+    near_ids, near_normals, near_depth, detoured = near
+    kept, total = room
     share = 1.0 / (samples * samples)
     count = len(waves)
     for row in range(first, last):
@@ -67,13 +79,15 @@ def phasors(  # type: ignore[no-untyped-def]
                     nx, ny, nz = normals[v, u, 0], normals[v, u, 1], normals[v, u, 2]
                     cosine = max(-(nx * x + ny * y + nz * z) / far, 0.0)
                     material = materials[index]
-                    albedo = reflectance(material, meshes[index], x, y, z)
+                    albedo = spotted(material, meshes[index], kept, x, y, z)
                     shine = 0.0
                     if material[3] > 0.0:
                         shine = material[3] * (material[4] + 8.0) / 8.0 * cosine ** material[4]
                     straight = cosine * (albedo + shine) / (far * far)
                     steady_out[row, column] += share * (straight + ambient * albedo)
-                    weight, total = 0.0, np.zeros(count, dtype=np.complex128)
+                    weight = 0.0
+                    for f in range(count):
+                        total[f] = 0.0
                     if detoured.shape[2] == count:
                         a, b = (v - step // 2) / step, (u - step // 2) / step
                         i0, j0 = math.floor(a), math.floor(b)
@@ -106,18 +120,26 @@ def distances(first, last, swings, keep, waves, farthest, disagreement, out):  #
     The phase of the first frequency leaves whole turns open: those are taken at which the others agree best. Distances
     are averaged with weights wave^2 amplitude^2, which is one over their variance.
     """
+    room = np.zeros((2, len(waves)))
+    _distance_rows(first, last, swings, keep, waves, farthest, disagreement, room, out)
+
+
+@numba.njit(cache=True, nogil=True, **LENT)
+def _distance_rows(first, last, swings, keep, waves, farthest, disagreement, room, out):  # type: ignore[no-untyped-def]
+    """As distances, which has room (2, f)."""
     count = len(waves)
+    phase, weight = room[0], room[1]
     for row in range(first, last):
         for column in range(out.shape[1]):
             if not keep[row, column]:
                 continue
-            phase = np.zeros(count)
-            weight = np.zeros(count)
+            power = 0.0
             for f in range(count):
                 swing = swings[row, column, f]
                 phase[f] = -math.atan2(swing.imag, swing.real)
                 weight[f] = waves[f] ** 2 * (swing.real**2 + swing.imag**2)
-            best, least, power = 0.0, np.inf, weight.sum()
+                power += weight[f]
+            best, least = 0.0, np.inf
             if power <= 0.0:
                 continue
             turns = int(farthest * waves[0] / math.pi) + 1

@@ -7,6 +7,8 @@ import math
 import numba
 import numpy as np
 
+from scenes._numba import LENT
+
 
 @numba.njit(cache=True, nogil=True, inline="always")
 def _random(i, j, k):  # type: ignore[no-untyped-def]
@@ -19,19 +21,27 @@ def _random(i, j, k):  # type: ignore[no-untyped-def]
     return ((h ^ (h >> 15)) & 0xFFFF) / 32767.5 - 1.0
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-def _spots(x, y, z):  # type: ignore[no-untyped-def]
-    """Trilinear interpolation of random numbers on the integer lattice, standard deviation about 0.3."""
+@numba.njit(cache=True, nogil=True, **LENT)
+def _spots(x, y, z, kept):  # type: ignore[no-untyped-def]
+    """Trilinear interpolation of random numbers on the integer lattice, standard deviation about 0.3; kept (11,): the
+    cell asked for last, NaN at first, and its eight numbers, for the next point is mostly in the same.
+    """
     i, j, k = math.floor(x), math.floor(y), math.floor(z)
     a, b, c = x - i, y - j, z - k
     i, j, k = int(i), int(j), int(k)
+    if kept[0] != i or kept[1] != j or kept[2] != k:
+        kept[0], kept[1], kept[2] = i, j, k
+        for di in range(2):
+            for dj in range(2):
+                for dk in range(2):
+                    kept[3 + 4 * di + 2 * dj + dk] = _random(i + di, j + dj, k + dk)
     total = 0.0
     for di in range(2):
         wa = a if di else 1.0 - a
         for dj in range(2):
             wb = wa * (b if dj else 1.0 - b)
             for dk in range(2):
-                total += wb * (c if dk else 1.0 - c) * _random(i + di, j + dj, k + dk)
+                total += wb * (c if dk else 1.0 - c) * kept[3 + 4 * di + 2 * dj + dk]
     return total
 
 
@@ -40,6 +50,18 @@ def reflectance(material, mesh_from_camera, x, y, z):  # type: ignore[no-untyped
     """Albedo of a material (albedo, texture, grain, ...) at a camera-frame point, textured in its mesh's frame (3, 4):
     spots of the grain's size and of four times that, the coarse ones as strong as the fine.
     """
+    return spotted(material, mesh_from_camera, no_spots(), x, y, z)
+
+
+@numba.njit(cache=True, nogil=True)
+def no_spots():  # type: ignore[no-untyped-def]
+    """(2, 11) what `spotted` keeps from point to point, before the first."""
+    return np.full((2, 11), np.nan)
+
+
+@numba.njit(cache=True, nogil=True, **LENT)
+def spotted(material, mesh_from_camera, kept, x, y, z):  # type: ignore[no-untyped-def]
+    """As `reflectance`; kept (2, 11): of fine and coarse spots, see _spots."""
     albedo = material[0]
     if material[1] <= 0.0:
         return albedo
@@ -47,11 +69,11 @@ def reflectance(material, mesh_from_camera, x, y, z):  # type: ignore[no-untyped
     p = (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]) * pitch
     q = (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]) * pitch
     r = (m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]) * pitch
-    spots = _spots(p, q, r) + _spots(0.25 * p + 0.5, 0.25 * q + 0.5, 0.25 * r + 0.5)
+    spots = _spots(p, q, r, kept[0]) + _spots(0.25 * p + 0.5, 0.25 * q + 0.5, 0.25 * r + 0.5, kept[1])
     return min(max(albedo * (1.0 + 2.4 * material[1] * spots), 0.02), 0.98)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def _texel(image, column, row):  # type: ignore[no-untyped-def]
     """Bilinear value of image (h, w), 0 outside."""
     if not (0.0 <= column < image.shape[1] - 1 and 0.0 <= row < image.shape[0] - 1):
@@ -63,7 +85,7 @@ def _texel(image, column, row):  # type: ignore[no-untyped-def]
     return (1.0 - a) * above + a * below
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def _lit(shadow, column, row, z, slack):  # type: ignore[no-untyped-def]
     """Whether a point of depth z before the projector is no deeper than what it sees around there (0: nothing)."""
     if not (0.0 <= column < shadow.shape[1] - 1 and 0.0 <= row < shadow.shape[0] - 1):
@@ -89,6 +111,17 @@ def pattern_light(  # type: ignore[no-untyped-def]
     light_lens (scale, cx, cy); shadow: depth that it sees, shadow_lens (f, cx, cy), slack (m); lamp (3,) unit, towards
     the room's lamp.
     """
+    images, shadows = (depth, ids, normals, materials, meshes), (shadow, shadow_lens, slack)
+    lights = (projector, light, light_lens, ambient, lamp_share, lamp)
+    _light_rows(first, last, samples, lens, images, lights, shadows, no_spots(), laser_out, room_out)
+
+
+@numba.njit(cache=True, nogil=True, **LENT)
+def _light_rows(first, last, samples, lens, images, lights, shadows, kept, laser_out, room_out):  # type: ignore[no-untyped-def]
+    """As pattern_light, which has room (2, 11) for `spotted`: what allocates nothing need not count who holds it."""
+    depth, ids, normals, materials, meshes = images
+    projector, light, light_lens, ambient, lamp_share, lamp = lights
+    shadow, shadow_lens, slack = shadows
     share = 1.0 / (samples * samples)
     ox = -(projector[0, 0] * projector[0, 3] + projector[1, 0] * projector[1, 3] + projector[2, 0] * projector[2, 3])
     oy = -(projector[0, 1] * projector[0, 3] + projector[1, 1] * projector[1, 3] + projector[2, 1] * projector[2, 3])
@@ -108,7 +141,7 @@ def pattern_light(  # type: ignore[no-untyped-def]
                     nx, ny, nz = normals[v, u, 0], normals[v, u, 1], normals[v, u, 2]
                     material = materials[index]
                     gloss, sharpness = materials[index, 3], materials[index, 4]
-                    albedo = reflectance(material, meshes[index], x, y, z)
+                    albedo = spotted(material, meshes[index], kept, x, y, z)
                     far = math.sqrt(x * x + y * y + z * z)
                     # the room: even light, and one lamp with its gloss
                     facing = max(nx * lamp[0] + ny * lamp[1] + nz * lamp[2], 0.0)
@@ -140,7 +173,7 @@ def pattern_light(  # type: ignore[no-untyped-def]
             room_out[row, column] = room * share
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, **LENT)
 def _shine(gloss, sharpness, nx, ny, nz, lx, ly, lz, vx, vy, vz):  # type: ignore[no-untyped-def]
     """Blinn-Phong lobe of a material for unit directions to the lamp l and to the camera v, on an albedo's scale."""
     if gloss <= 0.0:
