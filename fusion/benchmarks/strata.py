@@ -106,7 +106,7 @@ def answer_cell(cell: Cell) -> list[Answer]:
             usable = [one for one in methods if one != "touch" or len(made.frame.contacts)]
             frame = made.frame if start else replace(made.frame, prior=None)
             frame = replace(frame, beliefs=beliefs_of(cell.family)) if cell.told else frame
-            rows = compare_frame(frame, judge, usable, cell.seed) if usable else []
+            rows = compare_frame(frame, judge, usable, cell.seed, agree=False) if usable else []
             known = cell.family.name, cell.level, start, judge.model.symmetries, made.key
             out += [answered(row, *known) for row in rows]
     return out

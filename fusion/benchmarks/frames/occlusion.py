@@ -115,7 +115,7 @@ def _family(report: Report, family: Family, asked: tuple[str, ...], settings: Be
             if not warm:
                 compare_frame(made.frame, judge, methods)
                 warm = True
-            for row in compare_frame(made.frame, judge, methods, settings.seed):
+            for row in compare_frame(made.frame, judge, methods, settings.seed, agree=False):
                 found[level, row.method].append(Judged(row, *_in_hand(row, made.frame, judge.model)))
                 answers.append(answered(row, family.name, level, True, judge.model.symmetries, made.key))
     for level in levels:

@@ -185,7 +185,7 @@ def test_what_is_told_of_a_family_are_its_sizes(family):
 def test_only_who_is_told_knows_the_sizes(monkeypatch):
     """The frames are the same, what is believed of them is not."""
     seen = []
-    monkeypatch.setattr(compare, "compare_frame", lambda frame, *_: seen.append(frame) or [])
+    monkeypatch.setattr(compare, "compare_frame", lambda frame, *_, **__: seen.append(frame) or [])
     cells, _ = strata.cells_of(chosen("lab"), 1, BenchSettings(objects=("mug",), quick=True))
     cells += strata.cells_of(chosen("lab"), 1, BenchSettings(objects=("mug",), quick=True, told=True))[0]
     for cell in cells:

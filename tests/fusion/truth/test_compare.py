@@ -75,6 +75,16 @@ def test_every_method_finds_an_unhidden_box(methods):
         json.dumps(row.to_json(), allow_nan=False)
 
 
+def test_agreement_is_told_when_it_is_asked_for():
+    frame, judge = plain_view(), Judge(make("box"))
+    (with_it,), (without,) = (compare_frame(frame, judge, ("icp",), agree=agree) for agree in (True, False))
+    assert np.isfinite(with_it.agreement.cloud)
+    assert np.isnan([without.agreement.cloud, without.agreement.contacts, without.agreement.inliers]).all()
+    assert with_it.errors is not None
+    assert without.errors is not None
+    assert with_it.errors.add_s == without.errors.add_s
+
+
 def test_unknown_methods_are_refused():
     with pytest.raises(InputError, match=r"expected some of icp, .* got magic"):
         check_methods(["icp", "magic"])
