@@ -7,7 +7,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from scenes.errors import InputError
 
 if TYPE_CHECKING:
-    from threadpoolctl import ThreadpoolController
+    from threadpoolctl import LibController
 
 VARIABLE = "PALPATE_THREADS"
 
@@ -40,11 +40,11 @@ BLAS_OF = ("numpy", "scipy.linalg", "cv2")
 
 
 @cache
-def _blas(loaded: tuple[str, ...]) -> ThreadpoolController:
+def _blas(loaded: tuple[str, ...]) -> list[LibController]:
     """What controls those of the modules `loaded`: a controller knows only the libraries that it found when made."""
     from threadpoolctl import ThreadpoolController
 
-    return ThreadpoolController()
+    return [library for library in ThreadpoolController().lib_controllers if library.user_api == "blas"]
 
 
 @contextmanager
@@ -67,20 +67,26 @@ class _Limit:
 
     def __init__(self) -> None:
         self._lock, self._holding = threading.Lock(), 0
-        self._limits = ExitStack()
+        # libraries that had more threads, and how many
+        self._before: list[tuple[LibController, int]] = []
 
     def enter(self) -> None:
         with self._lock:
             if not self._holding:
-                blas = _blas(tuple(name for name in BLAS_OF if name in sys.modules))
-                self._limits.enter_context(blas.limit(limits=1, user_api="blas"))
+                # a context of threadpoolctl's own asks each library for its version, too: a hundredth of a frame's time
+                libraries = _blas(tuple(name for name in BLAS_OF if name in sys.modules))
+                known = [(library, library.get_num_threads()) for library in libraries]
+                self._before = [(library, count) for library, count in known if count is not None and count != 1]
+                for library, _ in self._before:
+                    library.set_num_threads(1)
             self._holding += 1
 
     def leave(self) -> None:
         with self._lock:
             self._holding -= 1
             if not self._holding:
-                self._limits.close()
+                for library, count in self._before:
+                    library.set_num_threads(count)
 
 
 _limit = _Limit()

@@ -33,6 +33,8 @@ Array = NDArray[np.float64]
 
 # Contacts alone are searched in the lattice as it is.
 FINELY = AlignSettings(coarsely=False)
+# Points of the surface, even over its area, of which a start lays one on a contact.
+SAMPLES = 4000
 
 
 def contact_starts(model: ObjectModel, contacts: Contacts, count: int, rng: np.random.Generator) -> Array:
@@ -47,17 +49,16 @@ def contact_starts(model: ObjectModel, contacts: Contacts, count: int, rng: np.r
     poses[:, :3, :3] = rotations
     offsets = rng.normal(size=(count, 3)) * spread
     poses[:, :3, 3] = middle + offsets - rotations @ model.centroid
-    points, normals = model.sample_surface(4000, seed=int(rng.integers(2**31)))
-    half = np.arange(1, count, 2)
+    seed, half = int(rng.integers(2**31)), np.arange(1, count, 2)
     contact = rng.integers(len(contacts), size=len(half))
-    surface = rng.integers(len(points), size=len(half))
+    points, normals = model.sample_surface(SAMPLES, seed, rng.integers(SAMPLES, size=len(half)))
     known = contacts.has_normal[contact]
     if known.any():
         # turn the start so that the surface's normal meets the contact's, the shortest way
-        source = np.einsum("nij,nj->ni", rotations[half], normals[surface])
+        source = np.einsum("nij,nj->ni", rotations[half], normals)
         target = np.where(known[:, None], contacts.normals[contact], source)
         poses[half, :3, :3] = _shortest_turn(source, target) @ rotations[half]
-    placed = np.einsum("nij,nj->ni", poses[half, :3, :3], points[surface])
+    placed = np.einsum("nij,nj->ni", poses[half, :3, :3], points)
     poses[half, :3, 3] = contacts.points[contact] - placed
     return poses
 

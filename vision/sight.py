@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numba
@@ -40,63 +39,82 @@ class SightSettings:
     free_share: float = 0.02
 
 
+# Samples of a block, and of what a processor does at once; where the columns of a block begin: point and normal; and
+# those of the working room: nearest and farthest depth (m) that agrees.
+LENGTH, LANES = 64, 8
+PX, PY, PZ, NX, NY, NZ = (k * LENGTH for k in range(6))
+BLOCK = 6 * LENGTH
+NEARER, FARTHER = 0, LENGTH
+ROOM = 2 * LENGTH
+
+
+def blocks_of(points: Array, normals: Array) -> Array:
+    """(k, BLOCK) samples (n, 3) of a surface for the kernel; those that fill up the last block face nowhere."""
+    out = np.zeros((-(-len(points) // LENGTH) * LENGTH, 6))
+    out[: len(points), :3], out[: len(points), 3:] = points, normals
+    return np.ascontiguousarray(out.reshape(-1, LENGTH, 6).transpose(0, 2, 1)).reshape(-1, BLOCK)
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
-def _sight_shares(
-    depth,
-    fx,
-    fy,
-    cx,
-    cy,
-    points,
-    normals,
-    least_cosine,
-    rotations,
-    translations,
-    floor,
-    nearest,
-    growth,
-    bias,
-    scale,
-    slack,
-    out,
-):
-    """Fill out (n, 2): shares, of the samples facing the camera inside the image, seen past and hidden."""
-    height, width = depth.shape
+def _look_up(block, count, camera, least_cosine, pose, noise, room, pixels):
+    """Fill in the room the depths that agree with `count` samples of a block, several at a time, and pixels (LENGTH,)
+    with the one of each, -1 for those that face away or are outside of the image. pose: rotation and translation.
+    """
+    fx, fy, cx, cy, height, width = camera
+    r, t = pose
+    floor, nearest, growth, bias, scale, slack = noise
+    r00, r01, r02, r10, r11, r12 = r[0, 0], r[0, 1], r[0, 2], r[1, 0], r[1, 1], r[1, 2]
+    r20, r21, r22, t0, t1, t2 = r[2, 0], r[2, 1], r[2, 2], t[0], t[1], t[2]
     flattest = least_cosine * least_cosine
+    # the camera in the object's frame: half of the surface looks away from it, and is not turned into its own
+    ox = r00 * t0 + r10 * t1 + r20 * t2
+    oy = r01 * t0 + r11 * t1 + r21 * t2
+    oz = r02 * t0 + r12 * t1 + r22 * t2
+    high, wide = float(height), float(width)
+    for k in range(count):
+        px, py, pz = block[PX + k], block[PY + k], block[PZ + k]
+        x, y, z = px + ox, py + oy, pz + oz
+        away = block[NX + k] * x + block[NY + k] * y + block[NZ + k] * z
+        faces = (away < 0.0) & (away * away > flattest * (x * x + y * y + z * z))
+        z = r20 * px + r21 * py + r22 * pz + t2
+        x = r00 * px + r01 * py + r02 * pz + t0
+        y = r10 * px + r11 * py + r12 * pz + t1
+        u, v = np.floor(fx * x / z + cx + 0.5), np.floor(fy * y / z + cy + 0.5)
+        inside = faces & (z > 1e-3) & (u >= 0.0) & (v >= 0.0) & (u < wide) & (v < high)
+        pixels[k] = np.int64((v * wide + u) if inside else -1.0)
+        independent = floor + growth * (z - nearest) * (z - nearest)
+        tolerance = 2.5 * np.sqrt(independent * independent + bias * bias + scale * scale * z * z) + slack
+        room[NEARER + k], room[FARTHER + k] = z - tolerance, z + tolerance
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
+def _sight_shares(depth, camera, blocks, count, least_cosine, rotations, translations, noise, work, out):
+    """Fill out (n, 2): shares, of the samples facing the camera inside the image, seen past and hidden.
+
+    depth (h w,) m; camera: fx, fy, cx, cy, h, w; blocks (k, BLOCK): see `blocks_of`, of so many samples. noise: floor,
+    depth it grows from, growth, bias, scale of depth, and what is added to the tolerance (m). work: room (ROOM,), and
+    pixels and places (2, LENGTH).
+    """
+    room, lists = work
+    pixels, places = lists[0], lists[1]
     for n in range(rotations.shape[0]):
-        r, t = rotations[n], translations[n]
-        # the camera in the object's frame: half of the surface looks away from it, and is not turned into its own
-        ox = r[0, 0] * t[0] + r[1, 0] * t[1] + r[2, 0] * t[2]
-        oy = r[0, 1] * t[0] + r[1, 1] * t[1] + r[2, 1] * t[2]
-        oz = r[0, 2] * t[0] + r[1, 2] * t[1] + r[2, 2] * t[2]
-        facing = 0
-        past = 0
-        hidden = 0
-        for k in range(points.shape[0]):
-            px, py, pz = points[k, 0], points[k, 1], points[k, 2]
-            x, y, z = px + ox, py + oy, pz + oz
-            away = normals[k, 0] * x + normals[k, 1] * y + normals[k, 2] * z
-            if away >= 0.0 or away * away <= flattest * (x * x + y * y + z * z):
-                continue
-            z = r[2, 0] * px + r[2, 1] * py + r[2, 2] * pz + t[2]
-            if z <= 1e-3:
-                continue
-            x = r[0, 0] * px + r[0, 1] * py + r[0, 2] * pz + t[0]
-            y = r[1, 0] * px + r[1, 1] * py + r[1, 2] * pz + t[1]
-            u = math.floor(fx * x / z + cx + 0.5)
-            v = math.floor(fy * y / z + cy + 0.5)
-            if u < 0 or v < 0 or u >= width or v >= height:
-                continue
-            facing += 1
-            seen = depth[v, u]
-            if not seen > 0.0:
-                continue
-            independent = floor + growth * (z - nearest) * (z - nearest)
-            tolerance = 2.5 * math.sqrt(independent * independent + bias * bias + scale * scale * z * z) + slack
-            if seen > z + tolerance:
-                past += 1
-            elif seen < z - tolerance:
-                hidden += 1
+        facing = past = hidden = 0
+        for b in range((count + LENGTH - 1) // LENGTH):
+            left = min(count - b * LENGTH, LENGTH)
+            pose = rotations[n], translations[n]
+            whole = (left + LANES - 1) // LANES * LANES
+            _look_up(blocks[b], whole, camera, least_cosine, pose, noise, room, pixels)
+            # listed without a branch: which of them face the camera, no processor guesses
+            listed = 0
+            for k in range(left):
+                places[listed] = k
+                listed += pixels[k] >= 0
+            facing += listed
+            for i in range(listed):
+                k = places[i]
+                seen = depth[pixels[k]]
+                past += seen > room[FARTHER + k]
+                hidden += (seen > 0.0) & (seen < room[NEARER + k])
         out[n, 0] = past / facing if facing > 0 else 0.0
         out[n, 1] = hidden / facing if facing > 0 else 1.0
 
@@ -122,7 +140,7 @@ class Sight:
         )
         self._model = depth_model or DepthModel()
         self.settings = settings or SightSettings()
-        self._points, self._normals = model.sample_surface(self.settings.samples)
+        self._blocks = blocks_of(*model.sample_surface(self.settings.samples))
 
     def costs(self, candidates: Array, slack: float = 0.0) -> Array:
         """(n,) nats for poses (n, 4, 4) camera_from_object; slack (m) is added to the tolerance on depth."""
@@ -130,16 +148,17 @@ class Sight:
         if self._depth is None or self._camera is None:
             return out[:, 0]
         c, m, s = self._camera, self._model, self.settings
-        points, normals = self._points, self._normals
-        if len(candidates) > s.many:  # they were drawn at random: the first are as even as all
-            points, normals = points[: s.samples_sifting], normals[: s.samples_sifting]
+        # when they are many, fewer samples: they were drawn at random, the first are as even as all
+        count = min(s.samples_sifting, s.samples) if len(candidates) > s.many else s.samples
         rotations = np.ascontiguousarray(candidates[:, :3, :3])
         translations = np.ascontiguousarray(candidates[:, :3, 3])
-        view = (self._depth, c.fx, c.fy, c.cx, c.cy, points, normals, s.least_cosine)
+        camera = c.fx, c.fy, c.cx, c.cy, *self._depth.shape
         noise = (m.axial_floor, m.axial_from, m.axial_growth, m.bias_sigma, m.scale_sigma, slack)
+        view = self._depth.reshape(-1), camera, self._blocks, count, s.least_cosine
 
         def work(part: slice) -> None:
-            _sight_shares(*view, rotations[part], translations[part], *noise, out[part])
+            rooms = np.zeros(ROOM), np.zeros((2, LENGTH), dtype=np.int64)
+            _sight_shares(*view, rotations[part], translations[part], noise, rooms, out[part])
 
-        run_chunks(work, len(candidates), smallest=20_000 // len(points))
+        run_chunks(work, len(candidates), smallest=20_000 // count)
         return s.cells * (s.cost_past * np.maximum(out[:, 0] - s.free_share, 0.0) + s.cost_hidden * out[:, 1])

@@ -228,19 +228,23 @@ class ObjectModel:
         """Everything but the ray-casting scene, which does not pickle and is rebuilt where it is needed."""
         return {key: value for key, value in self.__dict__.items() if key != "surface"}
 
-    def sample_surface(self, count: int, seed: int = 0) -> tuple[Array, Array]:
-        """Points (count, 3) uniform over the area and their outward normals (count, 3); not to be written to."""
-        if (count, seed) in self._sampled:
+    def sample_surface(self, count: int, seed: int = 0, only: NDArray[np.int64] | None = None) -> tuple[Array, Array]:
+        """Points (count, 3) uniform over the area and their outward normals (count, 3); not to be written to. only:
+        numbers (k,) of those that are asked for, in their order.
+        """
+        if only is None and (count, seed) in self._sampled:
             return self._sampled[count, seed]
         rng = np.random.default_rng(seed)
         # as rng.choice of these shares draws, which sums them up each time
-        face = self._face_sums.searchsorted(rng.random(count), side="right")
-        u, v = rng.random((2, count))
+        at, (u, v) = rng.random(count), rng.random((2, count))
+        if only is not None:
+            at, u, v = at[only], u[only], v[only]
+        face = self._face_sums.searchsorted(at, side="right")
         root = np.sqrt(u)
         weights = np.stack([1 - root, root * (1 - v), root * v], axis=1)
         corners = self.vertices[self.faces[face]]
         found = np.einsum("nk,nkd->nd", weights, corners), self.face_normals[face]
-        if seed == 0 and count <= KEPT_SAMPLES:
+        if seed == 0 and only is None and count <= KEPT_SAMPLES:
             self._sampled[count, seed] = found
         return found
 

@@ -1,7 +1,6 @@
 """One thread for linear algebra, whoever asks for it and however many do."""
 
 import threading
-from contextlib import contextmanager
 
 import pytest
 from threadpoolctl import threadpool_info
@@ -11,24 +10,28 @@ from scenes.threads import one_blas_thread
 
 
 class Blas:
-    """Stands for what limits a BLAS; limits: how many are in force, and were ever."""
+    """Stands for a BLAS of four threads; limits: how many are in force, and were ever."""
 
     def __init__(self):
-        self.now = self.ever = 0
+        self.count, self.ever = 4, 0
 
-    @contextmanager
-    def limit(self, limits, user_api):
-        assert (limits, user_api) == (1, "blas")
-        self.now, self.ever = self.now + 1, self.ever + 1
-        yield
-        self.now -= 1
+    @property
+    def now(self):
+        return int(self.count == 1)
+
+    def get_num_threads(self):
+        return self.count
+
+    def set_num_threads(self, count):
+        assert count in (1, 4)
+        self.count, self.ever = count, self.ever + (count == 1)
 
 
 @pytest.fixture
 def blas(monkeypatch):
     """A BLAS of this test's own: searches of a live track may still hold the process's."""
     made = Blas()
-    monkeypatch.setattr(threads, "_blas", lambda loaded: made)
+    monkeypatch.setattr(threads, "_blas", lambda loaded: [made])
     monkeypatch.setattr(threads, "_limit", threads._Limit())
     return made
 

@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+from made_frames import plain_view
 
 from scenes.evidence import table as evidence
 from scenes.evidence.table import VISION
 from scenes.geometry import poses
+from scenes.recordings.beliefs import DepthModel
 from scenes.synthesis import library
+from vision.sight import Sight, SightSettings
 from vision.starts import StartSettings, different, oriented_pixels, pair_starts, seen_starts
 
 SETTINGS = StartSettings()
@@ -86,3 +89,41 @@ def test_a_plane_gives_starts_without_a_number_missing(drill):
     points = np.concatenate([grid, np.full((len(grid), 1), 0.6)], axis=1)
     starts = pair_starts(drill, points, np.random.default_rng(0))
     assert np.isfinite(starts).all()
+
+
+def seen_past_by_numpy(sight, frame, model, pose, count, slack):
+    """What Sight says of one pose, sample by sample in plain arrays."""
+    s, m, camera = sight.settings, DepthModel(), frame.camera
+    points, normals = (part[:count] for part in model.sample_surface(s.samples))
+    there, facing = poses.apply(pose, points), normals @ pose[:3, :3].T
+    cosine = -np.einsum("ij,ij->i", facing, there) / np.linalg.norm(there, axis=1)
+    ahead = (cosine > s.least_cosine) & (there[:, 2] > 1e-3)
+    z = there[ahead, 2]
+    u, v = (
+        np.floor(f * there[ahead, k] / z + c + 0.5)
+        for k, f, c in ((0, camera.fx, camera.cx), (1, camera.fy, camera.cy))
+    )
+    inside = (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
+    if not inside.any():
+        return s.cells * s.cost_hidden
+    z, seen = z[inside], frame.depth[v[inside].astype(int), u[inside].astype(int)]
+    noise = m.axial_floor + m.axial_growth * (z - m.axial_from) ** 2
+    tolerance = 2.5 * np.sqrt(noise**2 + m.bias_sigma**2 + (m.scale_sigma * z) ** 2) + slack
+    past, hidden = (seen > z + tolerance).mean(), ((seen > 0) & (seen < z - tolerance)).mean()
+    return s.cells * (s.cost_past * max(past - s.free_share, 0.0) + s.cost_hidden * hidden)
+
+
+@pytest.mark.parametrize(("many", "count"), [(500, 200), (5, 67)])
+def test_what_is_seen_past_is_what_plain_arrays_say(rng, many, count):
+    model = library.make("mug")
+    frame = plain_view("mug")
+    pose = frame.camera_from_object_truth
+    sight = Sight(frame, model, settings=SightSettings(samples=200, samples_sifting=67, many=many))
+    delta = rng.normal(size=(40, 6)) * ([0.6] * 3 + [0.04] * 3)
+    tried = poses.perturb(pose, delta, model.centroid)
+    tried[1, 0, 3] = 5.0
+    tried[2, 2, 3] = -0.5
+    for slack in (0.0, 0.01):
+        expected = [seen_past_by_numpy(sight, frame, model, one, count, slack) for one in tried]
+        np.testing.assert_allclose(sight.costs(tried, slack), expected, atol=1e-9)
+    assert len(np.unique(expected)) > 20

@@ -25,18 +25,28 @@ LONGEST, SHORTEST_TURN, SHORTEST_MOVE = 0.3, 1e-5, 1e-6
 
 @numba.njit(cache=True, nogil=True, **LENT)
 def factorize(a, n):
-    """Cholesky of the symmetric a (n, n), upper triangle in place: a = U^T U; False where it is not positive."""
-    for k in range(n):
-        pivot = a[k, k]
-        if not pivot > 0.0:
-            return False
-        root = math.sqrt(pivot)
-        for j in range(k, n):
-            a[k, j] /= root
-        for i in range(k + 1, n):
-            factor = a[k, i]
+    """Cholesky of the symmetric a (n, n), upper triangle in place: a = U^T U; False where it is not positive.
+
+    Four pivots at a time, so that what they are taken off is fetched and put back once; each number's differences are
+    taken in the order of the pivots, as one by one.
+    """
+    for k in range(0, n, 4):
+        end = min(k + 4, n)
+        for p in range(k, end):
+            pivot = a[p, p]
+            if not pivot > 0.0:
+                return False
+            root = math.sqrt(pivot)
+            for j in range(p, n):
+                a[p, j] /= root
+            for i in range(p + 1, end):
+                factor = a[p, i]
+                for j in range(i, n):
+                    a[i, j] -= factor * a[p, j]
+        for i in range(end, n):
+            f0, f1, f2, f3 = a[k, i], a[k + 1, i], a[k + 2, i], a[k + 3, i]
             for j in range(i, n):
-                a[i, j] -= factor * a[k, j]
+                a[i, j] = a[i, j] - f0 * a[k, j] - f1 * a[k + 1, j] - f2 * a[k + 2, j] - f3 * a[k + 3, j]
     return True
 
 
