@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from scenes.geometry import poses
+from scenes.geometry.cameras import is_reading
 from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import Beliefs, CalibrationModel
 from vision.look.hand import camera_from_hand, prior_information, prior_spread, view_hand
-from vision.look.hand_kernels import pulls
+from vision.look.hand_kernels import explained, pulls
 from vision.look.pixels import read_pixels
 
 FULL = (0, 0, 640, 480)
@@ -35,6 +36,38 @@ def test_a_known_calibration_error_is_found(exact_frame, seed):
     # the correction, applied to what the robot reports, is the aligned hand
     assert np.allclose(view.correct() @ view.measured, view.aligned)
     assert np.allclose(poses.perturb(np.eye(4), view.xi, view.centre) @ view.measured, view.aligned)
+
+
+@pytest.mark.parametrize("way", [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1), (1, -1, 1)])
+@pytest.mark.parametrize("far", [0.015, 0.02])
+def test_a_hand_is_found_where_no_alignment_reaches(exact_frame, way, far):
+    error = poses.make_pose(None, far * np.array(way) / np.linalg.norm(way))
+    view = look(exact_frame, world_from_hand=error @ exact_frame.world_from_hand)
+    left = poses.difference(view.aligned @ poses.inverse(exact_frame.world_from_hand), np.eye(4), view.centre)
+    assert np.linalg.norm(left[3:]) < 0.003
+    # what it is told as is what was found
+    assert np.allclose(poses.perturb(np.eye(4), view.xi, view.centre) @ view.measured, view.aligned)
+
+
+def test_how_much_of_a_hand_is_explained_is_as_by_numpy(rng):
+    lens, near, past = (500.0, 510.0, 40.3, 29.7), 0.012, 0.02
+    points = np.stack([rng.uniform(-0.06, 0.06, 200), rng.uniform(-0.05, 0.05, 200), rng.uniform(0.4, 0.6, 200)], 1)
+    points[:3, 2] = -0.2, 0.0, 0.01  # behind the camera, in it, and nearer than anything that is read
+    depth = rng.uniform(0.4, 0.6, (60, 80)).astype(np.float32)
+    depth[::7], depth[:, 5], depth[:, 9] = 0.0, np.nan, np.inf
+    shifts = 0.01 * rng.normal(size=(5, 3))
+    found = np.zeros(5)
+    explained(points, shifts, lens, depth, near, past, found)
+    for shift, count in zip(shifts, found):
+        there = points + shift
+        there = there[there[:, 2] > past]
+        u = np.floor(lens[0] * there[:, 0] / there[:, 2] + lens[2] + 0.5).astype(int)
+        v = np.floor(lens[1] * there[:, 1] / there[:, 2] + lens[3] + 0.5).astype(int)
+        inside = (u >= 0) & (v >= 0) & (u < 80) & (v < 60)
+        read, z = depth[v[inside], u[inside]].astype(np.float64), there[inside, 2]
+        good = is_reading(read)
+        behind = read[good] - z[good]
+        assert count == (np.abs(behind) < near).sum() - (behind > past).sum()
 
 
 def test_without_an_error_hardly_anything_moves(exact_frame):

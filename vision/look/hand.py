@@ -7,7 +7,7 @@ left perturbation of camera_from_hand about the hand's seen centre.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from scenes.recordings.beliefs import Beliefs, CalibrationModel
 from scenes.recordings.frames import Frame
 from scenes.robot.posed import PosedHand
 from vision.look.hand_kernels import pulls
+from vision.look.hand_search import HandSearchSettings, elsewhere, shares
 from vision.look.pixels import Pixels
 
 Array = NDArray[np.float64]
@@ -39,6 +40,8 @@ class HandViewSettings:
     margin: float = 0.005
     # Below this many pixels the hand is not seen.
     fewest: int = 60
+    # Where else it is looked for.
+    search: HandSearchSettings = field(default_factory=HandSearchSettings)
 
 
 @dataclass(frozen=True)
@@ -116,21 +119,43 @@ def view_hand(
     beliefs: Beliefs,
     settings: HandViewSettings | None = None,
 ) -> HandView | None:
-    """Align the frame's hand to the pixels (camera frame) that may show it; None without a hand, joints or pose."""
+    """Align the frame's hand to the pixels (camera frame) that may show it, and look for it where it is seen better;
+    None without a hand, joints or pose.
+    """
     settings = settings or HandViewSettings()
     measured = camera_from_hand(frame)
     if frame.hand is None or frame.joints is None or measured is None:
         return None
     surface = PosedHand(frame.hand, frame.joints)
-    local, gate = se3.apply(se3.inverse(measured), pixels.points), 2 * settings.gates[0]
+    view = _aligned(surface, measured, np.eye(4), pixels, beliefs, settings)
+    if frame.depth is None or frame.camera is None:
+        return view
+    how, points = settings.search, frame.hand.points_on_surface(frame.joints, most=settings.search.points)
+    shift = elsewhere(frame, points, view.aligned, how)
+    if shift is None:
+        return view
+    other = _aligned(surface, measured, se3.make_pose(None, shift) @ view.correct(), pixels, beliefs, settings)
+    both = (view, other)
+    told = [float(shares(frame, points, one.aligned, np.zeros((1, 3)), how.close, how.beyond)[0]) for one in both]
+    return other if told[1] > told[0] + how.better else view
+
+
+def _aligned(
+    surface: PosedHand, measured: Array, correction: Array, pixels: Pixels, beliefs: Beliefs, settings: HandViewSettings
+) -> HandView:
+    """The hand aligned to the pixels that may show it where a correction (4, 4) camera_from_camera has it."""
+    begun = correction @ measured
+    local, gate = se3.apply(se3.inverse(begun), pixels.points), 2 * settings.gates[0]
     may_be = np.flatnonzero(surface.may_be_within(local, gate))
     step = max(1, len(may_be) // settings.most)
     few = may_be[::step]
     points = pixels.points[few[surface.is_within(local[few], gate)]]
     if len(points) < settings.fewest:
-        return HandView(measured, measured, measured[:3, 3], np.zeros(6), points[:0], np.zeros(0), points[:0], surface)
+        xi = se3.difference(correction, np.eye(4), begun[:3, 3])
+        return HandView(measured, begun, begun[:3, 3], xi, points[:0], np.zeros(0), points[:0], surface)
     centre = points.mean(axis=0)
-    return fit_hand(surface, measured, np.zeros(6), centre, points, pixels.area * step, beliefs, settings.gates)
+    xi = se3.difference(correction, np.eye(4), centre)
+    return fit_hand(surface, measured, xi, centre, points, pixels.area * step, beliefs, settings.gates)
 
 
 def fit_hand(

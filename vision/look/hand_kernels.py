@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numba
+
+from scenes.geometry.cameras import FARTHEST_READING
 
 
 @numba.njit(cache=True, nogil=True)
@@ -37,3 +41,33 @@ def pulls(points, distance, gradient, rotation, centre, gate, weight, direction,
     for i in range(6):
         for j in range(i):
             hessian[j, i] = hessian[i, j]
+
+
+@numba.njit(cache=True, nogil=True)
+def explained(points, shifts, lens, depth, near, past, out):  # type: ignore[no-untyped-def]
+    """Count into out (k,), for points (n, 3) of a hand in the camera's frame moved by each of shifts (k, 3), those that
+    are read where they would be, within `near` (m), less those that the camera reads farther than `past` (m) behind.
+    What is read in front of one hides it and tells nothing, nor does a pixel without a reading in depth (h, w). lens:
+    fx, fy, cx, cy.
+    """
+    fx, fy, cx, cy = lens
+    height, width = depth.shape
+    for k in range(len(shifts)):
+        count = 0
+        for n in range(len(points)):
+            z = points[n, 2] + shifts[k, 2]
+            if z <= past:
+                continue
+            u = math.floor(fx * (points[n, 0] + shifts[k, 0]) / z + cx + 0.5)
+            v = math.floor(fy * (points[n, 1] + shifts[k, 1]) / z + cy + 0.5)
+            if u < 0 or v < 0 or u >= width or v >= height:
+                continue
+            read = depth[v, u]
+            if not (read > 0.0 and read < FARTHEST_READING):
+                continue
+            behind = read - z
+            if behind > past:
+                count -= 1
+            elif abs(behind) < near:
+                count += 1
+        out[k] = count
