@@ -194,6 +194,12 @@ class TrackState:
         self.things, self.untold, self.jumps = Occluders(), Untold(), Jumps()
         self.sizes = self.sizes.faded(settings)
 
+    def corrected(self, seen: Array | None) -> Array | None:
+        """(4, 4) camera_from_camera of what the robot reports, as looks at the hand have it; seen: as the last has it,
+        None where no image has shown the hand.
+        """
+        return seen if seen is None or self.known is None else self.known.correction
+
     def told(self, belief: Belief, settings: SizeSettings, sizes: Sizes | None = None) -> Belief:
         """A belief as wide as it is to be told; sizes: with those of a look that is not remembered yet."""
         return self.jumps.told_of((sizes or self.sizes).told_of(belief, settings), settings)

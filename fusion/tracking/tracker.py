@@ -29,7 +29,7 @@ from fusion.tracking import hypotheses as several
 from fusion.tracking.answer import NOTHING_SENSED, OUT_OF_SIGHT, TrackedEstimate, TrackSettings, as_carried, as_tracked
 from fusion.tracking.filter import Belief, Measurement, update
 from fusion.tracking.hypotheses import Hypotheses
-from fusion.tracking.motion import HandMotion, HandState
+from fusion.tracking.motion import HandMotion, HandState, palm_motion
 from fusion.tracking.occluders import Occluders
 from fusion.tracking.slip import SlipWatch, Watched
 from fusion.tracking.state import TrackState
@@ -259,7 +259,8 @@ class Tracker:
         first, beliefs = s.first, self._beliefs
         with trace.stage("predict", True, "") as stage:
             moving = self._velocity, self._hand_motion, self._watch
-            ahead = predict(model, frame, belief, state, *moving, beliefs.calibration)
+            right = state.corrected(self._looker.correction)
+            ahead = predict(model, frame, belief, state, *moving, beliefs.calibration, right)
             predicted, carried = ahead.belief, ahead.hypotheses
             stage.note(0, ahead.why)
         viewed = frame if "vision" in self._senses else frame.without_vision()
@@ -409,7 +410,7 @@ class Tracker:
         if frame.index < state.index:
             if state.hand is None or hand is None:
                 return
-            motion = state.hand.camera_from_hand @ se3.inverse(hand.camera_from_hand)
+            motion = palm_motion(hand, state.hand, state.corrected(self._looker.correction))
             state.belief, state.hypotheses = belief.moved(motion), several.moved(kept, motion)
             self._watch.carry(motion)
             return

@@ -41,8 +41,12 @@ def predict(
     hand_motion: HandMotion,
     watch: SlipWatch,
     calibration: CalibrationModel,
+    correction: Array | None,
 ) -> Predicted:
-    """With the palm and the fingertips where the robot tells of them, else at the last velocity; `watch` is told."""
+    """With the palm and the fingertips where the robot tells of them, else at the last velocity; `watch` is told.
+
+    correction (4, 4): camera_from_camera of what the robot reports, as the image has shown it; None where it has not.
+    """
     now = camera_from_hand(frame)
     if state.hand is None or now is None:
         pose, noise = velocity.predict(frame.index)
@@ -51,18 +55,21 @@ def predict(
         moved = replace(belief.moved(motion), pose=pose)
         carried = several.moved(state.hypotheses, motion)
         return Predicted(Belief(pose, moved.own + noise, moved.shared), carried, "at its last velocity")
-    before = state.hand.camera_from_hand
+    before, right = state.hand.camera_from_hand, np.eye(4) if correction is None else correction
+    told = state.seen_at is None or np.array_equal(state.seen_at, before)
+    before, now = right @ before, right @ now
     motion = now @ se3.inverse(before)
     hold = se3.inverse(before) @ belief.pose
     expected = hand_motion.in_hand(state.hand, frame, hold, max(1, abs(frame.index - state.index)))
     expected = expected.turned(now[:3, :3])
     moved = belief.moved(motion)
     centre = se3.apply(moved.pose, model.centroid[None])[0]
-    drift = calibration_drift(before, now, centre, calibration)
+    left = hand_motion.settings.left(correction is not None)
+    drift = left * calibration_drift(before, now, centre, calibration)
     watch.predict(motion, expected, drift)
-    if state.seen_at is not None and not np.array_equal(state.seen_at, before):
+    if state.seen_at is not None and not told:
         # no camera has told in between what the calibration did
-        drift = np.maximum(drift, drift_since(state.seen_at, before, now, centre, calibration))
+        drift = np.maximum(drift, left * drift_since(right @ state.seen_at, before, now, centre, calibration))
     delta, noise = expected.motion, expected.noise + drift
     whole = se3.perturb(motion @ belief.pose, delta, model.centroid) @ se3.inverse(belief.pose)
     fingers = f"with palm and fingertips, {1e3 * np.linalg.norm(delta[3:]):.2f} mm"

@@ -1,5 +1,6 @@
 """Prediction from the hand: rigid motion exactly, contacts by least squares; honest beliefs; the slip test."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -17,6 +18,7 @@ from fusion.tracking.motion import (
     carried_by_contacts,
     drift_since,
     grasp_transpose,
+    palm_motion,
 )
 from fusion.tracking.spans import SpanTest
 from fusion.tracking.steps.refining import mean_rig, rig_of
@@ -204,6 +206,21 @@ def test_what_a_calibration_makes_of_a_way_adds_up_over_its_steps():
     for part in (slice(0, 3), slice(3, 6)):
         assert found[part].mean() > 3.0 * np.diag(independent)[part].mean()
         assert 0.3 < found[part].mean() / np.diag(whole)[part].mean() < 1.2
+
+
+def test_a_calibration_that_was_seen_moves_nothing_otherwise():
+    """The palm's motion as the robot reports it, corrected, is the true one; what is left of a drift is less."""
+    rng = np.random.default_rng(4)
+    true = [HandState(random_pose(rng), None, (), np.zeros((0, 3))) for _ in range(2)]
+    error = poses.exp(np.array([0.01, -0.02, 0.005, 0.004, 0.003, -0.006]))
+    reported = [replace(one, camera_from_hand=error @ one.camera_from_hand) for one in true]
+    corrected = palm_motion(*reported, poses.inverse(error))
+    np.testing.assert_allclose(corrected, palm_motion(*true, None), atol=1e-12)
+    assert np.abs(palm_motion(*reported, None) - corrected).max() > 1e-3
+    left = HandMotionSettings().left
+    assert (left(False) == 1.0).all()
+    assert np.linalg.eigvalsh(left(True)).min() > -1e-12
+    assert left(True).max() < 0.5
 
 
 def test_calibration_drifts_only_with_motion():
