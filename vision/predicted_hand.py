@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from scenes.geometry.cameras import Camera
 from vision.look.hand import HandView
+from vision.predicted_kernels import spread
 
 Array = NDArray[np.float64]
 
@@ -20,9 +21,7 @@ def widened(mask: NDArray[np.bool_], margin: int) -> NDArray[np.bool_]:
 
 def hand_depth(camera: Camera, hand: HandView, step: int) -> tuple[Array, Array]:
     """Least and largest depth (m) of the hand at and beside every `step` pixels; +inf and -inf where it is not."""
-    import cv2
-
-    low = hand.surface.depth(camera, hand.aligned, (0, 0, camera.width, camera.height), step)
-    high = np.where(np.isfinite(low), low, -np.inf)
-    around = np.ones((3, 3), np.uint8)
-    return np.asarray(cv2.erode(low, around)), np.asarray(cv2.dilate(high, around))
+    drawn = hand.surface.depth(camera, hand.aligned, (0, 0, camera.width, camera.height), step)
+    low, high = np.full(drawn.shape, np.inf), np.full(drawn.shape, -np.inf)
+    spread(drawn, low, high)
+    return low, high

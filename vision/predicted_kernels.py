@@ -28,6 +28,23 @@ NEAREST = 1e-3
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
+def spread(depth, least, most):
+    """Lower least (h, w) and raise most (h, w), +inf and -inf before, to the least and the largest of depth (h, w) at
+    and beside each pixel; inf there is nothing.
+    """
+    height, width = depth.shape
+    for v in range(height):
+        for u in range(width):
+            z = depth[v, u]
+            if z == math.inf:
+                continue
+            for j in range(max(v - 1, 0), min(v + 2, height)):
+                for i in range(max(u - 1, 0), min(u + 2, width)):
+                    least[j, i] = min(least[j, i], z)
+                    most[j, i] = max(most[j, i], z)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
 def outline_rays(points, outer, poses, camera, middle, u, v, across, rays, index, inside):
     """Pixels u, v (n, side) over the box of each pose's outline; fills rays and index, and returns how many rays.
 

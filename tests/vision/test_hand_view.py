@@ -55,11 +55,11 @@ def test_how_much_of_a_hand_is_explained_is_as_by_numpy(rng):
     points[:3, 2] = -0.2, 0.0, 0.01  # behind the camera, in it, and nearer than anything that is read
     depth = rng.uniform(0.4, 0.6, (60, 80)).astype(np.float32)
     depth[::7], depth[:, 5], depth[:, 9] = 0.0, np.nan, np.inf
-    shifts = 0.01 * rng.normal(size=(5, 3))
-    found = np.zeros(5)
-    explained(points, shifts, lens, depth, near, past, found)
-    for shift, count in zip(shifts, found):
-        there = points + shift
+    grid = [0.01 * rng.normal(size=count) for count in (3, 2, 4)]
+    found = np.zeros((4, 2, 3), dtype=np.int64)
+    explained(points, *grid, lens, depth, near, past, found)
+    for place, count in np.ndenumerate(found.T):
+        there = points + [line[k] for line, k in zip(grid, place)]
         there = there[there[:, 2] > past]
         u = np.floor(lens[0] * there[:, 0] / there[:, 2] + lens[2] + 0.5).astype(int)
         v = np.floor(lens[1] * there[:, 1] / there[:, 2] + lens[3] + 0.5).astype(int)

@@ -264,3 +264,14 @@ def test_what_pieces_earn_is_what_plain_arrays_say(rng, parts):
         cell = max(total[n] * area, 1.0) / cells
         outside = np.maximum((1.0 - beside) * sizes - met[1 : parts + 1] * area, 0.0) / cell
         assert lost[n] == pytest.approx(np.minimum(dear * outside, earned).sum(), abs=1e-12)
+
+
+def test_what_is_at_and_beside_each_pixel_is_as_by_numpy(rng):
+    depth = rng.uniform(0.4, 0.6, (12, 17))
+    depth[rng.uniform(size=depth.shape) < 0.7] = np.inf
+    least, most = np.full(depth.shape, np.inf), np.full(depth.shape, -np.inf)
+    predicted_kernels.spread(depth, least, most)
+    wide = np.pad(depth, 1, constant_values=np.inf)
+    around = np.stack([wide[j : j + 12, i : i + 17] for j in range(3) for i in range(3)])
+    assert np.array_equal(least, around.min(axis=0))
+    assert np.array_equal(most, np.where(np.isfinite(around), around, -np.inf).max(axis=0))

@@ -18,7 +18,7 @@ from scenes.recordings.beliefs import Beliefs, CalibrationModel
 from scenes.recordings.frames import Frame
 from scenes.robot.posed import PosedHand
 from vision.look.hand_kernels import pulls
-from vision.look.hand_search import HandSearchSettings, elsewhere, shares
+from vision.look.hand_search import HandSearchSettings, elsewhere, here_alone, shares
 from vision.look.pixels import Pixels
 
 Array = NDArray[np.float64]
@@ -136,7 +136,7 @@ def view_hand(
         return view
     other = _aligned(surface, measured, se3.make_pose(None, shift) @ view.correct(), pixels, beliefs, settings)
     both = (view, other)
-    told = [float(shares(frame, points, one.aligned, np.zeros((1, 3)), how.close, how.beyond)[0]) for one in both]
+    told = [float(shares(frame, points, one.aligned, here_alone(), how.close, how.beyond).max()) for one in both]
     return other if told[1] > told[0] + how.better else view
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numba
+import numpy as np
 
 from scenes.geometry.cameras import FARTHEST_READING
 
@@ -44,30 +45,34 @@ def pulls(points, distance, gradient, rotation, centre, gate, weight, direction,
 
 
 @numba.njit(cache=True, nogil=True)
-def explained(points, shifts, lens, depth, near, past, out):  # type: ignore[no-untyped-def]
-    """Count into out (k,), for points (n, 3) of a hand in the camera's frame moved by each of shifts (k, 3), those that
-    are read where they would be, within `near` (m), less those that the camera reads farther than `past` (m) behind.
+def explained(points, along, across, away, lens, depth, near, past, out):  # type: ignore[no-untyped-def]
+    """Count into out (c, b, a), for points (n, 3) of a hand in the camera's frame moved by every one of `along` (a,) in
+    x, `across` (b,) in y and `away` (c,) in z, those that are read where they would be, within `near` (m), less those
+    that the camera reads farther than `past` (m) behind.
+
     What is read in front of one hides it and tells nothing, nor does a pixel without a reading in depth (h, w). lens:
-    fx, fy, cx, cy.
+    fx, fy, cx, cy. A column is that of all moves in y, and a row that of all in x: each is worked out once. Which
+    readings count is a toss-up, so that they are added up without asking.
     """
     fx, fy, cx, cy = lens
     height, width = depth.shape
-    for k in range(len(shifts)):
-        count = 0
-        for n in range(len(points)):
-            z = points[n, 2] + shifts[k, 2]
+    columns, inside = np.zeros(len(along), np.int64), np.zeros(len(along), np.int64)
+    for n in range(len(points)):
+        for c in range(len(away)):
+            z = points[n, 2] + away[c]
             if z <= past:
                 continue
-            u = math.floor(fx * (points[n, 0] + shifts[k, 0]) / z + cx + 0.5)
-            v = math.floor(fy * (points[n, 1] + shifts[k, 1]) / z + cy + 0.5)
-            if u < 0 or v < 0 or u >= width or v >= height:
-                continue
-            read = depth[v, u]
-            if not (read > 0.0 and read < FARTHEST_READING):
-                continue
-            behind = read - z
-            if behind > past:
-                count -= 1
-            elif abs(behind) < near:
-                count += 1
-        out[k] = count
+            for a in range(len(along)):
+                u = math.floor(fx * (points[n, 0] + along[a]) / z + cx + 0.5)
+                inside[a] = (u >= 0) & (u < width)
+                columns[a] = u if inside[a] else 0
+            for b in range(len(across)):
+                v = math.floor(fy * (points[n, 1] + across[b]) / z + cy + 0.5)
+                if v < 0 or v >= height:
+                    continue
+                for a in range(len(along)):
+                    read = depth[v, columns[a]]
+                    behind = read - z
+                    seen = inside[a] * ((read > 0.0) & (read < FARTHEST_READING))
+                    at = (behind < near) & (behind > -near) & (behind <= past)
+                    out[c, b, a] += seen * (np.int64(at) - np.int64(behind > past))

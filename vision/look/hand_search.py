@@ -40,34 +40,48 @@ class HandSearchSettings:
 
 
 def shares(
-    frame: Frame, points: Array, camera_from_hand: Array, shifts: Array, near: float, past: float
+    frame: Frame, points: Array, camera_from_hand: Array, grid: tuple[Array, Array, Array], near: float, past: float
 ) -> NDArray[np.float64]:
-    """(k,) of the hand's points (n, 3), hand frame: the share that is read where it would be, less the share that is
-    seen past, with the hand at camera_from_hand (4, 4) moved by each of shifts (k, 3), camera frame.
+    """(a, b, c) of the hand's points (n, 3), hand frame: the share that is read where it would be, less the share that
+    is seen past, with the hand at camera_from_hand (4, 4) moved to each place of a grid: (a,), (b,) and (c,) metres
+    along the camera's axes.
     """
     assert frame.camera is not None
     assert frame.depth is not None
     there = points @ camera_from_hand[:3, :3].T + camera_from_hand[:3, 3]
-    camera, out = frame.camera, np.zeros(len(shifts))
+    camera, out = frame.camera, np.zeros([len(line) for line in grid[::-1]], dtype=np.int64)
     lens = camera.fx, camera.fy, camera.cx, camera.cy
-    explained(there, np.ascontiguousarray(shifts), lens, np.ascontiguousarray(frame.depth), near, past, out)
-    return out / max(len(points), 1)
+    explained(there, *grid, lens, np.ascontiguousarray(frame.depth), near, past, out)
+    return np.asarray(out.T / max(len(points), 1), dtype=np.float64)
 
 
 def elsewhere(frame: Frame, points: Array, aligned: Array, settings: HandSearchSettings) -> Array | None:
     """A shift (3,) of an aligned hand, (4, 4) camera_from_hand, to where much more of it would be explained, in metres;
     None where there is none.
     """
-    s, finer = settings, 0.5 * settings.spacing * _cube(1)
-    far = s.spacing * _cube(s.steps)
-    best = far[int(np.argmax(shares(frame, points, aligned, far, s.near, s.past)))]
-    around = np.concatenate([finer, best + finer])
-    found = shares(frame, points, aligned, around, s.close, s.beyond)
-    here, chosen = len(finer) // 2, int(np.argmax(found))
-    return None if found[chosen] < found[here] + s.better else np.asarray(around[chosen], dtype=np.float64)
+    s = settings
+    far, fine = s.spacing * _line(s.steps), 0.5 * s.spacing * _line(1)
+    here, best = (fine,) * 3, _largest(shares(frame, points, aligned, (far,) * 3, s.near, s.past))
+    there = (far[best[0]] + fine, far[best[1]] + fine, far[best[2]] + fine)
+    found = [shares(frame, points, aligned, grid, s.close, s.beyond) for grid in (here, there)]
+    # where both have as much of it, the nearer
+    grid, told = (there, found[1]) if found[1].max() > found[0].max() else (here, found[0])
+    if told.max() < found[0][1, 1, 1] + s.better:
+        return None
+    return np.array([line[k] for line, k in zip(grid, _largest(told))], dtype=np.float64)
 
 
-def _cube(steps: int) -> Array:
-    """(k, 3) whole numbers up to `steps` to either side of 0."""
-    line = np.arange(-steps, steps + 1, dtype=np.float64)
-    return np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
+def here_alone() -> tuple[Array, Array, Array]:
+    """The grid of one place: where the hand is."""
+    return (_line(0),) * 3
+
+
+def _line(steps: int) -> Array:
+    """(k,) whole numbers up to `steps` to either side of 0."""
+    return np.arange(-steps, steps + 1, dtype=np.float64)
+
+
+def _largest(values: Array) -> tuple[int, int, int]:
+    """Where (a, b, c) is largest."""
+    a, b, c = np.unravel_index(int(np.argmax(values)), values.shape)
+    return int(a), int(b), int(c)
