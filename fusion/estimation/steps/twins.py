@@ -57,7 +57,13 @@ def with_twins(
         if not len(turned):
             return modes
     laid = align(model, thin(rows, ROWS), turned, prior, AlignSettings(iterations=STEPS)).poses
-    kept, poses = [first.pose, *(mode.pose for mode in modes[1:])], np.concatenate([first.pose[None], laid])
+    kept = [first.pose, *(mode.pose for mode in modes[1:])]
+    least = most.merge_share * model.radius
+    # most slide back to where they were turned from: nothing is asked about these
+    laid = laid[[_apart(model, kept, pose) >= least for pose in laid]]
+    if not len(laid):
+        return modes
+    poses = np.concatenate([first.pose[None], laid])
     pixels, rest = rows.of(VISION), rows.take(rows.sense != VISION)
     total = costs(model, rest, poses, prior)
     if rough is not None:
@@ -71,9 +77,7 @@ def with_twins(
     for pose, nats in zip(poses[1:], more.tolist()):
         if len(found) >= most.most or nats > most.cost_margin:
             continue
-        delta = se3.difference(model.symmetries.nearest(np.array(kept), pose), pose, model.centroid)
-        apart = np.linalg.norm(delta[:, :3], axis=1) * model.radius + np.linalg.norm(delta[:, 3:], axis=1)
-        if apart.min() < most.merge_share * model.radius:
+        if _apart(model, kept, pose) < least:
             continue
         kept.append(pose)
         weight = first.weight * float(np.exp(-most.temper * nats))
@@ -83,3 +87,10 @@ def with_twins(
         return modes
     ordered = [found[0], *sorted(found[1:], key=lambda mode: mode.cost)]
     return tuple(replace(mode, weight=mode.weight / total_weight) for mode in ordered)
+
+
+def _apart(model: ObjectModel, kept: list[Array], pose: Array) -> float:
+    """Metres by which a point at the object's radius moves from pose (4, 4) to the nearest of those kept (4, 4)."""
+    delta = se3.difference(model.symmetries.nearest(np.array(kept), pose), pose, model.centroid)
+    apart = np.linalg.norm(delta[:, :3], axis=1) * model.radius + np.linalg.norm(delta[:, 3:], axis=1)
+    return float(apart.min())
