@@ -163,14 +163,25 @@ class Competition:
         """Why no more need be asked; "" while there is doubt."""
         return CONVINCED if self.convinced else ""
 
-    def found(self, looked_at: int) -> Found:
+    def found(self, looked_at: int, plan: PlanSettings) -> Found:
         """What is left. looked_at: starts."""
         words = "convincing" if self.convinced else "the best in doubt"
         also: tuple[Array, ...] = ()
         if not self.convinced and self._felt is not None:
             also = (self.pool.compete(self._felt[None])[0].pose,)
+        if not self.convinced:
+            also = (*also, *self._within_modes(plan))
         said = f"{len(self.modes)} of {counted(self.proposed, 'proposal')} left, {words}"
         return Found(self.modes, looked_at, said, also)
+
+    def _within_modes(self, plan: PlanSettings) -> list[Array]:
+        """Poses (4, 4) that were merged with likelier ones and cost little more: from each of them the joint solution
+        may end elsewhere, and only there is it told which is the likeliest.
+        """
+        if self.fitted is None or not len(self.fitted.poses):
+            return []
+        near = self.fitted.poses[self.fitted.costs <= self.fitted.costs[0] + plan.also_within]
+        return [pose for pose in near if not any(np.array_equal(pose, mode.pose) for mode in self.modes)][: plan.also]
 
 
 def glance(pool: Pool, rows: Evidence, starts: Array, trace: Trace) -> Competition:
@@ -230,7 +241,7 @@ def modes_near(
         return find_modes(pool.model, rows, starts, stages, prior, pool.sight.costs, plan, pool.modes)
     glanced = glance(pool, rows, starts, trace) if plan.skipping else None
     if glanced is not None and glanced.why:
-        return glanced.found(pool.proposals.starts_glanced)
+        return glanced.found(pool.proposals.starts_glanced, plan)
     whole, asked = replace(plan, skipping=False), Competition(pool, trace)
     ends = [k for k in plan.rounds if k < len(starts)] if plan.skipping else []
     begin, agreed = 0, False
@@ -273,7 +284,7 @@ def modes_near(
             break
     if not asked.convinced and not agreed:
         asked.look_around()
-    return asked.found(begin)
+    return asked.found(begin, plan)
 
 
 def modes_anywhere(
@@ -359,4 +370,4 @@ def modes_anywhere(
     asked.enter("each piece alone", lambda: pool.of_pieces(tuple(of_pieces)), why_not)
     if not asked.convinced and not agreed:
         asked.look_around()
-    return asked.found(len(starts))
+    return asked.found(len(starts), plan)

@@ -307,6 +307,19 @@ def test_a_search_that_draws_bettered_does_not_end_by_what_a_glance_found(drill)
     assert asked.joins(glanced)
 
 
+def test_places_within_a_mode_in_doubt_are_solved_too(drill):
+    asked, plan = Competition(Rounds(drill, []), Trace()), PlanSettings(also=2, also_within=5.0)
+    assert asked.found(0, plan).also == ()
+    within = np.array([poses.make_pose(None, [0.001 * k, 0.0, 0.0]) for k in range(5)])
+    nats = np.array([0.0, 1.0, 2.0, 3.0, 9.0])
+    asked.fitted = Alignment(within, nats, np.tile(np.eye(6), (5, 1, 1)), np.zeros(5, dtype=np.int64))
+    asked.modes = (Mode(within[0], 1.0, 0.0, np.eye(6)),)
+    np.testing.assert_array_equal(asked.found(0, plan).also, within[1:3])
+    assert len(asked.found(0, replace(plan, also=9)).also) == 3  # one costs too much
+    asked.convinced = True
+    assert asked.found(0, plan).also == ()
+
+
 def test_what_little_is_seen_need_not_show_more_where_contacts_hold_the_object(sensed, lab_frame, monkeypatch):
     pool, first = sensed.pool, Mode(lab_frame.camera_from_object_truth, 1.0, -8.0, 1e-6 * np.eye(6))
     near = Prior.isotropic(first.pose, 0.2, 0.03)
