@@ -100,6 +100,17 @@ class Competition:
         self._leave(self.pool.among(self.fitted.joined(other.fitted)))
         return True
 
+    def learns_of(self, other: Competition) -> bool:
+        """Whether another competition, which knew nothing of this one, found what is likelier than all of this; then
+        what is left of it competes here, too, and nothing is sure.
+        """
+        if other.fitted is None or self.fitted is None:
+            return False
+        if other.modes[0].cost > self.modes[0].cost - self.pool.settings.bettered:
+            return False
+        self._leave(self.pool.among(self.fitted.joined(other.fitted)))
+        return True
+
     def _compete(self, poses: Array, most: int | None) -> None:
         """Let poses (n, 4, 4) compete with what was left."""
         self.proposed += len(poses)
@@ -270,9 +281,11 @@ def modes_near(
             "touch and descents", partial(felt, fresh, descending), "what all rows say is clearly seen" if clear else ""
         )
         if not begin:
-            if pool.predictor.told_apart:
+            # what convinces where nobody says what hides the object is only believed as it is felt
+            if asked.trusted:
                 asked.look_around()
-            before, known = asked.modes, plan.skipping and (asked.trusted or asked.explained)
+            learnt = glanced is not None and asked.learns_of(glanced)
+            before, known = asked.modes, plan.skipping and (asked.trusted or asked.explained) and not learnt
             agreed = glanced is not None and pool.tied and asked.joins(glanced)
             asked.enter(walk_of(pool), walked, AGREED if agreed else asked.enough if known else "")
             if agreed:
