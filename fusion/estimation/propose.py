@@ -206,7 +206,8 @@ def glance(pool: Pool, rows: Evidence, starts: Array, trace: Trace) -> Competiti
         why = "what a glance tells explains what is seen"
     elif asked.convinced and asked.contacts >= s.tying_contacts:
         asked.look_beside()
-        why = asked.enough
+        # where nobody knows the hand, no draw around it may be likelier
+        why = asked.enough if pool.predictor.told_apart or asked.gained < s.hardly else ""
     elif asked.convinced and pool.predictor.told_apart and pool.shows_most(asked.modes[0].pose):
         alone = asked.proposed == 1 and len(asked.modes) == 1
         asked.look_around(ONE_PLACE if alone else "")
