@@ -23,7 +23,7 @@ STEPS = 3
 
 
 def rehearse(new_tracker: Callable[[], Tracker], frame: Frame) -> None:
-    """Track the frame by trackers that are thrown away, and search it as a track will now and then: by itself and
+    """Track the frame by a tracker that is thrown away, and search it as a track will now and then: by itself and
     around what it believes. `new_tracker` makes one as it will be used. Takes a second, on a machine that has not
     compiled yet one or two minutes. Raises what the first step of a track of this frame would raise.
     """
