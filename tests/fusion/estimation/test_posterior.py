@@ -243,10 +243,11 @@ def test_one_normal_the_wrong_way_round_does_not_lose_what_a_camera_sees():
     answer = estimate(replace(frame, contacts=Contacts(frame.contacts.points, normals)), model)
     assert answer.verdict != "lost", answer.notes
     assert Judge(model).errors(answer.pose, frame.camera_from_object_truth).add_s < 0.005
-    turned = estimate(replace(frame, contacts=Contacts(frame.contacts.points, -frame.contacts.normals)), model)
-    # all of them do: whatever is likeliest then, nobody may be sure of it
-    assert turned.verdict != "ok"
-    assert turned.confidence < 0.7
+    against = replace(frame, contacts=Contacts(frame.contacts.points, -frame.contacts.normals))
+    turned = [estimate(against, model, seed=seed) for seed in range(3)]
+    # all of them do: whatever is likeliest then, and each search finds something else, nobody may be sure of it
+    assert all(answer.verdict != "ok" for answer in turned)
+    assert np.mean([answer.confidence for answer in turned]) < 0.7
 
 
 def test_what_contradicts_counts_no_more_than_false_contacts():
