@@ -102,7 +102,7 @@ class Competition:
 
     def learns_of(self, other: Competition) -> bool:
         """Whether another competition, which knew nothing of this one, found what is likelier than all of this; then
-        what is left of it competes here, too, and nothing is sure.
+        what is left of it competes here, too, and what convinces of both is not sure: this one had missed it.
         """
         if other.fitted is None or self.fitted is None:
             return False
@@ -285,9 +285,10 @@ def modes_near(
             # what convinces where nobody says what hides the object is only believed as it is felt
             if asked.trusted:
                 asked.look_around()
-            learnt = glanced is not None and asked.learns_of(glanced)
-            before, known = asked.modes, plan.skipping and (asked.trusted or asked.explained) and not learnt
+            # asked first: what was taken over from a glance agrees with it
             agreed = glanced is not None and pool.tied and asked.joins(glanced)
+            learnt = not agreed and glanced is not None and asked.learns_of(glanced)
+            before, known = asked.modes, plan.skipping and (asked.trusted or asked.explained) and not learnt
             asked.enter(walk_of(pool), walked, AGREED if agreed else asked.enough if known else "")
             if agreed:
                 begin = end

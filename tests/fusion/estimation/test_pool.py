@@ -287,6 +287,22 @@ def test_what_a_glance_and_a_round_find_as_likely_is_walked_for_no_more(drill, m
     assert (np.abs(found.modes[0].pose - pose).max() < 1e-9) == (costlier < 0.0)
 
 
+@pytest.mark.parametrize(("costlier", "tied", "walks"), [(-9.0, True, True), (-9.0, False, True), (9.0, True, False)])
+def test_what_a_glance_found_likelier_is_a_doubt_of_what_convinces(drill, monkeypatch, costlier, tied, walks):
+    pool = Rounds(drill, [0.0] + [0.0005] * 8, shown=0.3)
+    pool.tied = tied
+    glanced = Competition(pool, Trace())
+    pose = poses.make_pose(None, [0.1, 0.0, 0.0])
+    glanced.fitted = Alignment(pose[None], np.array([costlier]), np.eye(6)[None], np.zeros(1, dtype=np.int64))
+    glanced.modes = (Mode(pose, 1.0, costlier, np.eye(6)),)
+    monkeypatch.setattr("fusion.estimation.propose.find_modes", pool.end)
+    monkeypatch.setattr("fusion.estimation.propose.walk", pool.walk)
+    monkeypatch.setattr("fusion.estimation.propose.glance", lambda *_: glanced)
+    starts = np.tile(np.eye(4), (320, 1, 1))
+    modes_near(pool, None, None, starts, search_stages(0.01, ()), PlanSettings(), trace := Trace())
+    assert next(stage.ran for stage in trace.stages if stage.name == "propose: a walk") == walks
+
+
 def test_pairs_of_pixels_are_asked_where_a_prior_leaves_turns_that_are_not_drawn(sensed, lab_frame):
     pose, free = lab_frame.camera_from_object_truth, Prior.isotropic(np.eye(4), 0.2, 0.02).information.copy()
     assert replace(sensed.pool, prior=None).turns_freely
