@@ -6,11 +6,13 @@ weighs, are held while it is solved. Camera frame, metres, radians.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.solve import newton_kernels as kernels
-from fusion.estimation.solve.kernels import prior_row
+from fusion.estimation.solve.kernels import number_blocks, prior_row
 from fusion.estimation.solve.problem import JointProblem
 from scenes.evidence.table import FACING, NORMAL
 from scenes.geometry import poses as se3
@@ -242,11 +244,10 @@ class System:
 
 def _blocks(uv: Array, count: float, least: float) -> NDArray[np.int64]:
     """(n,) block of each pixel (n, 2): squares of the image, about `count` of them, no side shorter than `least`."""
-    side = max(least, float(np.sqrt(np.prod(np.ptp(uv, axis=0) + 1.0) / count)))
-    column, row = np.floor((uv - uv.min(axis=0)) / side).astype(np.int64).T
-    block = column * (row.max() + 1) + row
-    # numbered without gaps, as np.unique does, but without sorting
-    return np.asarray(np.cumsum(np.bincount(block) > 0)[block] - 1, dtype=np.int64)
+    low, out = uv.min(axis=0), np.zeros(len(uv), dtype=np.int64)
+    width, height = uv.max(axis=0) - low + 1.0
+    number_blocks(uv, low, max(least, math.sqrt(width * height / count)), out)
+    return out
 
 
 def exceeding(spread: Array, said: Array) -> Array:
