@@ -5,6 +5,32 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from scenes._numba import LENT
+
+
+@numba.njit(cache=True, nogil=True, **LENT)
+def is_grey(image):
+    """Whether the channels of an image (h, w, 3) are alike."""
+    for v in range(image.shape[0]):
+        coloured = np.uint8(0)
+        for u in range(image.shape[1]):
+            coloured |= (image[v, u, 0] ^ image[v, u, 1]) | (image[v, u, 0] ^ image[v, u, 2])
+        if coloured > 0:
+            return False
+    return True
+
+
+@numba.njit(cache=True, nogil=True, **LENT)
+def places_across(places, normals, first, low, columns, rows):
+    """Fill columns and rows (n, k) with the places first, first + 1, ... (px) along normals (n, 2) from places (n, 2),
+    less the corner low (2,) of the image's part that is read.
+    """
+    for n in range(places.shape[0]):
+        for k in range(columns.shape[1]):
+            away = float(first + k)
+            columns[n, k] = places[n, 0] + away * normals[n, 0] - low[0]
+            rows[n, k] = places[n, 1] + away * normals[n, 1] - low[1]
+
 
 @numba.njit(cache=True, nogil=True)
 def offset_tables(bins, ratios, group, temper, first, near, log_p, sides):

@@ -85,7 +85,7 @@ class Lines:
 
 def is_grey(image: NDArray[np.uint8]) -> bool:
     """Whether an image (h, w, 3) has no colours, as that of an infra-red camera."""
-    return bool((image[..., 0] == image[..., 1]).all() and (image[..., 0] == image[..., 2]).all())
+    return bool(kernels.is_grey(image))
 
 
 def lines_across(image: NDArray[np.uint8], outline: Outline, settings: LineSettings | None = None) -> Lines:
@@ -102,9 +102,9 @@ def lines_across(image: NDArray[np.uint8], outline: Outline, settings: LineSetti
     if s.median > 1:
         part = np.asarray(cv2.medianBlur(part, s.median), dtype=np.uint8)
     offsets = np.arange(-reach, reach + 1)
-    at = outline.places[:, None] + offsets[None, :, None] * outline.normals[:, None] - low
-    maps = at[..., 0].astype(np.float32), at[..., 1].astype(np.float32)
-    read = cv2.remap(part, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    columns, rows = np.zeros((2, len(outline), len(offsets)), dtype=np.float32)
+    kernels.places_across(outline.places, outline.normals, -reach, low, columns, rows)
+    read = cv2.remap(part, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     colours = np.asarray(read, dtype=np.uint8)
     log_p = np.zeros((len(outline), 2 * s.reach + 2))
     samples = colours.reshape(*colours.shape[:2], -1)
