@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.evidence.align import Alignment
+from scenes.evidence.leader_kernels import are_one
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 
@@ -95,6 +96,7 @@ def distinct_modes(model: ObjectModel, alignment: Alignment, settings: ModeSetti
     best = alignment.costs[order[0]]
     order = order[alignment.costs[order] <= best + settings.cost_margin]
     kept: list[int] = []
+    hessians = np.ascontiguousarray(alignment.hessians, dtype=np.float64)
     pending = order[:400]
     while len(pending) and len(kept) < settings.most:
         lead = pending[0]
@@ -104,9 +106,9 @@ def distinct_modes(model: ObjectModel, alignment: Alignment, settings: ModeSetti
             break
         equivalents = model.symmetries.nearest(alignment.poses[rest], alignment.poses[lead])
         delta = se3.difference(equivalents, alignment.poses[lead], model.centroid)
-        moved = np.linalg.norm(delta[:, :3], axis=1) * model.radius + np.linalg.norm(delta[:, 3:], axis=1)
-        mahalanobis = np.einsum("ni,ij,nj->n", delta, alignment.hessians[lead], delta)
-        same = (moved < settings.merge_share * model.radius) | (mahalanobis < settings.merge_sigmas**2)
+        same = np.zeros(len(rest), dtype=bool)
+        apart = settings.merge_share * model.radius
+        are_one(delta, hessians[lead], model.radius, apart, float(settings.merge_sigmas), same)
         pending = rest[~same]
     covariances = covariance_of(model, alignment.hessians[kept], settings)
     weights = _weights(alignment.costs[kept], covariances, settings)
