@@ -195,6 +195,29 @@ def what_is(image, camera, noise, limits, column, row, reading, z):
     return bits, past, fade
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
+def hides(places, beyond, tolerance, depth, hand_low, size, hand, out):
+    """Fill out (n,) with whether at places (n, 2) of the image (px) something is nearer than beyond (n,) m by more than
+    tolerance (n,) m, or the hand is in front; outside the image something is.
+
+    depth (h, w); hand_low: least depth (m) of the hand at every so many pixels or (0, 0). size: width and height of the
+    image; hand: that step and margin (m).
+    """
+    width, height = size
+    step, margin = hand
+    for n in range(places.shape[0]):
+        u, v = np.rint(places[n, 0]), np.rint(places[n, 1])
+        # not true of NaN either
+        if not (0.0 <= u < width and 0.0 <= v < height):
+            out[n] = True
+            continue
+        column, row = int(u), int(v)
+        reading = np.float64(depth[row, column])
+        out[n] = 0.0 < reading < FARTHEST_READING and reading < beyond[n] - tolerance[n]
+        if not out[n] and hand_low.shape[0] > 0:
+            out[n] = hand_low[row // step, column // step] < beyond[n] + margin
+
+
 @numba.njit(cache=True, nogil=True, **LENT)
 def _beside(depth, row, column, reach, nearer, height, width):
     """Whether within `reach` pixels along either axis something is read that is nearer (m)."""
