@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -47,6 +46,10 @@ class AlignSettings:
     # Longest single step, radians and shares of the object's radius: a Gauss-Newton model of a shape holds no further.
     longest_angle: float = 0.5
     longest_share: float = 0.5
+
+
+# Where nobody asks for another stage: made once.
+USUAL = AlignSettings()
 
 
 @dataclass(frozen=True)
@@ -127,8 +130,7 @@ def prior_of(model: ObjectModel, prior: Prior | None) -> tuple:
 def _scene(model: ObjectModel, evidence: Evidence, prior: Prior | None, settings: AlignSettings) -> tuple:
     """The arguments that all kernels begin with: lattice, rows, stage, prior."""
     rows = np.ascontiguousarray(evidence.rows, dtype=np.float64)
-    # a number that is not finite makes their sum so: no array of answers
-    if rows.ndim != 2 or rows.shape[1] != COLUMNS or not math.isfinite(rows.sum()):
+    if not evidence.is_sound:
         raise InputError(f"alignment: expected finite evidence of {COLUMNS} columns, got shape {rows.shape}")
     stage = float(settings.blur), float(settings.blur_normal), float(settings.huber), float(settings.bend)
     return lattice_of(model, settings.blur if settings.coarsely else 0.0), rows, stage, prior_of(model, prior)
@@ -146,7 +148,7 @@ def align(
     evidence and prior in the same frame. The cost of a pose never rises. Along directions that
     the evidence leaves free a pose may drift by part of the object's size; the Hessian tells which they are.
     """
-    settings = settings or AlignSettings()
+    settings = settings or USUAL
     rotations, middles = _split(model, starts)
     scene = _scene(model, evidence, prior, settings)
     count = len(rotations)
@@ -179,7 +181,7 @@ def costs(
     settings: AlignSettings | None = None,
 ) -> Array:
     """Costs (b,) of candidate poses (b, 4, 4) as they are."""
-    settings = settings or AlignSettings()
+    settings = settings or USUAL
     rotations, middles = _split(model, candidates)
     scene = _scene(model, evidence, prior, settings)
     out = np.zeros(len(rotations))
@@ -199,7 +201,7 @@ def terms(
     settings: AlignSettings | None = None,
 ) -> tuple[float, Array, Array]:
     """Cost, gradient (6,) and Gauss-Newton Hessian (6, 6) at one pose, in the chart of poses.perturb."""
-    settings = settings or AlignSettings()
+    settings = settings or USUAL
     rotations, middles = _split(model, pose)
     scene = _scene(model, evidence, prior, settings)
     hessian, gradient = np.zeros((6, 6)), np.zeros(6)
@@ -210,7 +212,7 @@ def terms(
 def terms_of_each(model: ObjectModel, evidence: Evidence, pose: Array, settings: AlignSettings | None = None) -> Array:
     """(n, 6, 6) Gauss-Newton Hessians at one pose of each row of evidence as if it were alone."""
     rotations, middles = _split(model, pose)
-    lattice, rows, stage, none = _scene(model, evidence, None, settings or AlignSettings())
+    lattice, rows, stage, none = _scene(model, evidence, None, settings or USUAL)
     hessians, gradient = np.zeros((len(rows), 6, 6)), np.zeros(6)
     for n, hessian in enumerate(hessians):
         row = rows[n : n + 1]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.evidence.align import Alignment
-from scenes.evidence.leader_kernels import are_one
+from scenes.evidence.leader_kernels import are_one, displacements
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 
@@ -81,6 +81,15 @@ def _weights(costs: Array, covariances: Array, settings: ModeSettings) -> Array:
     log_weights = -settings.temper * costs + 0.5 * settings.width * np.linalg.slogdet(covariances)[1]
     weights = np.exp(log_weights - log_weights.max())
     return np.asarray(weights / weights.sum())
+
+
+def displaced(model: ObjectModel, poses: Array, pose: Array) -> Array:
+    """(n,) metres by which a point at the object's radius moves at most from poses (n, 4, 4) to `pose` (4, 4), modulo
+    symmetry.
+    """
+    delta, out = se3.difference(model.symmetries.nearest(poses, pose), pose, model.centroid), np.zeros(len(poses))
+    displacements(delta, model.radius, out)
+    return out
 
 
 def distinct_modes(model: ObjectModel, alignment: Alignment, settings: ModeSettings | None = None) -> tuple[Mode, ...]:

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scenes.evidence.align import Alignment
-from scenes.evidence.leader_kernels import are_one
+from scenes.evidence.leader_kernels import are_one, displacements
 from scenes.evidence.modes import ModeSettings, covariance_of, distinct_modes
 from scenes.geometry import poses
 from scenes.synthesis import library
@@ -141,3 +141,6 @@ def test_what_is_of_one_mode_is_so_by_numpy(rng):
     square = np.einsum("ni,ij,nj->n", delta, hessian, delta)
     np.testing.assert_array_equal(one, (moved < apart) | (square < sigmas**2))
     assert 0 < one.sum() < 200
+    way = np.zeros(200)
+    displacements(delta, radius, way)
+    np.testing.assert_allclose(way, moved, rtol=1e-12)
