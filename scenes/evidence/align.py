@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +78,19 @@ class Prior:
         information = np.ascontiguousarray(self.information, dtype=np.float64)
         return np.ascontiguousarray(self.pose[:3, :3]), np.ascontiguousarray(self.pose[:3, 3]), information
 
+    def about(self, centroid: Array) -> tuple[Array, Array, Array]:
+        """Rotation, place of an object's centroid (3,) and information: worked out once for one object."""
+        if not self._known or self._known[0] is not centroid:
+            rotation, translation, information = self.checked
+            self._known[:] = centroid, (rotation, rotation @ centroid + translation, information)
+        about: tuple[Array, Array, Array] = self._known[1]
+        return about
+
+    @cached_property
+    def _known(self) -> list[Any]:
+        """The centroid of the object last asked for, and what was told."""
+        return []
+
 
 @dataclass(frozen=True)
 class Alignment:
@@ -116,15 +130,12 @@ def lattice_of(model: ObjectModel, blur: float = 0.0) -> tuple:
     field = model.field
     coarse = field.coarser
     field = field if coarse is None or blur < COARSE * coarse.spacing else coarse
-    return field.values, field.origin, float(field.spacing), float(field.step), model.centroid
+    return *field.told, model.centroid
 
 
 def prior_of(model: ObjectModel, prior: Prior | None) -> tuple:
     """A prior as the kernels take it: rotation, place of the centroid, information (zeros for None)."""
-    if prior is None:
-        return NO_PRIOR
-    rotation, translation, information = prior.checked
-    return rotation, rotation @ model.centroid + translation, information
+    return NO_PRIOR if prior is None else prior.about(model.centroid)
 
 
 def _scene(model: ObjectModel, evidence: Evidence, prior: Prior | None, settings: AlignSettings) -> tuple:
