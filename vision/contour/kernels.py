@@ -217,8 +217,9 @@ def box(points, rotation, translation, camera, bounds):
 
 
 @numba.njit(cache=True, nogil=True)
-def contrasts(colours, first, brightest, height, slope, change):
-    """Of samples (n, k, c) of lines, levels of 255, fill brightest (256,): how many have that as their largest channel;
+def contrasts(colours, first, levels, brightest, height, slope, change):
+    """Of samples (n, k, c) of lines, levels of 255, fill levels (c, 256): how many of each channel have that level;
+    brightest (256,): how many have that as their largest channel;
     height (n,) and slope (n,): how much the channel that changes most on a line changes on all of it, and in one sample
     at most; and change (n, m): over two samples on either side of the places from sample first on, in any channel.
     """
@@ -227,7 +228,9 @@ def contrasts(colours, first, brightest, height, slope, change):
         for j in range(k):
             most = np.int64(0)
             for q in range(c):
-                most = max(most, np.int64(colours[i, j, q]))
+                level = np.int64(colours[i, j, q])
+                levels[q, level] += 1
+                most = max(most, level)
             brightest[most] += 1
         height[i] = -1.0
         for q in range(c):
