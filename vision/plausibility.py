@@ -10,6 +10,7 @@ from scenes.geometry.cameras import is_reading
 from scenes.recordings.beliefs import CalibrationModel, usual_beliefs
 from scenes.recordings.frames import Frame
 from vision.look.hand import HandView, camera_from_hand, prior_information
+from vision.look.hand_kernels import seen_past
 
 
 @dataclass(frozen=True)
@@ -64,16 +65,8 @@ def _seen_past(frame: Frame, hand: HandView, settings: PlausibilitySettings) -> 
         return 0.0, 0
     points = frame.hand.points_on_surface(frame.joints, most=settings.points)
     points = points @ hand.aligned[:3, :3].T + hand.aligned[:3, 3]
-    points = points[points[:, 2] > 1e-3]
-    if not len(points):
-        return 0.0, 0
-    uv, z = frame.camera.project(points)
-    pixels = np.round(uv).astype(np.int64)
-    inside = ((pixels >= 0) & (pixels < [frame.camera.width, frame.camera.height])).all(axis=1)
-    pixels, z = pixels[inside], z[inside]
-    seen = frame.depth[pixels[:, 1], pixels[:, 0]].astype(np.float64)
-    read = is_reading(seen)
-    if not read.any():
-        return 0.0, 0
+    camera = frame.camera
+    lens = float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)
     # points on the hand's far side are hidden by its near side: never seen past
-    return float((seen[read] > z[read] + settings.near).mean()), int(read.sum())
+    read, past = seen_past(points, lens, np.ascontiguousarray(frame.depth), settings.near)
+    return past / max(read, 1), read

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.geometry.cameras import Camera, is_reading
+from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import DepthModel
 from scenes.recordings.frames import Frame
@@ -419,15 +419,9 @@ class Predictor:
         assert self.camera is not None
         assert self._depth is not None
         s, c = self.settings, self.camera
-        u, v = np.round(places[:, 0]).astype(np.int64), np.round(places[:, 1]).astype(np.int64)
-        inside = (u >= 0) & (v >= 0) & (u < c.width) & (v < c.height)
-        u, v = np.where(inside, u, 0), np.where(inside, v, 0)
-        seen = self._depth[v, u].astype(np.float64)
-        read = is_reading(seen)
-        seen = np.where(read, seen, np.inf)
         smooth = np.hypot(self.belief.independent_sigma(beyond), self.belief.bias_sigma)
         tolerance = s.tolerance * np.hypot(smooth, self.belief.scale_sigma * beyond)
-        hidden = read & (seen < beyond - tolerance)
-        if self._hand[0].size:
-            hidden |= self._hand[0][v // s.hand_step, u // s.hand_step] < beyond + s.hand_margin
-        return np.asarray(hidden | ~inside)
+        out = np.zeros(len(places), dtype=bool)
+        size, hand = (c.width, c.height), (s.hand_step, s.hand_margin)
+        kernels.hides(np.ascontiguousarray(places), beyond, tolerance, self._depth, self._hand[0], size, hand, out)
+        return out

@@ -152,10 +152,12 @@ def compare_pixels(met, index, u, v, image, camera, noise, limits, expected, see
         state[place], past[place], fade[place] = what_is(image, camera, noise, limits, column, row, reading, z)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always", **LENT)
 def what_is(image, camera, noise, limits, column, row, reading, z):
     """What a ray or point is that meets the object at depth z (m), and of whose pixel the `reading` (m) is one: its
     state, how much of it is seen past, and how well it agrees. image, camera, noise, limits: of compare_pixels.
+
+    Written out where it is asked: handing over images and numbers takes as long as all that is done with them.
     """
     depth, mask, hand_low, hand_high, planes = image
     floor, growth, least_from, bias, scale = noise
@@ -168,7 +170,9 @@ def what_is(image, camera, noise, limits, column, row, reading, z):
     if hand_low.shape[0] > 0:
         beside, below = column // step, row // step
         by_hand = hand_low[below, beside] - hand_margin < reading < hand_high[below, beside] + hand_margin
-    is_plane = _on_planes(planes, camera, noise, column, row, reading, plane_margin, plane_sigmas)
+    is_plane = False
+    if planes.shape[0] > 0:
+        is_plane = _on_planes(planes, camera, noise, column, row, reading, plane_margin, plane_sigmas)
     # nothing is under the table or behind the wall; what is at its depth is the table, and hides the object at most
     is_past = off > tolerance or (is_plane and off < -tolerance)
     bits, past, fade = HIT | READ, 0.0, 0.0
@@ -191,13 +195,41 @@ def what_is(image, camera, noise, limits, column, row, reading, z):
     return bits, past, fade
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
+def hides(places, beyond, tolerance, depth, hand_low, size, hand, out):
+    """Fill out (n,) with whether at places (n, 2) of the image (px) something is nearer than beyond (n,) m by more than
+    tolerance (n,) m, or the hand is in front; outside the image something is.
+
+    depth (h, w); hand_low: least depth (m) of the hand at every so many pixels or (0, 0). size: width and height of the
+    image; hand: that step and margin (m).
+    """
+    width, height = size
+    step, margin = hand
+    for n in range(places.shape[0]):
+        u, v = np.rint(places[n, 0]), np.rint(places[n, 1])
+        # not true of NaN either
+        if not (0.0 <= u < width and 0.0 <= v < height):
+            out[n] = True
+            continue
+        column, row = int(u), int(v)
+        reading = np.float64(depth[row, column])
+        out[n] = 0.0 < reading < FARTHEST_READING and reading < beyond[n] - tolerance[n]
+        if not out[n] and hand_low.shape[0] > 0:
+            out[n] = hand_low[row // step, column // step] < beyond[n] + margin
+
+
 @numba.njit(cache=True, nogil=True, **LENT)
 def _beside(depth, row, column, reach, nearer, height, width):
     """Whether within `reach` pixels along either axis something is read that is nearer (m)."""
+    first, last = max(column - reach, 0), min(column + reach + 1, width)
     for j in range(max(row - reach, 0), min(row + reach + 1, height)):
-        for i in range(max(column - reach, 0), min(column + reach + 1, width)):
-            if 0.0 < depth[j, i] < nearer:
-                return True
+        found = 0
+        for i in range(first, last):
+            # places that cannot be below 0: nobody counts them from the end; and no branch within a row
+            reading = depth[np.uint64(j), np.uint64(i)]
+            found += (reading > 0.0) & (reading < nearer)
+        if found > 0:
+            return True
     return False
 
 

@@ -21,6 +21,7 @@ from fusion.estimation.propose import modes_anywhere, modes_near
 from fusion.estimation.ranking import rejudged
 from fusion.estimation.search import find_modes, not_solved, worth_solving
 from fusion.estimation.settings import EstimateSettings, usual_settings
+from fusion.estimation.solve.joint import parted
 from fusion.estimation.solve.outlined import asks_for, outlined
 from fusion.estimation.steps.another import another, why_no_other, with_other
 from fusion.estimation.steps.facing import (
@@ -152,8 +153,10 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
             pool, believed = sensed.pool, asked.prior
             stage.note(facing.pixels, facing.why)
     modes = found.modes
-    rough = with_shared_errors(model, modes, viewed, beliefs.depth)
-    spent, settled = trace.over_budget, is_within(model, rough, asked.tolerance, settings)
+    spent, rough = trace.over_budget, modes
+    if spent or asked.tolerance is not None:
+        rough = with_shared_errors(model, modes, viewed, beliefs.depth)
+    settled = is_within(model, rough, asked.tolerance, settings)
     if asked.or_none and not settled:
         return None  # before anything is solved for that touch will change
     why_not = "the time budget is spent" if spent else "the rows alone are within the tolerance"
@@ -170,7 +173,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
             modes = rejudged(model, solved.results, in_all, settings, predictor.sees, rest)
             first_of = int(np.argmin(in_all))
             searched = worth[first_of]
-            best, seen = solved.results[first_of], solved.shown[first_of]
+            best, seen = parted(solved.results[first_of]), solved.shown[first_of]
             rows = tables.stack(seen, felt.rows)
             felt = felt.corrected(best.correct())
             off = f"calibration off by {best.millimetres:.1f} mm, depth scale by {100 * best.scale:+.2f} %"

@@ -62,9 +62,14 @@ class Moments:
 
 def uneven_rows(rows: Evidence) -> Evidence:
     """The rows whose cost may be no parabola over the posterior: one-sided ones, and of contacts the normals alone."""
-    walls = rows.take(rows.rows[:, GATE_ABOVE] == 0.0)
-    normals = rows.take((rows.rows[:, GATE_ABOVE] > 0.0) & (rows.rows[:, SIGMA_NORMAL] > 0.0) & (rows.sense == TOUCH))
+    walls, normals = (rows.take(own) for own in _uneven(rows))
     return stack(walls, normals.with_sigma(NO_DISTANCE, TOUCH))
+
+
+def _uneven(rows: Evidence) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(n,) whether each row is one-sided, and whether it is a contact with a normal."""
+    walls = rows.rows[:, GATE_ABOVE] == 0.0
+    return walls, (rows.rows[:, GATE_ABOVE] > 0.0) & (rows.rows[:, SIGMA_NORMAL] > 0.0) & (rows.sense == TOUCH)
 
 
 def moments(
@@ -81,7 +86,7 @@ def moments(
     (pose, covariance): the Gaussian so far. rows and prior: all evidence, frame_from_object.
     """
     settings = settings or MomentSettings()
-    if not len(uneven_rows(rows)):
+    if not any(own.any() for own in _uneven(rows)):
         return Moments(pose, covariance, 0.0, 0)
     few = thin(rows, settings.rows)
     found = align(model, few, pose[None], prior, AlignSettings(iterations=10))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.evidence.align import Alignment, AlignSettings, Prior, align, terms
-from scenes.evidence.modes import Mode, ModeSettings, covariance_of, distinct_modes
+from scenes.evidence.modes import Mode, ModeSettings, covariance_of, displaced, distinct_modes
 from scenes.evidence.near_symmetries import near_symmetries
 from scenes.evidence.search import SETTLED, SearchStage, leaders, search, thin
 from scenes.evidence.table import GATE_ABOVE, SIGMA, TOUCH, VISION, Evidence
@@ -136,7 +136,7 @@ def find_modes(
             order = np.argsort(rough.costs + rank(rough.poses, stage.blur), kind="stable")
             chosen, group = leaders(model, rough.poses[order], care.together * merged)
             poses, standing = rough.poses[order[chosen]], np.asarray(np.bincount(group, standing[order]))
-        agreeing = float(standing[_displaced(model, poses, poses[0]) < merged].sum()) / few
+        agreeing = float(standing[displaced(model, poses, poses[0]) < merged].sum()) / few
         first, past = _refined(model, fine, poses[: care.refined], prior, rank)
         doubt = doubt_of(model, rows, first, past, agreeing, settings)
         if not doubt:
@@ -246,12 +246,6 @@ def not_solved(found: Found, worth: list[Array], solved: float) -> tuple[Mode, .
     first = found.modes[0]
     rest = [mode for mode in found.modes if not any(mode.pose is pose for pose in worth)]
     return tuple(replace(mode, cost=solved + max(mode.cost - first.cost, 0.0)) for mode in rest)
-
-
-def _displaced(model: ObjectModel, poses: Array, pose: Array) -> Array:
-    """(n,) metres by which a point at the object's radius moves at most between `pose` and poses, modulo symmetry."""
-    delta = se3.difference(model.symmetries.nearest(poses, pose), pose, model.centroid)
-    return np.linalg.norm(delta[:, :3], axis=1) * model.radius + np.linalg.norm(delta[:, 3:], axis=1)
 
 
 def _refined(

@@ -122,10 +122,10 @@ def contributions(
     With all of them it is as sure as its covariance (6, 6) says, shared errors and all. Without one it is less sure by
     as much as the rows are: that part of the covariance grows, the errors that rows share stay.
     """
-    parts = {
-        name: (int((rows.sense == sense).sum()), alignment.terms(model, rows.of(sense), pose)[2])
-        for name, sense in (("vision", VISION), ("touch", TOUCH))
-    }
+    parts = {}
+    for name, sense in (("vision", VISION), ("touch", TOUCH)):
+        own = rows.of(sense)
+        parts[name] = len(own), alignment.terms(model, own, pose)[2] if len(own) else np.zeros((6, 6))
     if prior is not None:
         parts["prior"] = (0, alignment.terms(model, empty(), pose, prior)[2])
     whole = np.sum([information for _, information in parts.values()], axis=0)

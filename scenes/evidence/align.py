@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,10 @@ class AlignSettings:
     longest_share: float = 0.5
 
 
+# Where nobody asks for another stage: made once.
+USUAL = AlignSettings()
+
+
 @dataclass(frozen=True)
 class Prior:
     """A Gaussian on the pose: mean (4, 4) frame_from_object, information (6, 6) in the chart of poses.perturb
@@ -73,6 +77,19 @@ class Prior:
             raise InputError(f"prior: expected a finite pose (4, 4) and information (6, 6), got shapes {shapes}")
         information = np.ascontiguousarray(self.information, dtype=np.float64)
         return np.ascontiguousarray(self.pose[:3, :3]), np.ascontiguousarray(self.pose[:3, 3]), information
+
+    def about(self, centroid: Array) -> tuple[Array, Array, Array]:
+        """Rotation, place of an object's centroid (3,) and information: worked out once for one object."""
+        if not self._known or self._known[0] is not centroid:
+            rotation, translation, information = self.checked
+            self._known[:] = centroid, (rotation, rotation @ centroid + translation, information)
+        about: tuple[Array, Array, Array] = self._known[1]
+        return about
+
+    @cached_property
+    def _known(self) -> list[Any]:
+        """The centroid of the object last asked for, and what was told."""
+        return []
 
 
 @dataclass(frozen=True)
@@ -113,22 +130,18 @@ def lattice_of(model: ObjectModel, blur: float = 0.0) -> tuple:
     field = model.field
     coarse = field.coarser
     field = field if coarse is None or blur < COARSE * coarse.spacing else coarse
-    return field.values, field.origin, float(field.spacing), float(field.step), model.centroid
+    return *field.told, model.centroid
 
 
 def prior_of(model: ObjectModel, prior: Prior | None) -> tuple:
     """A prior as the kernels take it: rotation, place of the centroid, information (zeros for None)."""
-    if prior is None:
-        return NO_PRIOR
-    rotation, translation, information = prior.checked
-    return rotation, rotation @ model.centroid + translation, information
+    return NO_PRIOR if prior is None else prior.about(model.centroid)
 
 
 def _scene(model: ObjectModel, evidence: Evidence, prior: Prior | None, settings: AlignSettings) -> tuple:
     """The arguments that all kernels begin with: lattice, rows, stage, prior."""
     rows = np.ascontiguousarray(evidence.rows, dtype=np.float64)
-    # a number that is not finite makes their sum so: no array of answers
-    if rows.ndim != 2 or rows.shape[1] != COLUMNS or not math.isfinite(rows.sum()):
+    if not evidence.is_sound:
         raise InputError(f"alignment: expected finite evidence of {COLUMNS} columns, got shape {rows.shape}")
     stage = float(settings.blur), float(settings.blur_normal), float(settings.huber), float(settings.bend)
     return lattice_of(model, settings.blur if settings.coarsely else 0.0), rows, stage, prior_of(model, prior)
@@ -146,7 +159,7 @@ def align(
     evidence and prior in the same frame. The cost of a pose never rises. Along directions that
     the evidence leaves free a pose may drift by part of the object's size; the Hessian tells which they are.
     """
-    settings = settings or AlignSettings()
+    settings = settings or USUAL
     rotations, middles = _split(model, starts)
     scene = _scene(model, evidence, prior, settings)
     count = len(rotations)
@@ -179,7 +192,7 @@ def costs(
     settings: AlignSettings | None = None,
 ) -> Array:
     """Costs (b,) of candidate poses (b, 4, 4) as they are."""
-    settings = settings or AlignSettings()
+    settings = settings or USUAL
     rotations, middles = _split(model, candidates)
     scene = _scene(model, evidence, prior, settings)
     out = np.zeros(len(rotations))
@@ -199,7 +212,7 @@ def terms(
     settings: AlignSettings | None = None,
 ) -> tuple[float, Array, Array]:
     """Cost, gradient (6,) and Gauss-Newton Hessian (6, 6) at one pose, in the chart of poses.perturb."""
-    settings = settings or AlignSettings()
+    settings = settings or USUAL
     rotations, middles = _split(model, pose)
     scene = _scene(model, evidence, prior, settings)
     hessian, gradient = np.zeros((6, 6)), np.zeros(6)
@@ -210,7 +223,7 @@ def terms(
 def terms_of_each(model: ObjectModel, evidence: Evidence, pose: Array, settings: AlignSettings | None = None) -> Array:
     """(n, 6, 6) Gauss-Newton Hessians at one pose of each row of evidence as if it were alone."""
     rotations, middles = _split(model, pose)
-    lattice, rows, stage, none = _scene(model, evidence, None, settings or AlignSettings())
+    lattice, rows, stage, none = _scene(model, evidence, None, settings or USUAL)
     hessians, gradient = np.zeros((len(rows), 6, 6)), np.zeros(6)
     for n, hessian in enumerate(hessians):
         row = rows[n : n + 1]

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.evidence.align import Alignment
+from scenes.evidence.leader_kernels import are_one, displacements
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 
@@ -82,6 +83,15 @@ def _weights(costs: Array, covariances: Array, settings: ModeSettings) -> Array:
     return np.asarray(weights / weights.sum())
 
 
+def displaced(model: ObjectModel, poses: Array, pose: Array) -> Array:
+    """(n,) metres by which a point at the object's radius moves at most from poses (n, 4, 4) to `pose` (4, 4), modulo
+    symmetry.
+    """
+    delta, out = se3.difference(model.symmetries.nearest(poses, pose), pose, model.centroid), np.zeros(len(poses))
+    displacements(delta, model.radius, out)
+    return out
+
+
 def distinct_modes(model: ObjectModel, alignment: Alignment, settings: ModeSettings | None = None) -> tuple[Mode, ...]:
     """Modes of an alignment's poses, highest posterior density (lowest cost) first; empty only for no poses.
 
@@ -95,6 +105,7 @@ def distinct_modes(model: ObjectModel, alignment: Alignment, settings: ModeSetti
     best = alignment.costs[order[0]]
     order = order[alignment.costs[order] <= best + settings.cost_margin]
     kept: list[int] = []
+    hessians = np.ascontiguousarray(alignment.hessians, dtype=np.float64)
     pending = order[:400]
     while len(pending) and len(kept) < settings.most:
         lead = pending[0]
@@ -104,9 +115,9 @@ def distinct_modes(model: ObjectModel, alignment: Alignment, settings: ModeSetti
             break
         equivalents = model.symmetries.nearest(alignment.poses[rest], alignment.poses[lead])
         delta = se3.difference(equivalents, alignment.poses[lead], model.centroid)
-        moved = np.linalg.norm(delta[:, :3], axis=1) * model.radius + np.linalg.norm(delta[:, 3:], axis=1)
-        mahalanobis = np.einsum("ni,ij,nj->n", delta, alignment.hessians[lead], delta)
-        same = (moved < settings.merge_share * model.radius) | (mahalanobis < settings.merge_sigmas**2)
+        same = np.zeros(len(rest), dtype=bool)
+        apart = settings.merge_share * model.radius
+        are_one(delta, hessians[lead], model.radius, apart, float(settings.merge_sigmas), same)
         pending = rest[~same]
     covariances = covariance_of(model, alignment.hessians[kept], settings)
     weights = _weights(alignment.costs[kept], covariances, settings)

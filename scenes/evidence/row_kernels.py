@@ -151,15 +151,20 @@ def thin_rows(rows, sense, touch, most, out, senses):
         if count == 0:
             continue
         kept = count if group == 0 else max(1, min(most[1] if silent else most[0], count))
-        at = taken = 0
+        # which of the group's rows is the next to be taken
+        at = taken = following = 0
         for n in range(rows.shape[0]):
             if (sense[n] == touch) != felt or (rows[n, GATE_ABOVE] == 0.0) != silent:
                 continue
-            if taken < kept and at == (taken * count) // kept:
-                out[k] = rows[n]
+            if at == following:
+                for i in range(rows.shape[1]):
+                    out[k, i] = rows[n, i]
                 out[k, WEIGHT] *= count / kept
                 senses[k] = sense[n]
                 taken += 1
                 k += 1
+                if taken == kept:
+                    break
+                following = (taken * count) // kept
             at += 1
     return k

@@ -20,7 +20,9 @@ inside: what is seen or felt in front of an object may be something else, but no
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -60,6 +62,12 @@ class Evidence:
     def points(self) -> Array:
         """(n, 3) metres."""
         return self.rows[:, POINT]
+
+    @cached_property
+    def is_sound(self) -> bool:
+        """Whether all of it is finite numbers in as many columns as there are: looked at once."""
+        # a number that is not finite makes their sum so: no array of answers
+        return self.rows.ndim == 2 and self.rows.shape[1] == COLUMNS and math.isfinite(self.rows.sum())
 
     def take(self, index: ArrayLike) -> Evidence:
         """Rows by index or mask."""

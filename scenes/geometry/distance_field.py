@@ -67,6 +67,11 @@ class DistanceField:
         return FIRST_STEP * (self.finest or self.spacing)
 
     @cached_property
+    def told(self) -> tuple[NDArray[np.float32], Array, float, float]:
+        """Values, origin, spacing and step, as kernels take them."""
+        return self.values, self.origin, float(self.spacing), float(self.step)
+
+    @cached_property
     def lowest(self) -> float:
         """The least distance (m): as deep as anything is inside, below 0."""
         return float(self.values.min())

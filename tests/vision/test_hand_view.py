@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from scenes.geometry import poses
-from scenes.geometry.cameras import is_reading
+from scenes.geometry.cameras import Camera, is_reading
 from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import Beliefs, CalibrationModel
 from vision.look.hand import camera_from_hand, prior_information, prior_spread, view_hand
-from vision.look.hand_kernels import explained, pulls
+from vision.look.hand_kernels import explained, pulls, seen_past
 from vision.look.pixels import read_pixels
 
 FULL = (0, 0, 640, 480)
@@ -144,3 +144,17 @@ def test_what_pixels_say_of_the_hand_is_as_by_numpy(rng):
     np.testing.assert_allclose(robust, tukey, atol=1e-12)
     np.testing.assert_allclose(whole, hessian + (rows * (weight * tukey)[:, None]).T @ rows, atol=1e-9)
     np.testing.assert_allclose(all_pull, pull + rows.T @ (weight * tukey * distance), atol=1e-9)
+
+
+def test_how_many_points_of_a_hand_are_seen_past_is_as_by_numpy(rng):
+    camera, depth = Camera(60.0, 61.0, 31.3, 23.7, 64, 48), rng.uniform(0.3, 0.9, (48, 64)).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.2] = 0.0
+    depth[:3, :3] = np.nan
+    points = rng.normal(size=(500, 3)) * [0.2, 0.2, 0.3] + [0.0, 0.0, 0.5]
+    ahead = points[points[:, 2] > 1e-3]
+    pixels = np.round(camera.project(ahead)[0]).astype(np.int64)
+    inside = ((pixels >= 0) & (pixels < [64, 48])).all(axis=1)
+    seen, z = depth[pixels[inside, 1], pixels[inside, 0]].astype(np.float64), ahead[inside, 2]
+    past = (seen > z + 0.012)[seen > 0.0]
+    assert seen_past(points, (60.0, 61.0, 31.3, 23.7), depth, 0.012) == (len(past), past.sum())
+    assert 0 < past.sum() < len(past) < len(points)

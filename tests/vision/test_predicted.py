@@ -275,3 +275,25 @@ def test_what_is_at_and_beside_each_pixel_is_as_by_numpy(rng):
     around = np.stack([wide[j : j + 12, i : i + 17] for j in range(3) for i in range(3)])
     assert np.array_equal(least, around.min(axis=0))
     assert np.array_equal(most, np.where(np.isfinite(around), around, -np.inf).max(axis=0))
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_what_is_in_front_of_a_place_is_as_by_numpy(lab_frame, drill, rng, known):
+    hand = look(lab_frame, drill).hand if known else None
+    predictor = Predictor(lab_frame, drill, DepthModel(), hand)
+    camera, s, belief = lab_frame.camera, predictor.settings, predictor.belief
+    places = rng.uniform(-20.0, 1.0, (4000, 2)) + rng.uniform(size=(4000, 2)) * [camera.width + 40, camera.height + 40]
+    places[:3] = np.nan
+    u, v = np.round(places).astype(np.int64).T
+    inside = (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
+    u, v = np.where(inside, u, 0), np.where(inside, v, 0)
+    seen = lab_frame.depth[v, u].astype(np.float64)
+    beyond = np.where(rng.random(4000) < 0.5, seen + rng.normal(0.0, 0.02, 4000), rng.uniform(0.3, 1.2, 4000))
+    smooth = np.hypot(belief.independent_sigma(beyond), belief.bias_sigma)
+    hidden = (seen > 0.0) & (seen < beyond - s.tolerance * np.hypot(smooth, belief.scale_sigma * beyond))
+    if known:
+        drawn = predictor.known[0][2]
+        hidden |= drawn[v // s.hand_step, u // s.hand_step] < beyond + s.hand_margin
+    found = predictor.hides(places, beyond)
+    np.testing.assert_array_equal(found, hidden | ~inside)
+    assert 0 < found[inside].sum() < inside.sum()

@@ -5,6 +5,32 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from scenes._numba import LENT
+
+
+@numba.njit(cache=True, nogil=True, **LENT)
+def is_grey(image):
+    """Whether the channels of an image (h, w, 3) are alike."""
+    for v in range(image.shape[0]):
+        coloured = np.uint8(0)
+        for u in range(image.shape[1]):
+            coloured |= (image[v, u, 0] ^ image[v, u, 1]) | (image[v, u, 0] ^ image[v, u, 2])
+        if coloured > 0:
+            return False
+    return True
+
+
+@numba.njit(cache=True, nogil=True, **LENT)
+def places_across(places, normals, first, low, columns, rows):
+    """Fill columns and rows (n, k) with the places first, first + 1, ... (px) along normals (n, 2) from places (n, 2),
+    less the corner low (2,) of the image's part that is read.
+    """
+    for n in range(places.shape[0]):
+        for k in range(columns.shape[1]):
+            away = float(first + k)
+            columns[n, k] = places[n, 0] + away * normals[n, 0] - low[0]
+            rows[n, k] = places[n, 1] + away * normals[n, 1] - low[1]
+
 
 @numba.njit(cache=True, nogil=True)
 def offset_tables(bins, ratios, group, temper, first, near, log_p, sides):
@@ -191,8 +217,9 @@ def box(points, rotation, translation, camera, bounds):
 
 
 @numba.njit(cache=True, nogil=True)
-def contrasts(colours, first, brightest, height, slope, change):
-    """Of samples (n, k, c) of lines, levels of 255, fill brightest (256,): how many have that as their largest channel;
+def contrasts(colours, first, levels, brightest, height, slope, change):
+    """Of samples (n, k, c) of lines, levels of 255, fill levels (c, 256): how many of each channel have that level;
+    brightest (256,): how many have that as their largest channel;
     height (n,) and slope (n,): how much the channel that changes most on a line changes on all of it, and in one sample
     at most; and change (n, m): over two samples on either side of the places from sample first on, in any channel.
     """
@@ -201,7 +228,9 @@ def contrasts(colours, first, brightest, height, slope, change):
         for j in range(k):
             most = np.int64(0)
             for q in range(c):
-                most = max(most, np.int64(colours[i, j, q]))
+                level = np.int64(colours[i, j, q])
+                levels[q, level] += 1
+                most = max(most, level)
             brightest[most] += 1
         height[i] = -1.0
         for q in range(c):

@@ -85,7 +85,7 @@ class Lines:
 
 def is_grey(image: NDArray[np.uint8]) -> bool:
     """Whether an image (h, w, 3) has no colours, as that of an infra-red camera."""
-    return bool((image[..., 0] == image[..., 1]).all() and (image[..., 0] == image[..., 2]).all())
+    return bool(kernels.is_grey(image))
 
 
 def lines_across(image: NDArray[np.uint8], outline: Outline, settings: LineSettings | None = None) -> Lines:
@@ -102,16 +102,16 @@ def lines_across(image: NDArray[np.uint8], outline: Outline, settings: LineSetti
     if s.median > 1:
         part = np.asarray(cv2.medianBlur(part, s.median), dtype=np.uint8)
     offsets = np.arange(-reach, reach + 1)
-    at = outline.places[:, None] + offsets[None, :, None] * outline.normals[:, None] - low
-    maps = at[..., 0].astype(np.float32), at[..., 1].astype(np.float32)
-    read = cv2.remap(part, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    columns, rows = np.zeros((2, len(outline), len(offsets)), dtype=np.float32)
+    kernels.places_across(outline.places, outline.normals, -reach, low, columns, rows)
+    read = cv2.remap(part, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     colours = np.asarray(read, dtype=np.uint8)
     log_p = np.zeros((len(outline), 2 * s.reach + 2))
     samples = colours.reshape(*colours.shape[:2], -1)
-    why_not, edges = _looked_over(colours, s)
+    why_not, edges, levels = _looked_over(samples, s)
     if why_not:
         return Lines(outline, log_p, -s.reach - 0.5, edges, samples, grey, why_not)
-    bins, count = _binned(colours, grey, s)
+    bins, count = _binned(samples, levels, grey, s)
     ratios, group = _ratios(bins, count, offsets, outline, grey, s)
     sides = np.zeros((len(outline), 2))
     kernels.offset_tables(bins, ratios, group, s.temper, s.beyond, np.array(s.near), log_p, sides)
@@ -119,58 +119,57 @@ def lines_across(image: NDArray[np.uint8], outline: Outline, settings: LineSetti
     return Lines(outline, log_p, -s.reach - 0.5, edges, samples, grey)
 
 
-def _extent(values: NDArray[np.uint8]) -> tuple[float, float]:
-    """The darkest and the brightest percent of the values."""
-    return _percents(np.bincount(values.ravel(), minlength=256))
-
-
 def _percents(counts: NDArray[np.int64]) -> tuple[float, float]:
-    """The values up to which the first and the 99th percent of all counted (256,) are."""
+    """The darkest and the brightest percent: the levels up to which the first and the 99th percent of all counted
+    (256,) are.
+    """
     below = counts.cumsum()
     low, high = np.searchsorted(below, [0.01 * below[-1], 0.99 * below[-1]])
     return float(low), float(high)
 
 
-def _looked_over(colours: NDArray[np.uint8], settings: LineSettings) -> tuple[str, Array]:
-    """Why samples (n, k) or (n, k, 3) tell nothing: dark, flat, badly exposed or blurred; "" when they do. And (n, 2
-    reach + 1) how much they change over two pixels on either side of each offset, relative to the image's contrast: 0
-    for none, saturating at 1.
+def _looked_over(samples: NDArray[np.uint8], settings: LineSettings) -> tuple[str, Array, NDArray[np.int64]]:
+    """Why samples (n, k, c) tell nothing: dark, flat, badly exposed or blurred; "" when they do. And (n, 2 reach + 1)
+    how much they change over two pixels on either side of each offset, relative to the image's contrast: 0 for none,
+    saturating at 1; and (c, 256) how many of each channel have each level.
 
     Blur: a step h that is smeared by sigma rises by h / (sigma sqrt(2 pi)) a pixel at most; the median of the half of
     the lines with the largest steps.
     """
-    s, count = settings, len(colours)
+    s, count = settings, len(samples)
     brightest, height, slope = np.zeros(256, dtype=np.int64), np.zeros(count), np.zeros(count)
-    change = np.zeros((count, 2 * s.reach + 1))
-    kernels.contrasts(colours.reshape(*colours.shape[:2], -1), s.beyond - 2, brightest, height, slope, change)
-    low, high = _extent(colours)
+    change, levels = np.zeros((count, 2 * s.reach + 1)), np.zeros((samples.shape[2], 256), dtype=np.int64)
+    kernels.contrasts(samples, s.beyond - 2, levels, brightest, height, slope, change)
+    low, high = _percents(levels.sum(axis=0))
     edges = change / (change + s.edge_share * max(high - low, 1.0))
     low, high = _percents(brightest)
     if high < s.contrast:
-        return f"the image is dark: {high:.0f} of 255 at most around the outline", edges
+        return f"the image is dark: {high:.0f} of 255 at most around the outline", edges, levels
     over = float(brightest[255] / brightest.sum())
     if over > s.clipped:
-        return f"the image is overexposed: {over:.0%} of what surrounds the outline", edges
+        return f"the image is overexposed: {over:.0%} of what surrounds the outline", edges, levels
     if high - low < s.contrast:
-        return f"the image has no contrast: {high - low:.0f} levels of 255 around the outline", edges
+        return f"the image has no contrast: {high - low:.0f} levels of 255 around the outline", edges, levels
     clear = height >= median(height)
     width = float(median(height[clear] / (np.sqrt(2.0 * np.pi) * np.maximum(slope[clear], 0.5))))
     if width > s.blurred:
-        return f"the image is blurred: edges around the outline are {width:.0f} px wide", edges
-    return "", edges
+        return f"the image is blurred: edges around the outline are {width:.0f} px wide", edges, levels
+    return "", edges, levels
 
 
-def _binned(colours: NDArray[np.uint8], grey: bool, settings: LineSettings) -> tuple[NDArray[np.int64], int]:
-    """(n, k) the bin of each colour, and how many bins there are; levels lie between the darkest and brightest."""
+def _binned(
+    samples: NDArray[np.uint8], counts: NDArray[np.int64], grey: bool, settings: LineSettings
+) -> tuple[NDArray[np.int64], int]:
+    """(n, k) the bin of the colour of each of samples (n, k, c), and how many bins there are; levels lie between the
+    darkest and brightest of a channel, of which counts (c, 256) says how many have each.
+    """
     levels = settings.greys if grey else settings.levels
-    channels = colours.reshape(*colours.shape[:2], -1)
-    out = np.zeros(channels.shape[:2], dtype=np.int64)
-    for channel in range(channels.shape[2]):
-        own = channels[..., channel]
-        low, high = _extent(own)
+    out = np.zeros(samples.shape[:2], dtype=np.int64)
+    for channel, counted in enumerate(counts):
+        low, high = _percents(counted)
         level = np.clip((np.arange(256) - low) / max(high - low, 1.0) * levels, 0, levels - 1).astype(np.int64)
-        out = out * levels + level[own]
-    return out, int(levels ** channels.shape[2])
+        out = out * levels + level[samples[..., channel]]
+    return out, int(levels ** len(counts))
 
 
 def _ratios(

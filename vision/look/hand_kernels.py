@@ -7,7 +7,11 @@ import math
 import numba
 import numpy as np
 
+from scenes._numba import LENT
 from scenes.geometry.cameras import FARTHEST_READING
+
+# Nearer than this (m) before the camera no point is looked up.
+LEAST_AHEAD = 1e-3
 
 
 @numba.njit(cache=True, nogil=True)
@@ -76,3 +80,25 @@ def explained(points, along, across, away, lens, depth, near, past, out):  # typ
                     seen = inside[a] * ((read > 0.0) & (read < FARTHEST_READING))
                     at = (behind < near) & (behind > -near) & (behind <= past)
                     out[c, b, a] += seen * (np.int64(at) - np.int64(behind > past))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
+def seen_past(points, lens, depth, near):  # type: ignore[no-untyped-def]
+    """How many of points (n, 3) of a hand, camera frame, are in the image with a reading in depth (h, w) at their
+    pixels, and how many of those are farther away there by more than near (m). lens: fx, fy, cx, cy.
+    """
+    fx, fy, cx, cy = lens
+    height, width = depth.shape
+    read = past = 0
+    for n in range(points.shape[0]):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        if not z > LEAST_AHEAD:
+            continue
+        u, v = np.rint(fx * x / z + cx), np.rint(fy * y / z + cy)
+        if not (0.0 <= u < width and 0.0 <= v < height):
+            continue
+        reading = np.float64(depth[int(v), int(u)])
+        if 0.0 < reading < FARTHEST_READING:
+            read += 1
+            past += reading > z + near
+    return read, past

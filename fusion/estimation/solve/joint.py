@@ -53,7 +53,8 @@ class JointResult:
     much parts of the image disagree. biased (6, 6): what of `shared` comes of the depth bias. shares: of the mixture,
     of each rig that was tried; empty where none were. mesh_variance (m^2): of the mesh's own error, as blocks of the
     image have it, 0 where nothing is seen; strain: squares of all shared errors, in units of what is believed of them,
-    and told: how many of them the frame tells; 0 where it was not asked for (`strained`).
+    and told: how many of them the frame tells; 0 where it was not asked for (`strained`). ended: where the solution
+    ended, while nobody has asked it for independent, shared, biased and follows (`parted`).
     """
 
     pose: Array
@@ -75,6 +76,7 @@ class JointResult:
     mesh_variance: float = 0.0
     strain: float = 0.0
     told: float = 0.0
+    ended: Settled | None = None
 
     @property
     def millimetres(self) -> float:
@@ -174,15 +176,24 @@ def expected(after: Settled, level: float) -> Expected:
 
 def answered(settled: Settled) -> JointResult:
     """A solution with its covariances."""
-    one, system = marginalised(settled), settled.system
+    return parted(marginalised(settled))
+
+
+def parted(one: JointResult) -> JointResult:
+    """A solution with what noise and shared errors make of its covariance, and with what follows its pose."""
+    if one.ended is None:
+        return one
+    system, settled = one.ended.system, one.ended
     misfit = system.misfit()
     independent, shared, biased, follows = _split(system, settled.pose, settled.normal)
     parts = misfit * independent, misfit * shared, misfit * biased
-    return replace(one, independent=parts[0], shared=parts[1], biased=parts[2], follows=follows)
+    return replace(one, independent=parts[0], shared=parts[1], biased=parts[2], follows=follows, ended=None)
 
 
 def marginalised(settled: Settled) -> JointResult:
-    """A solution with its covariance, all else marginalised; what of it noise and shared errors make is left out."""
+    """A solution with its covariance, all else marginalised; what of it noise and shared errors make is left to
+    `parted`.
+    """
     system, here, unknown, free = settled.system, settled.pose, settled.unknown, settled.free
     problem = system.problem
     system.terms(here, unknown)
@@ -204,6 +215,7 @@ def marginalised(settled: Settled) -> JointResult:
         as_seen=_as_seen(system, here, unknown),
         unsolved=unsolved,
         mesh_variance=variance if problem.on.any() else 0.0,
+        ended=settled,
     )
 
 

@@ -17,7 +17,7 @@ from scenes.evidence.kernels import cost_terms
 from scenes.evidence.prior_kernels import prior_terms
 from scenes.evidence.row_kernels import robust
 from scenes.evidence.table import FACING, GATE_ABOVE, GATE_BELOW, OFFSET
-from scenes.geometry.lattice import distance_at, seen_distance_at
+from scenes.geometry.lattice import distance_at, led_back_at
 from scenes.geometry.rotation_kernels import exp_times
 
 # Rows that belong to the object with less than this weight say nothing: most free space is far from it.
@@ -70,13 +70,14 @@ def vision_rows(
         qy = rotation[0, 1] * yx + rotation[1, 1] * yy + rotation[2, 1] * yz + centroid[1]
         qz = rotation[0, 2] * yx + rotation[1, 2] * yy + rotation[2, 2] * yz + centroid[2]
         nx, ny, nz = rows[n, 3], rows[n, 4], rows[n, 5]
+        d, ox, oy, oz = distance_at(values, origin, spacing, qx, qy, qz)
         if rows[n, FACING] > 0.0:
+            # as lattice.seen_distance_at
             vx = rotation[0, 0] * nx + rotation[1, 0] * ny + rotation[2, 0] * nz
             vy = rotation[0, 1] * nx + rotation[1, 1] * ny + rotation[2, 1] * nz
             vz = rotation[0, 2] * nx + rotation[1, 2] * ny + rotation[2, 2] * nz
-            d, ox, oy, oz = seen_distance_at(values, origin, spacing, lead, qx, qy, qz, vx, vy, vz)
-        else:
-            d, ox, oy, oz = distance_at(values, origin, spacing, qx, qy, qz)
+            if not ox * vx + oy * vy + oz * vz <= 0.0:
+                d, ox, oy, oz = led_back_at(values, origin, spacing, lead, qx, qy, qz, vx, vy, vz)
         d -= rows[n, OFFSET]
         gate, floor = (rows[n, GATE_ABOVE], floors[n, 0]) if d > 0.0 else (rows[n, GATE_BELOW], floors[n, 1])
         if gate == 0.0:
@@ -218,6 +219,28 @@ def mark_near(grid, points, reach, out):
             if a * a + b * b < reach * reach:
                 out[k] = True
                 break
+
+
+@numba.njit(cache=True, nogil=True)
+def number_blocks(uv, low, side, out):
+    """Fill out (n,) with the block of the image that each pixel uv (n, 2) is in: squares of `side` px from low (2,),
+    numbered column by column, without gaps.
+    """
+    columns = rows = 0
+    for n in range(uv.shape[0]):
+        columns = max(columns, math.floor((uv[n, 0] - low[0]) / side) + 1)
+        rows = max(rows, math.floor((uv[n, 1] - low[1]) / side) + 1)
+    number = np.zeros(columns * rows, dtype=np.int64)
+    for n in range(uv.shape[0]):
+        block = math.floor((uv[n, 0] - low[0]) / side) * rows + math.floor((uv[n, 1] - low[1]) / side)
+        out[n] = block
+        number[block] = 1
+    count = 0
+    for block in range(columns * rows):
+        count += number[block]
+        number[block] = count - 1
+    for n in range(uv.shape[0]):
+        out[n] = number[out[n]]
 
 
 @numba.njit(cache=True, nogil=True)

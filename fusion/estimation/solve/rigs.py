@@ -7,7 +7,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.solve.joint import Expected, JointResult, Settled, answered, expected, settle, solve, strained
+from fusion.estimation.solve.joint import (
+    Expected,
+    JointResult,
+    Settled,
+    answered,
+    expected,
+    marginalised,
+    settle,
+    solve,
+    strained,
+)
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.settings import JointSettings
 from scenes.geometry import poses as se3
@@ -32,7 +42,7 @@ def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[Joint
     problem, settings = problems[0], problems[0].settings
     pairs = list(zip(problems, starts, strict=True))
     if not problem.ties_depth:
-        return [solve(one, start, 1.0) for one, start in pairs]
+        return [solve(problem, starts[0], 1.0), *_others(pairs, 1.0)]
     tried = _rigs(problem, starts[0])
     weights = _shares([one.log_evidence for one in tried], settings)
     likely = np.flatnonzero(weights >= settings.negligible)
@@ -42,7 +52,14 @@ def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[Joint
     first = _averaged(problem.model, [tried[n].pose for n in likely], weights[likely], best)
     strain, told = strained(usual)
     first = replace(first, shares=tuple(float(share) for share in weights), strain=strain, told=told)
-    return [first, *(solve(one, start, usual.level) for one, start in pairs[1:])]
+    return [first, *_others(pairs, usual.level)]
+
+
+def _others(pairs: list[tuple[JointProblem, Array]], level: float) -> list[JointResult]:
+    """Solutions of all but the first for shared errors of one level; what makes their covariances is told of the one
+    that turns out to be the best (`joint.parted`).
+    """
+    return [marginalised(settle(problem, start, level)) for problem, start in pairs[1:]]
 
 
 def _rigs(problem: JointProblem, start: Array) -> list[Settled | Expected]:

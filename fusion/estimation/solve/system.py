@@ -6,13 +6,15 @@ weighs, are held while it is solved. Camera frame, metres, radians.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.solve import newton_kernels as kernels
-from fusion.estimation.solve.kernels import prior_row
+from fusion.estimation.solve.kernels import number_blocks, prior_row
 from fusion.estimation.solve.problem import JointProblem
-from scenes.evidence.table import FACING, NORMAL
+from scenes.evidence.table import NORMAL, POINT
 from scenes.geometry import poses as se3
 from vision.look.hand import prior_spread
 
@@ -103,20 +105,24 @@ class System:
         """
         problem = self.problem
         count = len(problem.seen)
-        if problem.camera is None or not count:
-            return np.zeros((count, 3)), np.ones(count)
-        rows = problem.seen.rows
+        normals, slope = np.zeros((count, 3)), np.ones(count)
+        pixels = np.flatnonzero(problem.is_pixel)
+        if problem.camera is None or not len(pixels):
+            return normals, slope
+        # what is no pixel is met by no ray: nothing is looked up for it
+        rows = problem.seen.rows[pixels]
         rotation = pose[:3, :3]
         middle = rotation @ problem.model.centroid + pose[:3, 3]
-        local = (problem.seen.points - middle) @ rotation + problem.model.centroid
-        _, g = problem.model.field.seen_distance_and_gradient(local, rows[:, NORMAL] @ rotation, rows[:, FACING] > 0)
-        normals = g / np.maximum(np.sqrt(np.einsum("ij,ij->i", g, g)), 1e-9)[:, None]
-        normals = np.where(problem.is_pixel[:, None], normals, 0.0)
-        cosine = -np.einsum("ij,ij->i", normals @ rotation.T, rows[:, NORMAL])
-        cosine = np.maximum(np.where(problem.is_pixel, cosine, 1.0), problem.settings.least_cosine)
+        local = (rows[:, POINT] - middle) @ rotation + problem.model.centroid
+        facing = np.ones(len(pixels), dtype=bool)
+        _, g = problem.model.field.seen_distance_and_gradient(local, rows[:, NORMAL] @ rotation, facing)
+        met = g / np.maximum(np.sqrt(np.einsum("ij,ij->i", g, g)), 1e-9)[:, None]
+        cosine = -np.einsum("ij,ij->i", met @ rotation.T, rows[:, NORMAL])
+        cosine = np.maximum(cosine, problem.settings.least_cosine)
         noise = problem.beliefs.depth.sloping_sigma(rows[:, 2], cosine, problem.camera.fx)
-        slope = np.hypot(noise, problem.beliefs.mesh_sigma / cosine) / problem.sigma
-        return normals, np.where(problem.is_pixel, slope, 1.0)
+        normals[pixels] = met
+        slope[pixels] = np.hypot(noise, problem.beliefs.mesh_sigma / cosine) / problem.sigma[pixels]
+        return normals, slope
 
     def misfit(self) -> float:
         """By how much (a factor of variance) pixels are farther off, where `terms` last was, than their sigmas say: 1
@@ -242,11 +248,10 @@ class System:
 
 def _blocks(uv: Array, count: float, least: float) -> NDArray[np.int64]:
     """(n,) block of each pixel (n, 2): squares of the image, about `count` of them, no side shorter than `least`."""
-    side = max(least, float(np.sqrt(np.prod(np.ptp(uv, axis=0) + 1.0) / count)))
-    column, row = np.floor((uv - uv.min(axis=0)) / side).astype(np.int64).T
-    block = column * (row.max() + 1) + row
-    # numbered without gaps, as np.unique does, but without sorting
-    return np.asarray(np.cumsum(np.bincount(block) > 0)[block] - 1, dtype=np.int64)
+    low, out = uv.min(axis=0), np.zeros(len(uv), dtype=np.int64)
+    width, height = uv.max(axis=0) - low + 1.0
+    number_blocks(uv, low, max(least, math.sqrt(width * height / count)), out)
+    return out
 
 
 def exceeding(spread: Array, said: Array) -> Array:

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from fusion.estimation.settings import EstimateSettings
 from scenes.evidence.align import AlignSettings, Prior, align, costs
-from scenes.evidence.modes import Mode
+from scenes.evidence.modes import Mode, displaced
 from scenes.evidence.near_symmetries import near_symmetries
 from scenes.evidence.search import thin
 from scenes.evidence.table import VISION, Evidence, empty
-from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 
 Array = NDArray[np.float64]
@@ -91,6 +90,4 @@ def with_twins(
 
 def _apart(model: ObjectModel, kept: list[Array], pose: Array) -> float:
     """Metres by which a point at the object's radius moves from pose (4, 4) to the nearest of those kept (4, 4)."""
-    delta = se3.difference(model.symmetries.nearest(np.array(kept), pose), pose, model.centroid)
-    apart = np.linalg.norm(delta[:, :3], axis=1) * model.radius + np.linalg.norm(delta[:, 3:], axis=1)
-    return float(apart.min())
+    return float(displaced(model, np.array(kept), pose).min())

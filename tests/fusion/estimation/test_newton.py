@@ -28,14 +28,22 @@ def test_what_is_not_positive_has_no_factor():
     assert not kernels.factorize(np.zeros((2, 2)), 2)
 
 
+@pytest.mark.parametrize("size", [1, 8, 9])
 @pytest.mark.parametrize("count", [0, 1, 4, 11])
-def test_products_are_added_up(rng, count):
-    design, information, residuals = rng.normal(size=(count, 9)), rng.uniform(size=count), rng.normal(size=count)
-    normal, gradient = np.zeros((9, 9)), np.zeros(9)
+def test_products_are_added_up(rng, count, size):
+    design, information, residuals = rng.normal(size=(count, size)), rng.uniform(size=count), rng.normal(size=count)
+    normal, gradient = np.zeros((size, size)), np.zeros(size)
     kernels.add_products(design, information, residuals, count, normal, gradient)
     weighted = design * information[:, None]
-    np.testing.assert_allclose(normal, np.tril(weighted.T @ design), atol=1e-12)
+    np.testing.assert_allclose(np.tril(normal), np.tril(weighted.T @ design), atol=1e-12)
     np.testing.assert_allclose(gradient, weighted.T @ residuals, atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [0, 3, 4, 10])
+def test_the_bias_of_rows_is_a_product(rng, count):
+    basis, unknown, bias = rng.normal(size=(count, 5)), rng.normal(size=5), np.full(count, 7.0)
+    kernels.bias_of(basis, unknown, bias)
+    np.testing.assert_allclose(bias, basis @ unknown, atol=1e-12)
 
 
 @pytest.mark.parametrize("free", [12, 15])

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scenes.evidence.align import Alignment
+from scenes.evidence.leader_kernels import are_one, displacements
 from scenes.evidence.modes import ModeSettings, covariance_of, distinct_modes
 from scenes.geometry import poses
 from scenes.synthesis import library
@@ -130,3 +131,16 @@ def test_a_singular_hessian_makes_a_mode():
     (mode,) = distinct_modes(model, aligned(draw(1), [0.0], hessian))
     assert np.isfinite(mode.covariance).all()
     assert np.allclose(np.diag(mode.covariance)[:3], 1.0)
+
+
+def test_what_is_of_one_mode_is_so_by_numpy(rng):
+    delta, root = rng.normal(size=(200, 6)) * np.repeat([0.1, 0.005], 3), rng.normal(size=(6, 6)) * 20.0
+    hessian, radius, apart, sigmas, one = root @ root.T, 0.07, 0.012, 3.0, np.zeros(200, dtype=bool)
+    are_one(delta, hessian, radius, apart, sigmas, one)
+    moved = np.linalg.norm(delta[:, :3], axis=1) * radius + np.linalg.norm(delta[:, 3:], axis=1)
+    square = np.einsum("ni,ij,nj->n", delta, hessian, delta)
+    np.testing.assert_array_equal(one, (moved < apart) | (square < sigmas**2))
+    assert 0 < one.sum() < 200
+    way = np.zeros(200)
+    displacements(delta, radius, way)
+    np.testing.assert_allclose(way, moved, rtol=1e-12)

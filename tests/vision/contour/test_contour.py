@@ -359,7 +359,11 @@ def test_boxes_agree_with_the_cameras_own_projection(rng):
 def test_contrasts_agree_with_their_twin(rng, channels):
     colours = rng.integers(0, 256, (6, 35, channels), dtype=np.uint8)
     brightest, height, slope, change = np.zeros(256, dtype=np.int64), np.zeros(6), np.zeros(6), np.zeros((6, 25))
-    kernels.contrasts(colours, 3, brightest, height, slope, change)
+    levels = np.zeros((channels, 256), dtype=np.int64)
+    kernels.contrasts(colours, 3, levels, brightest, height, slope, change)
+    np.testing.assert_array_equal(
+        levels, [np.bincount(own.ravel(), minlength=256) for own in colours.transpose(2, 0, 1)]
+    )
     values = colours.astype(float)
     np.testing.assert_array_equal(brightest, np.bincount(colours.max(axis=2).ravel(), minlength=256))
     extent = values.max(axis=1) - values.min(axis=1)

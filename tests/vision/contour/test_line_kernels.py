@@ -70,3 +70,22 @@ def test_lines_are_weighed_and_summed_as_by_numpy(rng):
     kernels.sum_up(rows, weight, left, whole, pull)
     np.testing.assert_allclose(whole, (rows * weight[:, None]).T @ rows, atol=1e-12)
     np.testing.assert_allclose(pull, rows.T @ (weight * left), atol=1e-9)
+
+
+def test_channels_that_are_alike_are_grey(rng):
+    image = np.repeat(rng.integers(0, 256, (12, 15, 1), dtype=np.uint8), 3, axis=2)
+    assert kernels.is_grey(image)
+    assert kernels.is_grey(image[::2, ::3])
+    for channel in range(3):
+        coloured = image.copy()
+        coloured[7, 9, channel] ^= 1
+        assert not kernels.is_grey(coloured)
+        assert kernels.is_grey(coloured[::2])
+
+
+def test_places_across_lines_are_those_of_plain_arrays(rng):
+    places, normals, low = rng.uniform(20.0, 90.0, (30, 2)), rng.normal(size=(30, 2)), np.array([3, 8])
+    columns, rows = np.zeros((2, 30, 9), dtype=np.float32)
+    kernels.places_across(places, normals, -4, low, columns, rows)
+    expected = places[:, None] + np.arange(-4, 5)[None, :, None] * normals[:, None] - low
+    np.testing.assert_array_equal(np.stack([columns, rows], axis=-1), expected.astype(np.float32))
