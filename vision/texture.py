@@ -19,7 +19,7 @@ from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
 from vision.contour.lines import is_grey
-from vision.predicted import Predictor
+from vision.picture.predictor import Predictor
 
 Array = NDArray[np.float64]
 

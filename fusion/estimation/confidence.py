@@ -21,7 +21,7 @@ from scenes.evidence.align import Prior
 from scenes.evidence.alike import Alike, alike
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
-from vision.predicted import Prediction
+from vision.picture.predictor import Prediction
 
 Array = NDArray[np.float64]
 

@@ -52,8 +52,8 @@ from scenes.recordings.validation import check_scale
 from scenes.threads import one_blas_thread
 from scenes.words import counted
 from touch.gels.localize import build_tables
-from vision.aspects import aspects_of
 from vision.look.looked import Looked
+from vision.picture.aspects import aspects_of
 from vision.plausibility import doubts
 from vision.visibility import visibility
 

@@ -3,7 +3,7 @@ metres.
 
 A search over all rows at once is pulled onto whatever fills the image; the pose that every contact explains may never
 be tried. So touch alone, and a plain descent from the start, propose beside it. What ranks them is not how many pixels
-a pose covers but what must be seen of it (vision.predicted), with what is felt and what was believed before.
+a pose covers but what must be seen of it (vision.picture.predictor), with what is felt and what was believed before.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from scenes.recordings.beliefs import DepthModel
 from touch.held import Held
 from vision.look.looked import Looked, RowSettings, surface_rows
 from vision.look.pixels import Pixels
-from vision.predicted import Predictor
-from vision.shown import shown_rows
+from vision.picture.predictor import Predictor
+from vision.picture.shown import shown_rows
 from vision.sight import Sight
 from vision.starts import seen_starts
 

@@ -23,8 +23,8 @@ from touch.arrays.ranking import RankingSettings
 from touch.contacts import TouchSettings
 from vision.contour.evidence import ContourSettings
 from vision.look.look import LookSettings
+from vision.picture.settings import PredictionSettings
 from vision.plausibility import PlausibilitySettings
-from vision.predicted import PredictionSettings
 from vision.sight import SightSettings
 from vision.texture import PrintSettings
 

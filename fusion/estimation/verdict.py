@@ -17,7 +17,7 @@ from scenes.evidence.table import GATE_ABOVE, POINT, SIGMA, TOUCH, VISION, WEIGH
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts, Frame
-from vision.predicted import Prediction
+from vision.picture.predictor import Prediction
 from vision.visibility import Visibility
 
 Array = NDArray[np.float64]

@@ -1,15 +1,18 @@
-"""The predicted image in plain NumPy: the twin of vision.predicted_kernels, array by array."""
+"""The predicted image in plain NumPy: the twin of vision.picture.kernels, array by array."""
 
 import numpy as np
 
 from scenes.geometry import poses as se3
 from scenes.geometry.cameras import is_reading
-from vision import predicted_kernels as kernels
-from vision.predicted import Prediction
+from vision.picture import columns
+from vision.picture.predictor import Prediction
 
 
 def predicted(found, pose, side):
-    """Shares (seen, agree, past, hidden, behind_hand, outline, within) and hits of a pose; found: a Predictor."""
+    """Shares (seen, agree, past, hidden, behind_hand, outline, within, ends, dark), scatter and hits of a pose.
+
+    found: a Predictor.
+    """
     s, camera, depth = found.settings, found.camera, found._depth
     u, v, inside = grid(found, pose, side)
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
@@ -29,7 +32,16 @@ def predicted(found, pose, side):
     total = max(hit.sum() - s.unread * (hit & ~read).sum(), 1.0) / max(share, 1e-3)
     sums = [x.sum() / total for x in (fade, near, past_share, hidden, by_hand)]
     sums[3] += 1.0 - share
-    return *sums, *runs_on(found, hit, near, read, hidden, seen, u, v, side), int(hit.sum())
+    border = *runs_on(found, hit, near, read, hidden, seen, u, v, side), *ends(found, hit, near, seen, u, v, side)
+    return *sums, *border, scatter(found, seen, expected, near), int(hit.sum())
+
+
+def scatter(found, seen, z, near):
+    """Standard deviation of how far what agrees is off, in sigmas of noise and bias."""
+    if not near.any():
+        return 0.0
+    off = (seen - z)[near] / np.hypot(found.belief.independent_sigma(z[near]), found.belief.bias_sigma)
+    return float(off.std())
 
 
 def told(found, rays, at, seen, z, known):
@@ -53,14 +65,15 @@ def told(found, rays, at, seen, z, known):
 
 
 def by_aspect(found, pose, aspects, which):
-    """Shares (seen, agree, past, hidden, behind_hand, outline, within) and hits of a pose by the points of one of an
-    object's aspects; area (px^2); and how much of what is seen is of parts that go on beyond the outline.
+    """Shares (seen, agree, past, hidden, behind_hand, outline, within, ends, dark), scatter and hits of a pose by the
+    points of one of an object's aspects; area (px^2); and how much of what is seen is of parts that go on beyond the
+    outline.
     """
     s, c, depth = found.settings, found.camera, found._depth
     points = se3.apply(pose, aspects.points[which, : aspects.count[which]].astype(np.float64))
     beside = aspects.near[which, : aspects.count[which]].astype(int)
     if not (points[:, 2] > 1e-3).all():
-        return np.zeros(8), 0.0, 0.0
+        return np.zeros(11), 0.0, 0.0
     z = points[:, 2]
     u = np.rint(np.clip(c.fx * points[:, 0] / z + c.cx, -c.width, 2 * c.width)).astype(int)
     v = np.rint(np.clip(c.fy * points[:, 1] / z + c.cy, -c.width, 2 * c.width)).astype(int)
@@ -73,15 +86,23 @@ def by_aspect(found, pose, aspects, which):
     share = float(hit.mean())
     total = max(hit.sum() - s.unread * (hit & ~read).sum(), 1.0) / max(share, 1e-3)
     each = aspects.cell[which] * c.fx * c.fy / se3.apply(pose, found.model.centroid[None])[0, 2] ** 2
-    edges = goes_on = within = 0
+    edges = goes_on = within = ending = dark = 0
     for k in np.flatnonzero(hit):
         for way in range(4):
             on, back = beside[k, way], beside[k, way - 2]
             inner = on >= 0 and hit[on]
             edges += not inner
-            if back < 0 or not near[k] or not near[back]:
+            if back < 0 or not near[k]:
                 continue
-            slope, room = seen[k] - seen[back], s.smooth + s.smooth_share * seen[k]
+            room = s.smooth + s.smooth_share * seen[k]
+            if not inner:
+                along = np.array([u[k] - u[back], v[k] - v[back]])
+                far = np.array([u[k], v[k]]) + along * (1.0 + 0.5 * found.reach / max(np.linalg.norm(along), 1.0))
+                step, nothing = step_at(found, *np.rint(far).astype(int)[:, None], seen[k : k + 1], 2.0 * room)
+                ending, dark = ending + step[0], dark + nothing[0]
+            if not near[back]:
+                continue
+            slope = seen[k] - seen[back]
             if inner:
                 within += hidden[on] and abs(seen[on] - seen[k] - slope) < room
                 continue
@@ -93,21 +114,17 @@ def by_aspect(found, pose, aspects, which):
             far = np.rint(np.array([i, j]) + more * along).astype(int)
             lead = seen[k] + slope * (1.0 + more)
             goes_on += leads_to(found, far[:1], far[1:], np.array([lead]), np.array([room]))[0]
-    agrees, lost = fade.sum() / total, 0.0
-    if found._pieces is not None:
-        label = found._pieces[at[0] // s.piece_step, at[1] // s.piece_step] + 1
-        labels = len(found._whole)
-        of_each = np.bincount(label[hit], fade[hit], minlength=labels) / total
-        sums = np.bincount(found._whole, of_each)
-        bound, parts = s.most_of_piece / (s.cells * s.seen), len(found._sizes)
-        agrees = np.minimum(sums, bound).sum()
-        earned = (of_each * np.minimum(1.0, bound / np.maximum(sums, 1e-9))[found._whole])[1 : parts + 1]
-        met = np.bincount(label[hit], minlength=labels)[1 : parts + 1]
-        outside = np.maximum((1.0 - s.beside) * found._sizes - met * each, 0.0) / (max(total * each, 1.0) / s.cells)
-        lost = np.minimum(s.beyond / (s.cells * s.seen) * outside, earned).sum()
-    shares = [agrees, *(x.sum() / total for x in (near, past, hidden, by_hand))]
+    lost = 0.0
+    if len(found._sizes):
+        label = found._pieces[at[0] // s.piece_step, at[1] // s.piece_step]
+        for part, pixels in enumerate(found._sizes):
+            mine = hit & (label == part)
+            outside = max((1.0 - s.beside) * pixels - mine.sum() * each, 0.0)
+            lost += min(outside / max(total * each, 1.0), fade[mine].sum() / total)
+    shares = [x.sum() / total for x in (fade, near, past, hidden, by_hand)]
     shares[3] += 1.0 - share
-    return np.array([*shares, goes_on / max(edges, 1), within / max(edges, 1), hit.sum()]), total * each, lost
+    border = [count / max(edges, 1) for count in (goes_on, within, ending, dark)]
+    return np.array([*shares, *border, scatter(found, seen, z, near), hit.sum()]), total * each, lost
 
 
 def size(found, candidates, picture):
@@ -118,22 +135,25 @@ def size(found, candidates, picture):
 
 
 def cost(found, candidates, picture):
-    """(n,) nats of poses (n, 4, 4), of one colour each or none."""
-    s, p = found.settings, picture
-    hidden = s.hidden if found.told_apart else s.hidden_by_unknown
-    shares = s.past * p.past + hidden * p.hidden - s.seen * p.seen
-    smooth = s.runs_on * p.outline
-    if not found.told_apart:
-        smooth = smooth + np.minimum(s.runs_on_within * p.within, s.most_within)
-    return np.where(p.count > 0, size(found, candidates, p) * (s.cells * shares + smooth), s.cells * hidden)
+    """(n,) nats of poses (n, 4, 4)."""
+    p, score = picture, found.score
+    clear = np.maximum(1.0 - p.hidden - p.behind_hand, 0.05)
+    against = (
+        score.past * p.past + score.past_open * p.past / clear + score.hidden * p.hidden + score.goes_on * p.beyond
+    )
+    agreeing = score.seen * np.minimum(p.seen, score.most_seen) - score.scatter * p.agree * p.scatter
+    border = score.runs_on * p.outline + np.minimum(score.within * p.within, score.most_within)
+    border = border - score.ends * p.ends - score.dark * p.dark
+    weight = size(found, candidates, p) ** score.by_size
+    return np.where(p.count > 0, weight * (against - agreeing + border), score.hidden)
 
 
 def picture(seen=0.9, agree=0.95, past=0.0, hidden=0.0, behind_hand=0.0, outline=0.0):
     """A predicted picture of one pose by its shares."""
-    shares = np.zeros((1, kernels.SUMS))
-    columns = kernels.HITS, kernels.SEEN, kernels.AGREE, kernels.PAST, kernels.BEHIND, kernels.BEHIND_HAND
-    shares[0, list(columns)] = 200.0, min(seen, 0.95 * agree), agree, past, hidden, behind_hand
-    shares[0, kernels.OUTLINE] = outline
+    shares = np.zeros((1, columns.SUMS))
+    told = columns.HITS, columns.SEEN, columns.AGREE, columns.PAST, columns.BEHIND, columns.BEHIND_HAND
+    shares[0, list(told)] = 200.0, min(seen, 0.95 * agree), agree, past, hidden, behind_hand
+    shares[0, columns.OUTLINE] = outline
     return Prediction(shares, np.zeros(1), np.array([9e3]))
 
 
@@ -212,6 +232,35 @@ def runs_on(found, hit, near, read, hidden, seen, u, v, side):
             smooth += (beyond & np.roll(read, step, axis) & close).sum()
             border += beyond.sum()
     return smooth / max(border, 1), within / max(border, 1)
+
+
+def ends(found, hit, near, seen, u, v, side):
+    """Shares of the outline where what agrees ends in a step of depth, and beyond which nothing is read."""
+    s = found.settings
+    hit, near, seen, u, v = (x.reshape(side, side) for x in (hit, near, seen, u, v))
+    beyond, ending, dark, border = np.pad(hit, 1), 0, 0, 0
+    across, down = np.ptp(u) / (side - 1), np.ptp(v) / (side - 1)
+    for right, below in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        edge = hit & ~beyond[1 + below : 1 + below + side, 1 + right : 1 + right + side]
+        border += edge.sum()
+        edge &= near
+        far_u = np.rint(u + right * (across + 0.5 * found.reach)).astype(int)
+        far_v = np.rint(v + below * (down + 0.5 * found.reach)).astype(int)
+        room = s.smooth + s.smooth_share * seen
+        step, nothing = step_at(found, far_u[edge], far_v[edge], seen[edge], 2.0 * room[edge])
+        ending, dark = ending + step.sum(), dark + nothing.sum()
+    return ending / max(border, 1), dark / max(border, 1)
+
+
+def step_at(found, u, v, reading, apart):
+    """(n,) whether pixels are read nearer or farther than readings (m) by more than apart (m), and whether those in the
+    image are not read.
+    """
+    c = found.camera
+    inside = (u >= 0) & (v >= 0) & (u < c.width) & (v < c.height)
+    there = found._depth[np.where(inside, v, 0), np.where(inside, u, 0)].astype(np.float64)
+    read = is_reading(there)
+    return inside & read & (np.abs(there - reading) > apart), inside & ~read
 
 
 def leads_to(found, u, v, lead, room):

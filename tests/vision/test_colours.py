@@ -15,7 +15,7 @@ from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import DepthModel
 from scenes.recordings.frames import Frame
 from vision.look.colours import parted_by_colour
-from vision.predicted import Predictor
+from vision.picture.predictor import Predictor
 
 VIEW = Camera(285.0, 285.0, 159.5, 119.5, 320, 240)
 RED, GREEN, GREY = (180, 60, 50), (70, 150, 60), (128, 128, 128)
@@ -141,7 +141,7 @@ def test_a_piece_that_goes_on_beyond_the_outline_earns_nothing(beside, box):
     found = parted_by_colour(frame.rgb, points, pieces)
     depth, without = DepthModel(), np.zeros((0, 6))
     plain = Predictor(frame, box, depth, None, None, without, pieces)
-    coloured = Predictor(frame, box, depth, None, None, without, found.numbers, found.count, found.whole)
+    coloured = Predictor(frame, box, depth, None, None, without, found.numbers, found.count)
     assert np.array_equal(plain.predict(candidates).beyond, np.zeros(2))
     here, there = coloured.predict(candidates).beyond
     assert here < 0.01

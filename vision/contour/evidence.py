@@ -21,7 +21,7 @@ from vision.contour.edges import EdgeSettings, edges_near
 from vision.contour.lines import Lines, LineSettings, lines_across
 from vision.contour.outline import Outline, OutlineSettings, inner_depths, outline_near, outline_of
 from vision.look.pixels import median
-from vision.predicted import Predictor
+from vision.picture.predictor import Predictor
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ together at most, never that a thing ends there. Nobody's colours are known befo
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,13 +66,12 @@ class PartingSettings:
 @dataclass(frozen=True)
 class Coloured:
     """numbers (h, w): of the parts, from 0, at every so many pixels, -1 where no piece is; what is too small for a part
-    has a number from `count` on, one for each piece. whole (k,): the piece that each number is of. groups: which parts
-    may be one thing, each an array of their numbers, largest first. why_not: why colour parts nothing; "" when it does.
+    has a number from `count` on, one for each piece. groups: which parts may be one thing, each an array of their
+    numbers, largest first. why_not: why colour parts nothing; "" when it does.
     """
 
     numbers: Numbers
     count: int = 0
-    whole: Numbers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     groups: tuple[Numbers, ...] = ()
     why_not: str = ""
 
@@ -214,22 +213,19 @@ def _parted(
     # a part is a piece's cells of one label; what is too small for one is left over of its piece
     key = own[there] * (int(label.max()) + 1) + label[there]
     counts = np.bincount(key)
-    names = np.flatnonzero(counts)
-    size = counts[names]
+    size = counts[counts > 0]
     part = (np.cumsum(counts > 0) - 1)[key]
     large = size >= s.smallest
     count = int(large.sum())
     numbers = np.where(large, np.cumsum(large) - 1, -1)[part]
     left = numbers < 0
-    rests, rest = np.unique(own[there][left], return_inverse=True)
-    numbers[left] = count + rest
-    whole = np.concatenate([names[large] // (int(label.max()) + 1), rests])
+    numbers[left] = count + np.unique(own[there][left], return_inverse=True)[1]
     out = np.full(pieces.shape, -1, dtype=np.int64)
     inside = np.full(len(own), -1, dtype=np.int64)
     inside[there] = numbers
     out[box] = inside.reshape(pieces[box].shape)
     seen = colours.reshape(-1, 3)[there], points.reshape(-1, 3)[there]
-    return Coloured(out, count, whole, _groups(numbers, size[large], *seen, s) if grouped else ())
+    return Coloured(out, count, _groups(numbers, size[large], *seen, s) if grouped else ())
 
 
 def _groups(

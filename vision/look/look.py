@@ -180,7 +180,7 @@ def coloured_pieces(
     """
     found = []
     for group in coloured.groups[: settings.most_coloured]:
-        of_it = np.zeros(len(coloured.whole) + 1, dtype=bool)  # the last one stands for no piece
+        of_it = np.zeros(int(coloured.numbers.max(initial=-1)) + 2, dtype=bool)  # the last one stands for no piece
         of_it[group] = True
         own = np.flatnonzero(of_it[coloured.numbers])
         pixels = _piece(own, points, camera, model, settings)

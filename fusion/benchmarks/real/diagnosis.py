@@ -13,7 +13,7 @@ from fusion.benchmarks.real.trials import Trial
 from fusion.estimation.estimate import estimate
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
-from vision.predicted import Predictor
+from vision.picture.predictor import Predictor
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.symmetries import Symmetries
 from scenes.recordings.frames import Frame
-from vision.predicted import Predictor
+from vision.picture.predictor import Predictor
 from vision.texture import PrintSettings, SeenPrint, see_print
 
 Array = NDArray[np.float64]

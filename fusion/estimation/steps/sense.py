@@ -29,7 +29,7 @@ from vision.look.hand import HandView, camera_from_hand
 from vision.look.look import coloured_pieces, look, surfaces
 from vision.look.looked import Looked
 from vision.look.pixels import Pixels
-from vision.predicted import Predictor
+from vision.picture.predictor import Predictor
 from vision.sight import Sight
 
 Array = NDArray[np.float64]
@@ -98,7 +98,7 @@ def sense(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: 
     with trace.stage("colours", unknown, "nothing is to be told apart") as stage:
         parted = _parted(viewed, looked, model, asked) if unknown else Parted()
         stage.note(parted.parts, f"surfaces parted into {parted.parts}" if parted.parts else parted.why_not)
-    known = looked.planes, parted.numbers, parted.parts, parted.whole
+    known = looked.planes, parted.numbers, parted.parts
     predictor = Predictor(viewed, model, beliefs.depth, hand, settings.prediction, *known)
     asks = settings.look.rows, settings.proposals, settings.modes, settings.pool
     rng = np.random.default_rng(asked.seed)
@@ -122,13 +122,12 @@ def sense(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: 
 
 @dataclass(frozen=True)
 class Parted:
-    """Surfaces of the image: numbers (h, w), the first `parts` of them parted by colour, and the whole that each is of,
-    as Predictor takes them; pieces that colour proposes, and why there are none.
+    """Surfaces of the image: numbers (h, w), the first `parts` of them parted by colour, as Predictor takes them;
+    pieces that colour proposes, and why there are none.
     """
 
     numbers: NDArray[np.int64] | None = None
     parts: int = 0
-    whole: NDArray[np.int64] | None = None
     pieces: tuple[Pixels, ...] = ()
     why_not: str = ""
 
@@ -147,9 +146,7 @@ def _parted(viewed: Frame, looked: Looked, model: ObjectModel, asked: Asked) -> 
     if found.why_not:
         return Parted(numbers, why_not=found.why_not)
     pieces = coloured_pieces(found, points, viewed.camera, model, how)
-    return Parted(
-        found.numbers, found.count, found.whole, pieces, "" if pieces else "no piece by colour is large enough"
-    )
+    return Parted(found.numbers, found.count, pieces, "" if pieces else "no piece by colour is large enough")
 
 
 def _held(frame: Frame, seen: HandView | None) -> Held | None:

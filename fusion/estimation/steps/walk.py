@@ -25,7 +25,7 @@ class WalkSettings:
     """How far and with how many. Tuned on the families `desk`, `loose`, `d435` and `lab`."""
 
     # Rounds: how many of the best go on, draws around each, and their width as a share of `angle` and `distance`.
-    rounds: tuple[tuple[int, int, float], ...] = ((12, 8, 0.6), (10, 8, 0.3), (8, 8, 0.15), (6, 8, 0.08))
+    rounds: tuple[tuple[int, int, float], ...] = ((12, 24, 0.6), (10, 24, 0.3), (8, 24, 0.15), (6, 24, 0.08))
     # Standard deviation of the first draws per axis (rad, m): that of a coarse start (T1 section 4.3).
     angle: float = 0.18
     distance: float = 0.02

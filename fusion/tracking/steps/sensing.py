@@ -24,7 +24,7 @@ from vision.look.look import surfaces
 from vision.look.looked import Looked
 from vision.look.pixels import read_pixels
 from vision.look.regions import region_around
-from vision.predicted import Predictor
+from vision.picture.predictor import Predictor
 from vision.sight import Sight
 
 Array = NDArray[np.float64]

@@ -42,7 +42,8 @@ def test_one_of_two_is_no_answer_without_a_start(drill):
     assert stage(alone).ran
     both = estimate(seen(drill, HERE, THERE), drill)
     assert both.verdict == "ambiguous"
-    assert "another like it is in view" in both.notes[0]
+    # the search itself found the other, or it was looked for when the answer seemed sure
+    assert "another like it is in view" in both.notes[0] or "modes holds" in both.notes[0]
     assert both.confidence < 0.7
     # each of them is a mode, and the modes are what there is
     off = [[np.linalg.norm(mode.pose[:3, 3] - one[:3, 3]) for mode in both.modes[:2]] for one in (HERE, THERE)]

@@ -15,7 +15,7 @@ from vision.contour import kernels
 from vision.contour.evidence import ContourEvidence, ContourSettings
 from vision.contour.lines import LineSettings, lines_across
 from vision.contour.outline import outline_near, outline_of
-from vision.predicted import Predictor
+from vision.picture.predictor import Predictor
 
 MESH = 1e-4
 

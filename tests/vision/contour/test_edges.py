@@ -15,7 +15,7 @@ from vision.contour.edges import EdgeSettings, edges_near
 from vision.contour.evidence import ContourEvidence
 from vision.contour.lines import lines_across
 from vision.contour.outline import outline_of
-from vision.predicted import Predictor
+from vision.picture.predictor import Predictor
 
 OFFSETS = np.arange(-17, 18)
 NOTHING = np.zeros(6), 1e-6 * np.eye(6)

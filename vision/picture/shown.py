@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.evidence.table import COLUMNS, VISION, Evidence
-from vision import shown_kernels as kernels
 from vision.look.looked import RowSettings
-from vision.predicted import Predictor, View
+from vision.picture import shown_kernels as kernels
+from vision.picture.predictor import Predictor, View
 
 Array = NDArray[np.float64]
 

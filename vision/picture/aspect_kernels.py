@@ -1,6 +1,6 @@
 """The compiled look at poses by an object's aspects: points are projected and compared, no ray is cast.
 
-What each point is, and what they add up to, is as of rays (vision.predicted_kernels). Camera frame, metres, pixels.
+What each point is, and what they add up to, is as of rays (vision.picture.kernels). Camera frame, metres, pixels.
 """
 
 from __future__ import annotations
@@ -12,31 +12,32 @@ import numpy as np
 
 from scenes._numba import LENT
 from scenes.geometry.cameras import FARTHEST_READING
-from vision.predicted_kernels import (
+from vision.picture.columns import (
     AGREE,
     BEHIND,
     BEHIND_HAND,
     BY_HAND,
+    DARK,
+    ENDS,
     HIDDEN,
     HIT,
     HITS,
     NEAR,
-    NEAREST,
     OUTLINE,
     PAST,
+    SCATTER,
     SEEN,
     UNREAD,
     WITHIN,
-    bound_words,
-    leads_to,
-    what_is,
 )
+from vision.picture.kernels import NEAREST, ends_at, leads_to, smooth_sigma, what_is
+from vision.picture.scoring_kernels import of_parts, scatter_of
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
 def aspect_at(cells, x, y, z):
     """Which of 6 cells^2 directions (x, y, z), of any length, is nearest to, the first for none; see
-    vision.aspects.directions.
+    vision.picture.aspects.directions.
     """
     face, a, b, c = 0, x, y, z
     if abs(y) > abs(a) and abs(y) >= abs(z):
@@ -54,19 +55,19 @@ def aspect_at(cells, x, y, z):
 @numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
 def sum_aspects(aspects, cells, centroid, poses, image, camera, noise, limits, running, parts, work, words, told):
     """What the points that the object shows at poses (n, 4, 4) add up to: fills told, that is sums (n, SUMS), in
-    shares, and beyond and area (n,), as share_out and bound_pieces of vision.predicted_kernels do.
+    shares, and beyond and area (n,), as share_out and part_pieces of vision.picture.scoring_kernels do.
 
     aspects: points, near, count, cell of Aspects from 6 cells^2 directions around centroid (3,). image, camera, noise,
     limits: of compare_pixels. running: smooth (m), its share of depth, reach of an edge (px), and the share of points
-    without a reading that is left out. parts: pieces, step, whole, sizes and limits of bound_pieces; pieces (0, 0) for
-    none. work: seen, fade (m,), state (m,), column and row (m,) to work in, words (3, k): of as many pieces.
+    without a reading that is left out. parts: pieces, step, sizes and beside of part_pieces. work: seen, fade (m,),
+    state (m,), column and row (m,) to work in, words (2, k): of as many parts.
     """
     points, near, count, cell = aspects
     depth = image[0]
     fx, fy, cx, cy, width, height = camera
     smooth, smooth_share, reach, unread = running
     plane_margin, plane_sigmas = limits[6], limits[7]
-    pieces, piece_step, whole, sizes, bounds = parts
+    pieces, piece_step, sizes, off_outline = parts
     seen, fade, state, column, row = work
     sums, beyond, area = told
     for n in range(poses.shape[0]):
@@ -86,6 +87,7 @@ def sum_aspects(aspects, cells, centroid, poses, image, camera, noise, limits, r
         distance, ahead, inside = z, z > NEAREST, 0
         out = sums[n]
         out[:] = 0.0
+        agreeing = total_off = squares = 0.0
         for k in range(count[which]):
             px, py, pz = (
                 np.float64(points[which, k, 0]),
@@ -120,6 +122,8 @@ def sum_aspects(aspects, cells, centroid, poses, image, camera, noise, limits, r
             out[PAST] += past
             if bits & NEAR:
                 out[AGREE] += 1.0
+                off = (reading - z) / smooth_sigma(noise, z)
+                agreeing, total_off, squares = agreeing + 1.0, total_off + off, squares + off * off
             elif bits & HIDDEN:
                 out[BEHIND] += 1.0
             elif bits & BY_HAND:
@@ -128,7 +132,7 @@ def sum_aspects(aspects, cells, centroid, poses, image, camera, noise, limits, r
             out[:] = 0.0
             beyond[n] = area[n] = 0.0
             continue
-        edges = goes_on = within = 0
+        edges = goes_on = within = ends = dark = 0
         for k in range(count[which]):
             if not state[k] & HIT:
                 continue
@@ -137,7 +141,15 @@ def sum_aspects(aspects, cells, centroid, poses, image, camera, noise, limits, r
                 inner = beside >= 0 and (state[beside] & HIT) > 0
                 edges += not inner
                 back = near[which, k, (way + 2) % 4]
-                if back < 0 or not state[k] & NEAR or not state[back] & NEAR:
+                if back < 0 or not state[k] & NEAR:
+                    continue
+                if not inner:
+                    du, dv = column[k] - column[back], row[k] - row[back]
+                    more = 1.0 + 0.5 * reach / max(math.sqrt(float(du * du + dv * dv)), 1.0)
+                    i, j = int(np.rint(column[k] + more * du)), int(np.rint(row[k] + more * dv))
+                    end = ends_at(depth, i, j, seen[k], 2.0 * (smooth + smooth_share * seen[k]))
+                    ends, dark = ends + (end == ENDS), dark + (end == DARK)
+                if not state[back] & NEAR:
                     continue
                 slope = seen[k] - seen[back]
                 room = smooth + smooth_share * seen[k]
@@ -157,22 +169,23 @@ def sum_aspects(aspects, cells, centroid, poses, image, camera, noise, limits, r
                 goes_on += leads_to(image, camera, noise, i, j, lead, room, plane_margin, plane_sigmas)
         out[OUTLINE] = goes_on / max(edges, 1)
         out[WITHIN] = within / max(edges, 1)
+        out[ENDS], out[DARK] = ends / max(edges, 1), dark / max(edges, 1)
+        out[SCATTER] = scatter_of(agreeing, total_off, squares)
         share = inside / max(count[which], 1)
         total = max(out[HITS] - unread * out[UNREAD], 1.0) / max(share, 1e-3)
         each = cell[which] * fx * fy / (distance * distance)
         area[n] = total * each
         beyond[n] = 0.0
-        if pieces.shape[0] > 0:
+        if sizes.shape[0] > 0:
             words[:] = 0.0
             for k in range(count[which]):
                 if not state[k] & HIT:
                     continue
-                label = pieces[row[k] // piece_step, column[k] // piece_step] + 1
-                words[0, label] += fade[k]
-                words[1, label] += 1.0
-            out[SEEN], beyond[n] = bound_words(words, whole, sizes, total, each, bounds)
-        else:
-            out[SEEN] /= total
-        for i in (AGREE, PAST, BEHIND, BEHIND_HAND):
+                label = pieces[row[k] // piece_step, column[k] // piece_step]
+                if 0 <= label < sizes.shape[0]:
+                    words[0, label] += fade[k]
+                    words[1, label] += 1.0
+            beyond[n] = of_parts(words, sizes, total, each, off_outline)
+        for i in (SEEN, AGREE, PAST, BEHIND, BEHIND_HAND):
             out[i] /= total
         out[BEHIND] += 1.0 - share

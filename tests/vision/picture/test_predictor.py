@@ -12,9 +12,10 @@ from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import DepthModel
 from scenes.recordings.depth_cameras import DEPTH_CAMERAS
 from scenes.synthesis import library
-from vision import predicted_kernels
 from vision.look.look import look
-from vision.predicted import PredictionSettings, Predictor
+from vision.picture import columns, kernels, scoring_kernels
+from vision.picture.predictor import Predictor
+from vision.picture.settings import PredictionSettings
 
 AWAY = poses.make_pose(None, [0.0, 0.0, 0.03])
 
@@ -44,7 +45,7 @@ def test_rays_meet_what_a_renderer_draws():
     pose = frame.camera_from_object_truth
     view = predictor(frame, model).view(pose[None], 24)
     drawn = Renderer({"object": (model.vertices, model.faces)}).render(frame.camera, {"object": pose}).depth
-    hit = view.has(predicted_kernels.HIT)[0]
+    hit = view.has(columns.HIT)[0]
     u, v = view.at(np.flatnonzero(hit)).T
     np.testing.assert_allclose(view.expected[0, hit], drawn[v, u], atol=2e-6)
 
@@ -77,7 +78,8 @@ def test_the_kernels_say_what_plain_arrays_say(lab_frame, drill, rng, known):
     candidates = np.array([truth, *around, *far])
     for side in (7, 16):
         got = found.predict(candidates, side)
-        columns = got.seen, got.agree, got.past, got.hidden, got.behind_hand, got.outline, got.within, got.count
+        shares = got.seen, got.agree, got.past, got.hidden, got.behind_hand, got.outline, got.within
+        columns = *shares, got.ends, got.dark, got.scatter, got.count
         expected = [predicted_twin.predicted(found, pose, side) for pose in candidates]
         np.testing.assert_allclose(np.array(columns).T, expected, atol=1e-9)
         np.testing.assert_allclose(
@@ -195,14 +197,40 @@ def test_nothing_is_under_the_table_and_a_table_is_no_object():
     assert told.costs(pose[None])[0] < told.costs(np.array([sunk, beside])).min()
 
 
-def test_one_piece_of_the_image_has_one_bounded_word():
+def test_where_the_hand_is_unknown_a_surface_counts_only_where_it_ends_as_the_object_does():
+    """Whatever is smooth fits a face of a box; but the object ends in steps of depth, and so must what is seen."""
     frame, model = plain_view("box"), library.make("box")
     truth = frame.camera_from_object_truth[None]
-    pieces = np.where(frame.depth[::3, ::3] > 0, 0, -1)
-    settings = PredictionSettings()
-    bounded = predictor(frame, model, pieces=pieces).costs(truth)[0]
-    assert predictor(frame, model).costs(truth)[0] < -1.8 * settings.cells
-    assert bounded == pytest.approx(-settings.most_of_piece, abs=10.0)
+    box = predictor(frame, model)
+    assert not box._hand[0].size
+    # the same face, going on in all directions
+    depth = frame.depth.copy()
+    rows, columns = np.nonzero(depth)
+    flat = np.stack([columns, rows, np.ones(len(rows))], axis=1)
+    plane = np.linalg.lstsq(flat, 1.0 / depth[rows, columns], rcond=None)[0]
+    v, u = np.mgrid[: depth.shape[0], : depth.shape[1]]
+    wall = 1.0 / np.maximum(plane[0] * u + plane[1] * v + plane[2], 0.2)
+    on_a_wall = predictor(replace(frame, depth=np.where(depth > 0, depth, wall).astype(np.float32)), model)
+    here, there = box.predict(truth), on_a_wall.predict(truth)
+    assert here.agree[0] == pytest.approx(there.agree[0], abs=0.02)
+    assert here.ends[0] + here.dark[0] > 0.9
+    assert there.ends[0] + there.dark[0] < 0.5
+    assert there.outline[0] > 0.1
+    assert on_a_wall.costs(truth)[0] > box.costs(truth)[0] + 20.0
+
+
+def test_what_is_of_another_form_scatters(rng):
+    """A pose laid onto a surface of about its size agrees with it, and is off now to one side, now to the other."""
+    frame, model = plain_view("mug"), library.make("mug")
+    truth = frame.camera_from_object_truth
+    found = predictor(frame, model)
+    bent = frame.depth + np.where(frame.depth > 0, 0.005 * np.sin(np.arange(frame.depth.shape[1]) / 6.0), 0.0)
+    other = predictor(replace(frame, depth=bent.astype(np.float32)), model)
+    assert found.predict(truth[None]).scatter[0] < 0.1
+    assert other.predict(truth[None]).scatter[0] > 0.8
+    # being off as a whole is none: that is a bias of the camera
+    off = predictor(replace(frame, depth=np.where(frame.depth > 0, frame.depth + 0.004, 0.0).astype(np.float32)), model)
+    assert off.predict(truth[None]).scatter[0] < 0.2
 
 
 def test_pixels_inside_the_outline_lie_on_the_surface(lab_frame, drill):
@@ -239,38 +267,34 @@ def test_an_empty_image_neither_sees_nor_contradicts():
     assert shares.agree[0] == shares.past[0] == shares.hidden[0] == 0.0
 
 
-@pytest.mark.parametrize("parts", [0, 3])
-def test_what_pieces_earn_is_what_plain_arrays_say(rng, parts):
-    poses_n, side, step, labels = 4, 6, 3, 5
+def test_what_is_of_parts_that_go_on_is_what_plain_arrays_say(rng):
+    poses_n, side, step, labels, parts = 4, 6, 3, 5, 3
     pieces = rng.integers(-1, labels, size=(20, 30))
-    whole = np.concatenate([[0], rng.integers(0, 3, size=labels) + 1]) if parts else np.arange(labels + 1)
     sizes = rng.uniform(0.0, 4000.0, size=parts)
     u, v = np.sort(rng.integers(-5, 95, size=(2, poses_n, side)), axis=2)
     fade, total = rng.random(poses_n * side**2), rng.uniform(5.0, 40.0, size=poses_n)
     state = rng.integers(0, 4, size=poses_n * side**2).astype(np.uint8)
-    limits = bound, beside, dear, cells = 0.3, 0.15, 0.01, 50.0
-    seen, lost = np.zeros((2, poses_n))
-    predicted_kernels.bound_pieces(pieces, step, whole, sizes, u, v, fade, state, total, limits, seen, lost)
+    beside, lost = 0.15, np.zeros(poses_n)
+    scoring_kernels.part_pieces(pieces, step, sizes, u, v, fade, state, total, beside, lost)
     row, column = np.clip(v // step, 0, 19), np.clip(u // step, 0, 29)
-    label = (pieces[row[:, :, None], column[:, None, :]] + 1).reshape(poses_n, -1)
+    label = pieces[row[:, :, None], column[:, None, :]].reshape(poses_n, -1)
     for n in range(poses_n):
         rays = slice(n * side**2, (n + 1) * side**2)
-        each = np.bincount(label[n], fade[rays], minlength=labels + 1) / total[n]
-        met = np.bincount(label[n], state[rays] & predicted_kernels.HIT, minlength=labels + 1)
-        sums = np.bincount(whole, each)
-        assert seen[n] == pytest.approx(np.minimum(sums, bound).sum(), abs=1e-12)
-        earned = (each * np.minimum(1.0, bound / np.maximum(sums, 1e-9))[whole])[1 : parts + 1]
         area = np.ptp(u[n]) * np.ptp(v[n]) / (side - 1) ** 2
-        cell = max(total[n] * area, 1.0) / cells
-        outside = np.maximum((1.0 - beside) * sizes - met[1 : parts + 1] * area, 0.0) / cell
-        assert lost[n] == pytest.approx(np.minimum(dear * outside, earned).sum(), abs=1e-12)
+        expected = 0.0
+        for part in range(parts):
+            mine = label[n] == part
+            met = (state[rays][mine] & columns.HIT).sum()
+            outside = max((1.0 - beside) * sizes[part] - met * area, 0.0) / max(total[n] * area, 1.0)
+            expected += min(outside, fade[rays][mine].sum() / total[n])
+        assert lost[n] == pytest.approx(expected, abs=1e-12)
 
 
 def test_what_is_at_and_beside_each_pixel_is_as_by_numpy(rng):
     depth = rng.uniform(0.4, 0.6, (12, 17))
     depth[rng.uniform(size=depth.shape) < 0.7] = np.inf
     least, most = np.full(depth.shape, np.inf), np.full(depth.shape, -np.inf)
-    predicted_kernels.spread(depth, least, most)
+    kernels.spread(depth, least, most)
     wide = np.pad(depth, 1, constant_values=np.inf)
     around = np.stack([wide[j : j + 12, i : i + 17] for j in range(3) for i in range(3)])
     assert np.array_equal(least, around.min(axis=0))

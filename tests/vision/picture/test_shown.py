@@ -15,9 +15,9 @@ from scenes.synthesis import library
 from vision.look.look import look
 from vision.look.looked import RowSettings, free_space_rows, surface_rows
 from vision.look.pixels import Pixels
-from vision.predicted import Predictor
-from vision.predicted_kernels import HIT, NEAR
-from vision.shown import shown_rows
+from vision.picture.columns import HIT, NEAR
+from vision.picture.predictor import Predictor
+from vision.picture.shown import shown_rows
 
 LEAST = 25
 

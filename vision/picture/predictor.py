@@ -20,12 +20,13 @@ from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import DepthModel
 from scenes.recordings.frames import Frame
-from vision import predicted_kernels as kernels
-from vision.aspects import sums_of
 from vision.look.hand import HandView
 from vision.look.pixels import Pixels
-from vision.predicted_hand import hand_depth, widened
-from vision.shown_kernels import shown_rays
+from vision.picture import columns, kernels, scoring_kernels
+from vision.picture.aspects import sums_of
+from vision.picture.hand import hand_depth, widened
+from vision.picture.settings import PictureScore, PredictionSettings
+from vision.picture.shown_kernels import shown_rays
 
 Array = NDArray[np.float64]
 
@@ -37,77 +38,6 @@ _NO_PIECES = np.zeros((0, 0), dtype=np.int64)
 
 
 @dataclass(frozen=True)
-class PredictionSettings:
-    """How a predicted image is scored. By judgement, on generated captures and on nine recorded frames, which are
-    therefore no independent test of it.
-    """
-
-    # Rays along each side of the box around the outline: some six in ten of their square meet the object.
-    side: int = 16
-    # The same where pixels are wanted as rows of evidence: first, and where that shows fewer than so many pixels.
-    sides_rows: tuple[int, int] = (40, 64)
-    enough_rows: int = 450
-    # Things of which less than this share of what is seen is off the edge are thin: then edges count, too.
-    thin_share: float = 0.4
-    # Depths (m) beyond where a ray that is seen past meets the object, at which it must be empty; the distance kept
-    # from what is seen, sigma (m) and gate (sigmas) of these rows.
-    empty_depths: tuple[float, ...] = (0.002, 0.006, 0.014)
-    empty_clearance: float = 0.006
-    empty_sigma: float = 0.003
-    empty_gate: float = 3.0
-    # Points of the surface whose projections bound the outline.
-    bounding: int = 200
-    # Independent cells that a whole outline amounts to: neighbours share what is in front of them. With 100 the
-    # few that are seen at 90 % hidden outvoted touch (tuning family `d435`); with 50 nothing else changed there.
-    cells: float = 50.0
-    # Pixels (px^2) that a cell has at least: a camera smears its noise over as many. And the least share of all cells
-    # that a small outline amounts to: a bottle seen from its end, an object far away.
-    cell: float = 25.0
-    least_cells: float = 0.2
-    # Nats that one cell earns when it is seen where it must be, costs when the camera sees past it, and costs when
-    # something unknown is in front: of a right pose few cells are seen past, and what hides it is somewhere by chance.
-    seen: float = 2.0
-    past: float = 4.0
-    hidden: float = 0.6
-    # Where what hides the object is unknown, something in front is no wonder; and the most nats that one connected
-    # piece of the image earns: six parameters laid over a surface fit it wherever it is.
-    hidden_by_unknown: float = 0.2
-    most_of_piece: float = 30.0
-    piece_step: int = 3
-    # Nats that it loses of these for each cell of it beyond the outline, where it is of one colour, too; and the share
-    # of it that may be beside the outline for how edges are smeared and colours lie beside depth.
-    beyond: float = 1.0
-    beside: float = 0.15
-    # A pixel that is seen past counts this share beside the edge of something that is as near as the object.
-    past_beside: float = 0.25
-    # Of what gives no reading this share is left out of the count.
-    unread: float = 0.7
-    # A cell's depth agrees within so many sigmas (noise, smooth bias and scale); seen fades with so many (no scale).
-    tolerance: float = 2.5
-    fading: float = 1.5
-    # Nats of a whole outline over which a surface runs on, and how far (m, and share of depth) the next pixel may be
-    # from where the seen surface leads.
-    runs_on: float = 60.0
-    # Where what hides the object is unknown: nats of as many borders as a whole outline has, across which the surface
-    # that agrees runs on to be what hides the object: it goes through another thing. And the most that they cost, since
-    # a finger may lie against the object smoothly. Of right poses nine in ten have up to 0.07, half of the wrong ones
-    # 0.17 and more (`stranger`, `borrowed`); 60 to 240 nats, and a most of 10 or none, are alike.
-    runs_on_within: float = 120.0
-    most_within: float = 15.0
-    smooth: float = 0.003
-    smooth_share: float = 0.004
-    # A mask is right to so many pixels: what is seen outside of it is not the object.
-    mask_margin: int = 6
-    # The hand is drawn at every so many pixels; a reading this near (m) to it is the hand's.
-    hand_step: int = 3
-    hand_margin: float = 0.006
-    # A reading this near (m, and sigmas of its noise on top, as far as it scatters) to the table or wall, or behind it,
-    # is the table's or wall's.
-    plane_margin: float = 0.004
-    plane_sigmas: float = 2.0
-
-
-@dataclass(frozen=True)
 class Prediction:
     """Shares (n,) of the predicted pixels, for n poses; those outside the image are hidden.
 
@@ -115,9 +45,11 @@ class Prediction:
     outline in one colour, as far as it does; agree: within the tolerance; past: seen through, or under a table; hidden:
     behind something that is not the robot's hand; behind_hand: the hand explains it; outline: of the border, where the
     seen surface runs on smoothly beyond it; within: borders, beside as many as the outline has, across which it runs on
-    within the outline to be what hides the object. count: rays that met the object inside the image. area: of the
-    outline (px^2) that they tell of, what the image's border cuts off included. shares (n, SUMS): in the columns of
-    predicted_kernels.
+    within the outline to be what hides the object; ends: of the border, where what agrees ends in a step of depth, to
+    either side; dark: of the border, beyond which nothing is read; scatter: how far what agrees is off, beside being
+    off as a whole (standard deviation, sigmas of noise and bias). count: rays that met the object inside the image.
+    area: of the outline (px^2) that they tell of, what the image's border cuts off included. shares (n, SUMS): in the
+    columns of predicted_kernels.
     """
 
     shares: Array
@@ -127,42 +59,57 @@ class Prediction:
     @property
     def seen(self) -> Array:
         """(n,)."""
-        return self.shares[:, kernels.SEEN]
+        return self.shares[:, columns.SEEN]
 
     @property
     def agree(self) -> Array:
         """(n,)."""
-        return self.shares[:, kernels.AGREE]
+        return self.shares[:, columns.AGREE]
 
     @property
     def past(self) -> Array:
         """(n,)."""
-        return self.shares[:, kernels.PAST]
+        return self.shares[:, columns.PAST]
 
     @property
     def hidden(self) -> Array:
         """(n,)."""
-        return self.shares[:, kernels.BEHIND]
+        return self.shares[:, columns.BEHIND]
 
     @property
     def behind_hand(self) -> Array:
         """(n,)."""
-        return self.shares[:, kernels.BEHIND_HAND]
+        return self.shares[:, columns.BEHIND_HAND]
 
     @property
     def outline(self) -> Array:
         """(n,)."""
-        return self.shares[:, kernels.OUTLINE]
+        return self.shares[:, columns.OUTLINE]
 
     @property
     def within(self) -> Array:
         """(n,)."""
-        return self.shares[:, kernels.WITHIN]
+        return self.shares[:, columns.WITHIN]
+
+    @property
+    def ends(self) -> Array:
+        """(n,)."""
+        return self.shares[:, columns.ENDS]
+
+    @property
+    def dark(self) -> Array:
+        """(n,)."""
+        return self.shares[:, columns.DARK]
+
+    @property
+    def scatter(self) -> Array:
+        """(n,)."""
+        return self.shares[:, columns.SCATTER]
 
     @property
     def count(self) -> Array:
         """(n,)."""
-        return self.shares[:, kernels.HITS]
+        return self.shares[:, columns.HITS]
 
 
 @dataclass(frozen=True)
@@ -208,27 +155,20 @@ class Predictor:
         planes: Array | None = None,
         pieces: NDArray[np.int64] | None = None,
         parts: int = 0,
-        whole: NDArray[np.int64] | None = None,
     ) -> None:
         """hand: the robot's own as seen in this frame; what it hides is no wonder. planes (k, 6): of table and walls,
         see vision.look.mask.find_plane.
 
         pieces (h, w) at every settings.piece_step pixels, from 0, -1 for none: connected surfaces of the image, given
-        where nobody has a model of what hides the object, so that what is seen may be that. One piece is
-        then one thing, whose word is bounded however many pixels it has, and something in front is no wonder. Those
-        with numbers below `parts` are of one colour, too: one that goes on beyond the outline is no part of the object.
-        whole (k,): the surface that each of the numbers is of, where colour parted them; its word is bounded.
+        where neither a mask nor a model of the hand tells what hides the object, so that what is seen may be that.
+        Those with numbers below `parts` are of one colour, too: one that goes on beyond the outline is no part of the
+        object.
         """
         self._planes = np.zeros((0, 6)) if planes is None else np.ascontiguousarray(planes)
         self._pieces = pieces
         self.settings = settings or PredictionSettings()
-        self._whole: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
         self._sizes: Array = np.zeros(0)
-        if pieces is not None:
-            # none of them, and each piece: its own surface, or that of which it is a part
-            self._whole = np.arange(int(pieces.max(initial=-1)) + 2)
-        if pieces is not None and parts and whole is not None:
-            self._whole = np.concatenate([np.zeros(1, dtype=np.int64), whole + 1])
+        if pieces is not None and parts:
             self._sizes = np.asarray(np.bincount(pieces[pieces >= 0])[:parts] * float(self.settings.piece_step**2))
         self._mask = None if frame.mask is None else widened(frame.mask, self.settings.mask_margin)
         self.model = model
@@ -255,6 +195,11 @@ class Predictor:
         return self._pieces is None
 
     @property
+    def score(self) -> PictureScore:
+        """What a picture is worth: less surely the object's where nobody knows the hand."""
+        return self.settings.known_hand if self._hand[0].size else self.settings.unknown_hand
+
+    @property
     def reach(self) -> int:
         """Pixels beyond an outline that a smeared edge, or what a mask has too much, may still reach."""
         return max(self.belief.edge_pixels, 0 if self._mask is None else self.settings.mask_margin + 1)
@@ -268,7 +213,7 @@ class Predictor:
         return self._cost_of(candidates, self.predict(candidates, side))
 
     def rough_costs(self, candidates: Array) -> Array:
-        """As `costs`, by points that the object shows to cameras nearly there (vision.aspects): without a ray, in a
+        """As `costs`, by points that the object shows to cameras nearly there (see `aspects`): without a ray, in a
         fifth of the time, and off by a few nats.
         """
         if not self.sees or not len(candidates):
@@ -280,17 +225,16 @@ class Predictor:
         s = self.settings
         running = s.smooth, s.smooth_share, self.reach, s.unread
         pieces = _NO_PIECES if self._pieces is None else self._pieces
-        parts = pieces, s.piece_step, self._whole, self._sizes, self._bounds
+        parts = pieces, s.piece_step, self._sizes, s.beside
         return Prediction(*sums_of(self.model, candidates, *self.known, self._limits, running, parts))
 
     def _cost_of(self, candidates: Array, p: Prediction) -> Array:
         assert self.camera is not None
-        s, out = self.settings, np.zeros(len(candidates))
-        hidden, within = (s.hidden, 0.0) if self.told_apart else (s.hidden_by_unknown, s.runs_on_within)
+        s, score, out = self.settings, self.score, np.zeros(len(candidates))
         usual = self.model.mean_outline * self.camera.fx * self.camera.fy
-        nats, cells = (s.seen, s.past, hidden, s.runs_on, within, s.most_within), (s.cells, s.cell, s.least_cells)
+        nats, cells = score.nats, (s.cells, s.cell, s.least_cells)
         centroid = self.model.centroid
-        kernels.cost_of_shares(
+        scoring_kernels.cost_of_shares(
             np.ascontiguousarray(candidates), centroid, p.shares, p.beyond, p.area, usual, nats, cells, out
         )
         return out
@@ -313,25 +257,16 @@ class Predictor:
 
     def _summed(self, candidates: Array, side: int) -> Prediction:
         view = self.view(candidates, side)
-        s, sums = self.settings, np.zeros((len(candidates), kernels.SUMS))
-        flat = view.seen.ravel(), view.state.ravel(), view.past.ravel(), view.fade.ravel()
+        s, sums = self.settings, np.zeros((len(candidates), columns.SUMS))
+        flat = view.expected.ravel(), view.seen.ravel(), view.state.ravel(), view.past.ravel(), view.fade.ravel()
         limits = s.smooth, s.smooth_share, self.reach, s.plane_margin, s.plane_sigmas
         kernels.sum_up(view.u, view.v, *self.known, limits, *flat, sums)
         total, area, beyond = np.zeros((3, len(candidates)))
-        kernels.share_out(view.u, view.v, view.inside, s.unread, sums, total, area)
-        if self._pieces is not None:
-            sums[:, kernels.SEEN], beyond = self._bounded(view, self._pieces, total)
+        scoring_kernels.share_out(view.u, view.v, view.inside, s.unread, sums, total, area)
+        if self._pieces is not None and len(self._sizes):
+            rays = view.u, view.v, view.fade.ravel(), view.state.ravel(), total
+            scoring_kernels.part_pieces(self._pieces, s.piece_step, self._sizes, *rays, s.beside, beyond)
         return Prediction(sums, beyond, area)
-
-    def _bounded(self, view: View, pieces: NDArray[np.int64], total: Array) -> tuple[Array, Array]:
-        """(n,) share seen, of each piece no more than what bounds its word; and how much of that is of pieces of one
-        colour that go on beyond the outline.
-        """
-        s = self.settings
-        seen, lost = np.zeros((2, len(view.u)))
-        rays = view.u, view.v, view.fade.ravel(), view.state.ravel(), total
-        kernels.bound_pieces(pieces, s.piece_step, self._whole, self._sizes, *rays, self._bounds, seen, lost)
-        return seen, lost
 
     def view(self, candidates: Array, side: int) -> View:
         """The predicted pixels of poses (n, 4, 4), side^2 rays each, and what each of them is."""
@@ -374,12 +309,6 @@ class Predictor:
         s, edge = self.settings, self.belief.edge_pixels
         hand, plane = (s.hand_step, s.hand_margin), (s.plane_margin, s.plane_sigmas)
         return s.tolerance, s.fading, s.past_beside, edge, *hand, *plane
-
-    @property
-    def _bounds(self) -> tuple[float, ...]:
-        """Limits of bound_pieces."""
-        s = self.settings
-        return s.most_of_piece / (s.cells * s.seen), s.beside, s.beyond / (s.cells * s.seen), s.cells
 
     @cached_property
     def known(self) -> tuple[tuple[NDArray[Any], ...], tuple[float, ...], tuple[float, ...]]:

@@ -13,15 +13,26 @@ import numpy as np
 
 from scenes._numba import LENT
 from scenes.geometry.cameras import FARTHEST_READING
-
-# What a ray is: meets the object, its pixel is read, at the predicted depth, hidden by something unknown, by the hand.
-HIT, READ, NEAR, HIDDEN, BY_HAND = 1, 2, 4, 8, 16
-
-# Columns of what the rays of a pose add up to: rays that met the object, those of them without a reading, seen (falling
-# off with the difference), at the predicted depth, seen past, hidden, by the hand, the share of the outline across
-# which the surface runs on, and beside that outline the borders within it across which it runs on to hide the object.
-HITS, UNREAD, SEEN, AGREE, PAST, BEHIND, BEHIND_HAND, OUTLINE, WITHIN = range(9)
-SUMS = 9
+from vision.picture.columns import (
+    AGREE,
+    BEHIND,
+    BEHIND_HAND,
+    BY_HAND,
+    DARK,
+    ENDS,
+    HIDDEN,
+    HIT,
+    HITS,
+    NEAR,
+    OUTLINE,
+    PAST,
+    READ,
+    SCATTER,
+    SEEN,
+    UNREAD,
+    WITHIN,
+)
+from vision.picture.scoring_kernels import scatter_of
 
 # Nearer than this (m) before the camera nothing is projected.
 NEAREST = 1e-3
@@ -234,13 +245,14 @@ def _beside(depth, row, column, reach, nearer, height, width):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
-def sum_up(u, v, image, camera, noise, limits, seen, state, past, fade, out):
+def sum_up(u, v, image, camera, noise, limits, expected, seen, state, past, fade, out):
     """What the rays (n side^2,) of each pose add up to: fills out (n, SUMS); see the columns' names.
 
     The surface runs on across the outline where two pixels beyond it are within smooth (m) and smooth_share (of depth)
     of where the two rays before it lead: the next ray's, and one so far on that no smeared edge reaches it. What is
     the table's, or outside of the mask, is another thing for sure. Within the outline it runs on where the next ray is
-    hidden, and seen where they lead.
+    hidden, and seen where they lead. What agrees ends where beyond the outline, past half of what an edge smears, the
+    reading is nearer or farther by twice what a smooth surface may be off.
     u, v (n, side), image, camera, noise: as of compare_pixels. limits: smooth (m), its share of depth, reach of an edge
     (px), margin (m) and sigmas of the plane.
     """
@@ -248,7 +260,10 @@ def sum_up(u, v, image, camera, noise, limits, seen, state, past, fade, out):
     side = u.shape[1]
     for n in range(out.shape[0]):
         begin = n * side * side
-        edges = running = within = 0
+        edges = running = within = ends = dark = 0
+        count = total = squares = 0.0
+        # pixels from ray to ray
+        across, down = (u[n, side - 1] - u[n, 0]) / (side - 1), (v[n, side - 1] - v[n, 0]) / (side - 1)
         for j in range(side):
             for i in range(side):
                 k = begin + j * side + i
@@ -262,6 +277,9 @@ def sum_up(u, v, image, camera, noise, limits, seen, state, past, fade, out):
                 out[n, PAST] += past[k]
                 if bits & NEAR:
                     out[n, AGREE] += 1.0
+                    z = expected[k]
+                    off = (seen[k] - z) / smooth_sigma(noise, z)
+                    count, total, squares = count + 1.0, total + off, squares + off * off
                 elif bits & HIDDEN:
                     out[n, BEHIND] += 1.0
                 elif bits & BY_HAND:
@@ -274,6 +292,11 @@ def sum_up(u, v, image, camera, noise, limits, seen, state, past, fade, out):
                     back = k - dj * side - di
                     inner = in_grid and state[beyond] & HIT
                     edges += not inner
+                    if not inner and bits & NEAR:
+                        column = int(np.rint(u[n, i] + di * (across + 0.5 * reach)))
+                        row = int(np.rint(v[n, j] + dj * (down + 0.5 * reach)))
+                        end = ends_at(image[0], column, row, seen[k], 2.0 * (smooth + smooth_share * seen[k]))
+                        ends, dark = ends + (end == ENDS), dark + (end == DARK)
                     if not in_grid or not 0 <= j - dj < side or not 0 <= i - di < side:
                         continue
                     if not bits & NEAR or not state[back] & NEAR or not state[beyond] & (HIDDEN if inner else READ):
@@ -291,108 +314,28 @@ def sum_up(u, v, image, camera, noise, limits, seen, state, past, fade, out):
                     running += leads_to(image, camera, noise, column, row, lead, room, plane_margin, plane_sigmas)
         out[n, OUTLINE] = running / max(edges, 1)
         out[n, WITHIN] = within / max(edges, 1)
-
-
-@numba.njit(cache=True, nogil=True)
-def share_out(u, v, inside, unread, sums, total, area):
-    """Make shares of what the rays of each pose add up to, sums (n, SUMS), in place; fills total (n,): rays of which
-    shares are taken, and area (n,): of the outline (px^2) that they tell of, what the image's border cuts off included.
-
-    Where nothing is read little is known: surfaces that give no reading are the object's or not, so that this share of
-    them, unread, is left out. What the image's border hides is hidden, too: the corner of an object tells little of it.
-    u, v (n, side), inside (n,): as of outline_rays.
-    """
-    side = u.shape[1]
-    for n in range(sums.shape[0]):
-        seen = max(inside[n], 1e-3)
-        total[n] = max(sums[n, HITS] - unread * sums[n, UNREAD], 1.0) / seen
-        for k in (SEEN, AGREE, PAST, BEHIND, BEHIND_HAND):
-            sums[n, k] /= total[n]
-        sums[n, BEHIND] += 1.0 - inside[n]
-        across = float((u[n].max() - u[n].min()) * (v[n].max() - v[n].min()))
-        area[n] = total[n] * across / max(side - 1, 1) ** 2
-
-
-@numba.njit(cache=True, nogil=True, **LENT)
-def cost_of_shares(poses, centroid, shares, beyond, area, outline, nats, cells, out):
-    """Fill out (n,) with what poses (n, 4, 4) cost by shares (n, SUMS), and beyond (n,): of what is seen, on what goes
-    on beyond the outline.
-
-    An outline counts by its area (n,) (px^2) beside the object's from a usual side at its distance, and beside what as
-    many cells need: shares alone would have a can's end that nothing hides tell as much as its side of which a hand
-    hides a third. outline: that usual area at a distance of a metre. nats: of a cell that is seen, seen past and
-    hidden, of an outline over which a surface runs on, of as many borders within it, and the most of these. cells: of a
-    whole outline, pixels (px^2) that one has at least, and the least share of them that a small outline amounts to.
-    """
-    seen, past, hidden, runs_on, within, most_within = nats
-    count, pixels, least = cells
-    for n in range(poses.shape[0]):
-        if not shares[n, HITS] > 0.0:
-            # an object that is nowhere in the image is hidden by the image's border
-            out[n] = count * hidden
-            continue
-        z = poses[n, 2, 3]
-        for i in range(3):
-            z += poses[n, 2, i] * centroid[i]
-        usual = outline / max(z, 1e-3) ** 2
-        size = min(max(area[n] / max(usual, count * pixels), least), 1.0)
-        of_cells = past * shares[n, PAST] + hidden * shares[n, BEHIND] - seen * (shares[n, SEEN] - beyond[n])
-        by_itself = min(within * shares[n, WITHIN], most_within)
-        out[n] = size * (count * of_cells + runs_on * shares[n, OUTLINE] + by_itself)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def bound_pieces(pieces, step, whole, sizes, u, v, fade, state, total, limits, seen, lost):
-    """Fill seen (n,): share of the rays that are seen, of each whole surface no more than bounds its word; and lost
-    (n,): how much of that is of pieces of one colour that go on beyond the outline.
-
-    pieces (h, w) at every `step` pixels, -1 for none. whole (k + 1,): of none and of each of k pieces, which surface it
-    is of; sizes (m,): pixels of the first m, those of one colour. u, v (n, side), fade, state (n side^2,): as of
-    compare_pixels. total (n,): rays of which shares are taken. limits: the bound, as a share; the share of a piece that
-    may be beside the outline; what one cell beyond it costs, as a share; and cells of a whole outline.
-    """
-    side = u.shape[1]
-    words = np.zeros((3, max(whole.shape[0], whole.max() + 1)))
-    column = np.zeros(side, dtype=np.int64)
-    for n in range(u.shape[0]):
-        words[:] = 0.0
-        for i in range(side):
-            column[i] = min(max(u[n, i] // step, 0), pieces.shape[1] - 1)
-        for j in range(side):
-            row = min(max(v[n, j] // step, 0), pieces.shape[0] - 1)
-            for i in range(side):
-                k = (n * side + j) * side + i
-                label = pieces[row, column[i]] + 1
-                words[0, label] += fade[k]
-                words[1, label] += state[k] & HIT
-        # pixels that each ray stands for
-        across = float((u[n].max() - u[n].min()) * (v[n].max() - v[n].min())) if sizes.shape[0] else 0.0
-        seen[n], lost[n] = bound_words(words, whole, sizes, total[n], across / max(side - 1, 1) ** 2, limits)
+        out[n, ENDS], out[n, DARK] = ends / max(edges, 1), dark / max(edges, 1)
+        out[n, SCATTER] = scatter_of(count, total, squares)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
-def bound_words(words, whole, sizes, total, area, limits):
-    """The share of all rays that are seen, of each whole surface no more than bounds its word; and how much of that is
-    of pieces of one colour that go on beyond the outline.
+def smooth_sigma(noise, z):
+    """Noise and smooth bias (m, standard deviation) of a reading at depth z (m); noise: of compare_pixels."""
+    own = noise[0] + noise[1] * (z - noise[2]) * (z - noise[2])
+    return math.sqrt(own * own + noise[3] * noise[3])
 
-    words (3, k): how well the rays on each piece agree, how many there are, and zeros, to work in; made use of. area:
-    pixels (px^2) that each ray stands for; all else as of bound_pieces.
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
+def ends_at(depth, column, row, reading, apart):
+    """What is beside the outline at a pixel of depth (h, w): ENDS, where it is nearer or farther than `reading` (m) by
+    more than apart (m), DARK, where nothing is read, or 0; outside of the image nothing is known.
     """
-    bound, beside, dear, cells = limits
-    each, met, sums = words[0], words[1], words[2]
-    seen = lost = 0.0
-    for label in range(whole.shape[0]):
-        each[label] /= total
-        sums[whole[label]] += each[label]
-    for surface in range(sums.shape[0]):
-        seen += min(sums[surface], bound)
-    # how much of each part is beyond what the outline holds, in cells
-    cell = max(total * area, 1.0) / cells
-    for label in range(1, sizes.shape[0] + 1):
-        earned = each[label] * min(1.0, bound / max(sums[whole[label]], 1e-9))
-        outside = max((1.0 - beside) * sizes[label - 1] - met[label] * area, 0.0) / cell
-        lost += min(dear * outside, earned)
-    return seen, lost
+    if not (0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]):
+        return 0
+    there = np.float64(depth[row, column])
+    if not 0.0 < there < FARTHEST_READING:
+        return DARK
+    return ENDS if abs(there - reading) > apart else 0
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)

@@ -13,7 +13,7 @@ import numpy as np
 
 from scenes._numba import LENT
 from scenes.evidence.table import COLUMNS, FACING, GATE_ABOVE, GATE_BELOW, SIGMA, WEIGHT
-from vision.predicted_kernels import HIT, NEAR
+from vision.picture.columns import HIT, NEAR
 
 
 @numba.njit(cache=True, nogil=True)

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.geometry.objects import ObjectModel
-from vision.aspect_kernels import sum_aspects
-from vision.predicted_kernels import SUMS
+from vision.picture.aspect_kernels import sum_aspects
+from vision.picture.columns import SUMS
 
 Array = NDArray[np.float64]
 
@@ -45,10 +45,10 @@ class Aspects:
     cell: Array
 
 
-# images, and camera, noise and limits, of vision.predicted_kernels.compare_pixels; parts of bound_pieces
+# images, and camera, noise and limits, of vision.picture.kernels.compare_pixels; parts of part_pieces
 Images = tuple[NDArray[Any], ...]
 Numbers = tuple[float, ...]
-Parts = tuple[NDArray[np.int64], int, NDArray[np.int64], Array, Numbers]
+Parts = tuple[NDArray[np.int64], int, Array, float]
 
 _MADE: WeakKeyDictionary[ObjectModel, Aspects] = WeakKeyDictionary()
 
@@ -122,7 +122,7 @@ def sums_of(
     """
     known = aspects_of(model)
     sums, (beyond, area) = np.zeros((len(poses), SUMS)), np.zeros((2, len(poses)))
-    most, whole = known.points.shape[1], parts[2]
+    most = known.points.shape[1]
     (seen, fade), (column, row) = np.zeros((2, most)), np.zeros((2, most), dtype=np.int64)
     sum_aspects(
         (known.points, known.near, known.count, known.cell),
@@ -136,7 +136,7 @@ def sums_of(
         running,
         parts,
         (seen, fade, np.zeros(most, dtype=np.uint8), column, row),
-        np.zeros((3, max(len(whole), int(whole.max(initial=0)) + 1))),
+        np.zeros((2, len(parts[2]))),
         (sums, beyond, area),
     )
     return sums, beyond, area

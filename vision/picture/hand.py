@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from scenes.geometry.cameras import Camera
 from vision.look.hand import HandView
-from vision.predicted_kernels import spread
+from vision.picture.kernels import spread
 
 Array = NDArray[np.float64]
 
