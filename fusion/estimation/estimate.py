@@ -220,14 +220,15 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         judged = posterior.judged(model, modes, *agreed, *rules, anywhere, same, against, observed)
         right, sure, word, why = judged
         stage.note(len(rows), why)
-    why_not = why_no_other(pool, word) if predictor.sees else "nothing is seen"
+    doubted = sure < settings.confidence.sure
+    why_not = why_no_other(pool, doubted) if predictor.sees else "nothing is seen"
     with trace.stage("another in view", not why_not, why_not) as stage:
         other = None if why_not else another(pool, modes, settings.confidence, settings.another)
         if other is not None:
             near = sure / max(right, 1e-9)
-            modes, right = with_other(modes, right, *other)
+            modes, right = with_other(model, modes, right, *other)
             sure = right * near
-            if sure < settings.confidence.sure:
+            if word == "ok" and sure < settings.confidence.sure:
                 word, why = "ambiguous", f"only {sure:.0%} sure which is meant: another like it is in view"
         stage.note(len(modes), "none is like it" if other is None else f"one is, {other[1]:.0%} sure by itself")
     room = room_about(se3.apply(pose, model.centroid[None])[0], might_be)

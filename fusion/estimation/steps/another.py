@@ -17,6 +17,7 @@ from fusion.estimation.confidence import ConfidenceSettings, chances
 from fusion.estimation.pool import Pool
 from scenes.evidence.modes import Mode
 from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
 from vision.look.looked import surface_rows
 
 Array = NDArray[np.float64]
@@ -39,9 +40,11 @@ class AnotherSettings:
     least: float = 0.5
 
 
-def why_no_other(pool: Pool, word: str) -> str:
-    """Why no other thing like the answer, of verdict `word`, need be looked for; "" where it must."""
-    if word != "ok":
+def why_no_other(pool: Pool, doubted: bool) -> str:
+    """Why no other thing like the answer need be looked for; "" where it must. doubted: the answer is not sure by
+    itself.
+    """
+    if doubted:
         return "the answer is in doubt"
     if pool.prior is not None:
         return "a start says which is meant"
@@ -75,13 +78,18 @@ def another(
     return best
 
 
-def with_other(modes: tuple[Mode, ...], right: float, other: Mode, chance: float) -> tuple[tuple[Mode, ...], float]:
-    """Modes with another after the first, and the chance that the first is right: it had `right` by itself, the other
-    `chance`, and one of them at most is the object that is meant.
+def with_other(
+    model: ObjectModel, modes: tuple[Mode, ...], right: float, other: Mode, chance: float
+) -> tuple[tuple[Mode, ...], float]:
+    """Modes with another after the first, in place of those where it is, and the chance that the first is right: it had
+    `right` by itself, the other `chance`, and one of them at most is the object that is meant.
     """
     odds, against = (p / max(1.0 - p, 1e-6) for p in (right, chance))
     share = against / max(odds + against, 1e-12)
-    rest = tuple(replace(mode, weight=(1.0 - share) * mode.weight) for mode in modes)
+    away = [_apart(model, mode.pose[None], other.pose)[0] > model.radius for mode in modes[1:]]
+    kept = [modes[0], *(mode for mode, is_away in zip(modes[1:], away) if is_away)]
+    whole = max(sum(mode.weight for mode in kept), 1e-12)
+    rest = tuple(replace(mode, weight=(1.0 - share) * mode.weight / whole) for mode in kept)
     return (rest[0], replace(other, weight=share), *rest[1:]), odds / (1.0 + odds + against)
 
 
@@ -100,6 +108,10 @@ def _glanced(pool: Pool, pose: Array, own: float) -> Array:
 
 def _elsewhere(pool: Pool, poses: Array, pose: Array) -> NDArray[np.bool_]:
     """Which of poses (n, 4, 4) have the object's middle at least its radius beside where pose (4, 4) has it."""
-    middle = pool.model.centroid
-    away = poses[:, :3, :3] @ middle + poses[:, :3, 3] - se3.apply(pose, middle[None])
-    return np.asarray(np.linalg.norm(away, axis=1) > pool.model.radius)
+    return _apart(pool.model, poses, pose) > pool.model.radius
+
+
+def _apart(model: ObjectModel, poses: Array, pose: Array) -> Array:
+    """(n,) metres from the object's middle at poses (n, 4, 4) to where pose (4, 4) has it."""
+    away = poses[:, :3, :3] @ model.centroid + poses[:, :3, 3] - se3.apply(pose, model.centroid[None])
+    return np.asarray(np.linalg.norm(away, axis=1))

@@ -49,6 +49,9 @@ def test_one_of_two_is_no_answer_without_a_start(drill):
     off = [[np.linalg.norm(mode.pose[:3, 3] - one[:3, 3]) for mode in both.modes[:2]] for one in (HERE, THERE)]
     assert sorted(int(np.argmin(row)) for row in off) == [0, 1]
     assert max(min(row) for row in off) < 0.005
+    # and neither is listed twice
+    middles = np.array([mode.pose[:3, 3] for mode in both.modes])
+    assert (np.linalg.norm(middles[2:, None] - middles[None, :2], axis=2) > 0.02).all()
     assert sum(mode.weight for mode in both.modes) == pytest.approx(1.0)
     away = np.linalg.norm(HERE[:3, 3] - THERE[:3, 3])
     assert np.sqrt(np.linalg.eigvalsh(both.covariance[3:, 3:])[-1]) > 0.4 * away
@@ -67,10 +70,10 @@ def test_who_says_which_is_meant_gets_it(drill):
 
 
 @pytest.mark.parametrize(("right", "chance", "expected"), [(0.99, 0.99, 99 / 199), (0.99, 0.0, 0.99), (1.0, 1.0, 0.5)])
-def test_chances_of_things_of_which_one_is_meant(right, chance, expected):
+def test_chances_of_things_of_which_one_is_meant(drill, right, chance, expected):
     modes = tuple(Mode(np.eye(4), weight, 0.0, np.eye(6)) for weight in (0.75, 0.25))
     other = Mode(THERE, 1.0, 3.0, np.eye(6))
-    told, sure = with_other(modes, right, other, chance)
+    told, sure = with_other(drill, modes, right, other, chance)
     assert sure == pytest.approx(expected, abs=1e-5)
     assert sum(mode.weight for mode in told) == pytest.approx(1.0)
     assert told[0].pose is modes[0].pose
