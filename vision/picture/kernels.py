@@ -263,7 +263,8 @@ def sum_up(u, v, image, camera, noise, limits, expected, seen, state, past, fade
         edges = running = within = ends = dark = 0
         count = total = squares = 0.0
         # pixels from ray to ray
-        across, down = (u[n, side - 1] - u[n, 0]) / (side - 1), (v[n, side - 1] - v[n, 0]) / (side - 1)
+        steps = max(side - 1, 1)
+        across, down = (u[n, side - 1] - u[n, 0]) / steps, (v[n, side - 1] - v[n, 0]) / steps
         for j in range(side):
             for i in range(side):
                 k = begin + j * side + i

@@ -58,9 +58,8 @@ def cost_of_shares(poses, centroid, shares, beyond, area, outline, nats, cells, 
 
     An outline counts by its area (n,) (px^2) beside the object's from a usual side at its distance, and beside what as
     many cells need: shares alone would have a can's end that nothing hides tell as much as its side of which a hand
-    hides a third. outline: that usual area at a distance of a metre. nats: see PictureScore.nats.
-    cells: of a whole outline, pixels (px^2) that one has at least, and the least share of them that a small outline
-    amounts to.
+    hides a third. outline: that usual area at a distance of a metre. nats: see PictureScore.nats. cells: of a whole
+    outline, pixels (px^2) that one has at least, and the least share of them that a small outline amounts to.
     """
     seen, most_seen, goes_on, past, past_open, hidden, runs_on, within, most_within, ends, dark, scatter, by_size = nats
     count, pixels, least = cells
