@@ -36,10 +36,12 @@ class StartSettings:
     # Fewest neighbours, and the largest thickness (m) of a patch that is taken for a surface: noise at two sigmas.
     fewest: int = 8
     thickest: float = 0.003
-    # Pairs of pixels looked up, how many alike each brings, and the shortest as a share of the object's radius.
+    # Pairs of pixels looked up, how many alike each brings, and the shortest as a share of the object's radius; whether
+    # these are drawn from those that look alike, or are the nearest of all.
     pairs: int = 100
     each: int = 12
     shortest: float = 0.3
+    drawn: bool = False
     # Starts of even rotations.
     even: int = 600
     # Rows of evidence that the starts are ranked on, and the blur of pairs and of even ones, in radii and metres.
@@ -127,7 +129,8 @@ def pair_starts(
     order = np.concatenate([order[:half], np.sort(order[half:])[: settings.pairs - half]])
     if not len(order):
         return np.zeros((0, 4, 4))
-    rotations, origins = pair_table(model).matching(seen, normals, first[order], second[order], settings.each)
+    of, table = (seen, normals, first[order], second[order], settings.each), pair_table(model)
+    rotations, origins = table.drawn(*of, rng) if settings.drawn else table.matching(*of)
     return se3.make_poses(rotations, origins)
 
 

@@ -16,10 +16,10 @@ from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import Asked, check_limits, sure_to_be_within
 from fusion.estimation.confidence import as_shown, observations, room_about, told_covariance, within
 from fusion.estimation.moments import moments
-from fusion.estimation.proposals import search_stages, starts_of
-from fusion.estimation.propose import modes_anywhere, modes_near
 from fusion.estimation.ranking import rejudged
-from fusion.estimation.search import find_modes, not_solved, worth_solving
+from fusion.estimation.search.modes import find_modes, not_solved, worth_solving
+from fusion.estimation.search.proposals import search_stages, starts_of
+from fusion.estimation.search.sources import modes_anywhere, modes_near
 from fusion.estimation.settings import EstimateSettings, usual_settings
 from fusion.estimation.solve.joint import parted
 from fusion.estimation.solve.outlined import asks_for, outlined

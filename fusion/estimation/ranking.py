@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.pool import Pool
+from fusion.estimation.search.pool import Pool
 from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.solve.joint import JointResult
 from scenes.evidence import align as alignment

@@ -12,9 +12,9 @@ import numpy as np
 
 from fusion.estimation.confidence import ConfidenceSettings
 from fusion.estimation.moments import MomentSettings
-from fusion.estimation.pool import PoolSettings
-from fusion.estimation.proposals import ProposalSettings
-from fusion.estimation.search import PlanSettings
+from fusion.estimation.search.modes import PlanSettings
+from fusion.estimation.search.pool_settings import PoolSettings
+from fusion.estimation.search.proposals import ProposalSettings
 from fusion.estimation.solve.settings import JointSettings
 from fusion.estimation.steps.another import AnotherSettings
 from fusion.estimation.verdict import VerdictSettings

@@ -41,6 +41,10 @@ class PairSettings:
     # Of an image's pairs the nearest are found to this share of their distance: of 250,000 pairs many are as near as
     # noise tells. Those of contacts are few, and found exactly.
     nearly: float = 0.5
+    # Pairs that look like one of many of an image's are drawn from a table of cells; its cells, and how far around the
+    # pair they are drawn from, in what counts as alike.
+    cell: float = 1.0
+    around: float = 0.5
     # Pairs of contacts looked up, the farthest apart first.
     pairs: int = 12
     # Contacts that pairs are made of: all of them would be 5e9 pairs of 1e5 contacts.
@@ -69,6 +73,17 @@ class PairTable:
 
         a, b = self.first, self.second
         return cKDTree(self.invariants(self.points[a], self.normals[a], self.points[b], self.normals[b]))
+
+    @cached_property
+    def cells(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """The pairs (n,) by cells of their invariants, and where those of each cell begin among them."""
+        a, b = self.first, self.second
+        known = self.invariants(self.points[a], self.normals[a], self.points[b], self.normals[b])
+        keys = np.zeros(len(known), np.int64)
+        cell_keys(known / self.settings.cell, keys)
+        begin = np.zeros(CELL_KEYS + 1, np.int32)
+        begin[1:] = np.cumsum(np.bincount(keys, minlength=CELL_KEYS))
+        return np.argsort(keys, kind="stable").astype(np.int32), begin
 
     def invariants(self, p1: Array, n1: Array, p2: Array, n2: Array) -> Array:
         """(n, 5): distance and slopes of pairs (n, 3), scaled so that 1 is a noticeable difference."""
@@ -122,6 +137,33 @@ class PairTable:
         match_pairs(self.points, self.normals, a, b, points, normals, first[repeat], second[repeat], rotations, origins)
         return rotations, origins
 
+    def drawn(
+        self,
+        points: Array,
+        normals: Array,
+        first: NDArray[np.int64],
+        second: NDArray[np.int64],
+        each: int,
+        rng: np.random.Generator,
+    ) -> tuple[Array, Array]:
+        """As `matching`, by `each` draws from the pairs of the object that look alike, in a fiftieth of the time: for
+        many pairs of an image, which are noisy anyway. A draw that meets no pair of the object gives none.
+        """
+        s = self.settings
+        invariants = self.invariants(points[first], normals[first], points[second], normals[second])
+        around = np.repeat(invariants, each, axis=0) + s.around * rng.uniform(-1.0, 1.0, (each * len(first), 5))
+        keys = np.zeros(len(around), np.int64)
+        cell_keys(around / s.cell, keys)
+        order, begin = self.cells
+        count = begin[keys + 1] - begin[keys]
+        met = np.flatnonzero(count)
+        found = order[begin[keys[met]] + (rng.random(len(keys))[met] * count[met]).astype(np.int64)]
+        a, b = self.first[found], self.second[found]
+        rotations, origins = np.zeros((len(a), 3, 3)), np.zeros((len(a), 3))
+        which = met // each
+        match_pairs(self.points, self.normals, a, b, points, normals, first[which], second[which], rotations, origins)
+        return rotations, origins
+
 
 def _spread(points: Array, normals: Array, count: int) -> tuple[Array, Array]:
     """`count` of the points (n, 3), far from one another: each next is the farthest from all before."""
@@ -144,6 +186,21 @@ def pair_table(model: ObjectModel) -> PairTable:
         _TABLES[model] = table
     table.tree  # noqa: B018  (built here, not inside a timed search)
     return table
+
+
+# Cells along the distance and along each slope: slopes are within 4 of what counts as alike, and draws around them.
+_LONGEST, _SLOPES = 40, 12
+CELL_KEYS = _LONGEST * _SLOPES**4
+
+
+@numba.njit(cache=True, nogil=True)
+def cell_keys(invariants: Array, keys: NDArray[np.int64]) -> None:
+    """Fill keys (n,) with the numbers of the cells, 1 wide, of invariants (n, 5); what is beyond the last is in it."""
+    for n in range(invariants.shape[0]):
+        key = min(max(int(invariants[n, 0]), 0), _LONGEST - 1)
+        for k in range(1, 5):
+            key = key * _SLOPES + min(max(math.floor(invariants[n, k]) + _SLOPES // 2, 0), _SLOPES - 1)
+        keys[n] = key
 
 
 @numba.njit(cache=True, nogil=True, inline="always")

@@ -127,6 +127,40 @@ def by_aspect(found, pose, aspects, which):
     return np.array([*shares, *border, scatter(found, seen, z, near), hit.sum()]), total * each, lost
 
 
+def glimpse(found, pose, aspects, which):
+    """Nats of a pose by a few of the points of one of an object's aspects."""
+    s, c, depth = found.settings, found.camera, found._depth
+    points = se3.apply(pose, aspects.points[which, : aspects.count[which]].astype(np.float64))
+    few = min(len(points), s.glimpse_points)
+    order = (np.arange(few) * 7) % few if few % 7 else np.arange(few)
+    points = points[((order + 0.5) * (len(points) / max(few, 1))).astype(int)]
+    z = points[:, 2]
+    u, v = c.fx * points[:, 0] / z + c.cx, c.fy * points[:, 1] / z + c.cy
+    inside = (z > 1e-3) & (u >= 0) & (v >= 0) & (u < c.width) & (v < c.height)
+    column, row = (np.where(inside, x, 0).astype(int) // s.glimpse_step for x in (u, v))
+    # the pixel in the middle of each cell
+    at = tuple(
+        np.minimum(x * s.glimpse_step + s.glimpse_step // 2, most - 1)
+        for x, most in ((row, c.height), (column, c.width))
+    )
+    seen = depth[at].astype(np.float64)
+    read = inside & is_reading(seen)
+    rays = np.stack([(at[1] - c.cx) / c.fx, (at[0] - c.cy) / c.fy, np.ones(few)], axis=1)
+    middle = se3.apply(pose, found.model.centroid[None])[0, 2]
+    own = np.hypot(found.belief.independent_sigma(np.array([middle]))[0], found.belief.bias_sigma)
+    tolerance = s.tolerance * np.hypot(own, found.belief.scale_sigma * middle)
+    off, plane = seen - z, is_plane(found, rays, seen)
+    other = plane | is_hand(found, at, seen) | (False if found._mask is None else ~found._mask[at])
+    past = read & ((off > tolerance) | (plane & (off < -tolerance)))
+    seen = np.where(read & ~other & (np.abs(off) <= tolerance), 1.0 - (off / tolerance) ** 2, 0.0)
+    third = few // 3
+    if few % 3 == 0 and 2 * past[:third].sum() > third:
+        seen, past = seen[:third], past[:third]
+    worth = found.score
+    share = seen.mean() if few else 0.0
+    return worth.past * past.sum() / max(len(past), 1) - worth.seen * min(share, worth.most_seen)
+
+
 def size(found, candidates, picture):
     """(n,) share of all cells that the outline of each pose (n, 4, 4) amounts to."""
     s, distance = found.settings, se3.apply(candidates, found.model.centroid[None])[:, 0, 2]

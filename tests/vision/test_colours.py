@@ -178,7 +178,7 @@ def test_where_colour_tells_nothing_the_answer_is_that_without_it(beside, box, c
     frame = replace(beside[0], rgb=change(beside[0].rgb))
     answer, plain = estimate(frame, box), estimate(frame, box, settings=PLAIN)
     assert said in line(answer, "colours").why
-    assert not line(answer, "by colour").ran
+    assert not [stage.name for stage in answer.trace if "by colour" in stage.name]
     assert np.array_equal(answer.pose, plain.pose)
     assert np.array_equal(answer.covariance, plain.covariance)
 

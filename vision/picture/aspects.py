@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scenes.geometry.objects import ObjectModel
 from vision.picture.aspect_kernels import sum_aspects
 from vision.picture.columns import SUMS
+from vision.picture.glimpse_kernels import glimpse_aspects
 
 Array = NDArray[np.float64]
 
@@ -140,3 +141,22 @@ def sums_of(
         (sums, beyond, area),
     )
     return sums, beyond, area
+
+
+def glimpsed(
+    model: ObjectModel,
+    poses: Array,
+    small: NDArray[np.float32],
+    step: int,
+    camera: Numbers,
+    noise: Numbers,
+    sigmas: float,
+    most: int,
+) -> Array:
+    """(n, 2) shares, of `most` points that the object shows at poses (n, 4, 4) camera_from_object, that are seen, as
+    well as they agree, and seen past. All else as `glimpse_aspects` takes it.
+    """
+    known, shares = aspects_of(model), np.zeros((len(poses), 2))
+    about = (known.points, known.near, known.count, known.cell), CELLS, model.centroid
+    glimpse_aspects(*about, np.ascontiguousarray(poses), small, step, camera, noise, sigmas, most, shares)
+    return shares

@@ -177,13 +177,10 @@ def what_is(image, camera, noise, limits, column, row, reading, z):
     smooth = math.sqrt(independent * independent + bias * bias)
     tolerance = tolerance_sigmas * math.sqrt(smooth * smooth + scale * scale * z * z)
     off = reading - z
-    by_hand = False
-    if hand_low.shape[0] > 0:
-        beside, below = column // step, row // step
-        by_hand = hand_low[below, beside] - hand_margin < reading < hand_high[below, beside] + hand_margin
+    by_hand = is_by_hand(hand_low, hand_high, column // step, row // step, reading, hand_margin)
     is_plane = False
     if planes.shape[0] > 0:
-        is_plane = _on_planes(planes, camera, noise, column, row, reading, plane_margin, plane_sigmas)
+        is_plane = is_on_planes(planes, camera, noise, column, row, reading, plane_margin, plane_sigmas)
     # nothing is under the table or behind the wall; what is at its depth is the table, and hides the object at most
     is_past = off > tolerance or (is_plane and off < -tolerance)
     bits, past, fade = HIT | READ, 0.0, 0.0
@@ -350,11 +347,19 @@ def leads_to(image, camera, noise, column, row, lead, room, plane_margin, plane_
         return False
     if mask.shape[0] > 0 and not mask[row, column]:
         return False
-    return not _on_planes(planes, camera, noise, column, row, reading, plane_margin, plane_sigmas)
+    return not is_on_planes(planes, camera, noise, column, row, reading, plane_margin, plane_sigmas)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always", **LENT)
+def is_by_hand(low, high, column, row, reading, margin):
+    """Whether a reading (m) is the hand's, whose least and largest depth are low and high (h, w), or (0, 0) for none,
+    there; column, row: in these. margin (m).
+    """
+    return low.shape[0] > 0 and low[row, column] - margin < reading < high[row, column] + margin
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
-def _on_planes(planes, camera, noise, column, row, reading, margin, sigmas):
+def is_on_planes(planes, camera, noise, column, row, reading, margin, sigmas):
     """Whether a reading (m) of a pixel is a table's or wall's, or behind the first, where nothing is but noise.
 
     planes (k, 6): unit normal towards the camera, offset, how much more readings scatter than is believed, and how far

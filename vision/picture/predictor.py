@@ -23,7 +23,8 @@ from scenes.recordings.frames import Frame
 from vision.look.hand import HandView
 from vision.look.pixels import Pixels
 from vision.picture import columns, kernels, scoring_kernels
-from vision.picture.aspects import sums_of
+from vision.picture.aspects import glimpsed, sums_of
+from vision.picture.glimpse_kernels import draw_small
 from vision.picture.hand import hand_depth, widened
 from vision.picture.settings import PictureScore, PredictionSettings
 from vision.picture.shown_kernels import shown_rays
@@ -219,6 +220,29 @@ class Predictor:
         if not self.sees or not len(candidates):
             return np.zeros(len(candidates))
         return self._cost_of(candidates, self.sketch(candidates))
+
+    def glimpse(self, candidates: Array) -> Array:
+        """(n,) nats of poses (n, 4, 4) by what is seen of a few of their points and seen past alone, to tell what is
+        hopeless among thousands: lower is likelier.
+        """
+        if not self.sees or not len(candidates):
+            return np.zeros(len(candidates))
+        s = self.settings
+        _, camera, noise = self.known
+        shares = glimpsed(
+            self.model, candidates, self._small, s.glimpse_step, camera, noise, s.tolerance, s.glimpse_points
+        )
+        worth = self.score
+        return np.asarray(worth.past * shares[:, 1] - worth.seen * np.minimum(shares[:, 0], worth.most_seen))
+
+    @cached_property
+    def _small(self) -> NDArray[np.float32]:
+        """What may be the object at every few pixels; see `draw_small`."""
+        images, camera, noise = self.known
+        step, (height, width) = self.settings.glimpse_step, images[0].shape
+        small = np.zeros((-(-height // step), -(-width // step)), np.float32)
+        draw_small(images, camera, noise, self._limits, step, small)
+        return small
 
     def sketch(self, candidates: Array) -> Prediction:
         """As `predict`, by the object's aspects: nothing is kept."""

@@ -93,6 +93,9 @@ class PredictionSettings:
         scatter=15.0,
         by_size=0.5,
     )
+    # Of thousands of poses first so many points are compared, with an image of so many pixels to one.
+    glimpse_points: int = 24
+    glimpse_step: int = 2
     # Surfaces of the image are numbered at every so many pixels.
     piece_step: int = 3
     # Share of a part of one colour that may be beside the outline for how edges are smeared, and colours lie beside

@@ -100,7 +100,7 @@ def _scene(
 ) -> dict[str, _Found]:
     """Every frame through every planner, in turn."""
     from fusion.estimation.estimate import estimate
-    from fusion.estimation.search import PlanSettings
+    from fusion.estimation.search.modes import PlanSettings
     from fusion.estimation.settings import EstimateSettings
     from fusion.truth.errors import Judge
     from scenes.synthesis import library

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.pool import Pool
+from fusion.estimation.search.pool import Pool
 from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.solve.joint import JointResult, mesh_spread
 from scenes.evidence.align import costs

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.confidence import ConfidenceSettings, chances
-from fusion.estimation.pool import Pool
+from fusion.estimation.search.pool import Pool
 from scenes.evidence.modes import Mode
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel

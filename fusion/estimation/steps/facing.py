@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.asked import Asked
-from fusion.estimation.search import Found
+from fusion.estimation.search.modes import Found
 from fusion.estimation.steps.sense import Sensed
 from scenes.errors import InputError
 from scenes.evidence import table as tables

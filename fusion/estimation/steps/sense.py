@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.asked import Asked
-from fusion.estimation.pool import Pool
 from fusion.estimation.ranking import guarded, joint_costs
+from fusion.estimation.search.pool import Pool
 from fusion.estimation.solve.joint import JointResult
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import solve_modes
@@ -114,7 +114,6 @@ def sense(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: 
         *asks,
         held=_held(frame, hand),
         coloured=parted.pieces,
-        no_colours=parted.why_not,
         told=settings.told,
     )
     return Sensed(frame, viewed, touched, looked, felt, seen, tables.stack(seen, felt.rows), sight, pool)
@@ -123,7 +122,7 @@ def sense(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: 
 @dataclass(frozen=True)
 class Parted:
     """Surfaces of the image: numbers (h, w), the first `parts` of them parted by colour, as Predictor takes them;
-    pieces that colour proposes, and why there are none.
+    pieces that colour proposes; why nothing is parted.
     """
 
     numbers: NDArray[np.int64] | None = None
@@ -146,7 +145,7 @@ def _parted(viewed: Frame, looked: Looked, model: ObjectModel, asked: Asked) -> 
     if found.why_not:
         return Parted(numbers, why_not=found.why_not)
     pieces = coloured_pieces(found, points, viewed.camera, model, how)
-    return Parted(found.numbers, found.count, pieces, "" if pieces else "no piece by colour is large enough")
+    return Parted(found.numbers, found.count, pieces)
 
 
 def _held(frame: Frame, seen: HandView | None) -> Held | None:

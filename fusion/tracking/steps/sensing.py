@@ -1,7 +1,7 @@
 """What one frame says near where the object is expected: looked at, felt, and held against the predicted picture.
 
-The picture is that of `estimate` (fusion.estimation.pool), on the part of the image around the poses that are asked
-about: a whole image costs more than a tracked frame may. Camera frame, metres.
+The picture is that of `estimate` (fusion.estimation.search.pool), on the part of the image around the poses that are
+asked about: a whole image costs more than a tracked frame may. Camera frame, metres.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.pool import Pool
+from fusion.estimation.search.pool import Pool
 from fusion.estimation.settings import EstimateSettings
 from fusion.tracking.occluders import Occluders, OccluderSettings
 from scenes.evidence.table import GATE_ABOVE, Evidence

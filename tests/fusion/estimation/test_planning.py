@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fusion.estimation.estimate import estimate
-from fusion.estimation.proposals import ProposalSettings, search_stages
-from fusion.estimation.search import Found, PlanSettings, find_modes, valley_steps, worth_solving
+from fusion.estimation.search.modes import Found, PlanSettings, find_modes, valley_steps, worth_solving
+from fusion.estimation.search.proposals import ProposalSettings, search_stages
 from scenes.evidence import table as evidence
 from scenes.evidence.align import Prior
 from scenes.evidence.modes import Mode, ModeSettings

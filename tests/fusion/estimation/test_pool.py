@@ -5,16 +5,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from predicted_twin import picture
 
 from fusion import estimate
 from fusion.estimation.asked import Asked
-from fusion.estimation.confidence import ConfidenceSettings, chances, spread_of, whole_covariance, within
-from fusion.estimation.pool import Pool, PoolSettings
-from fusion.estimation.proposals import ProposalSettings, search_stages
-from fusion.estimation.propose import Competition, glance, modes_near
 from fusion.estimation.ranking import guarded
-from fusion.estimation.search import Found, PlanSettings
+from fusion.estimation.search.modes import Found, PlanSettings
+from fusion.estimation.search.pool import Pool
+from fusion.estimation.search.pool_settings import PoolSettings
+from fusion.estimation.search.proposals import ProposalSettings, search_stages
+from fusion.estimation.search.sources import Competition, glance, modes_near
 from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.solve.joint import JointResult
 from fusion.estimation.steps.sense import look_once, sense
@@ -127,7 +126,7 @@ def test_a_glance_does_not_tell_apart_what_nearly_looks_the_same(sensed, lab_fra
     seen = replace(pool, settings=replace(PoolSettings(), glance_shown=0.0, glance_share=0.0, glance_share_felt=0.0))
     assert seen.explains_at_a_glance(truth)
     alike = poses.perturb(np.eye(4), np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1e-4]), np.zeros(3))
-    monkeypatch.setattr("fusion.estimation.pool.near_symmetries", lambda _: alike[None])
+    monkeypatch.setattr("fusion.estimation.search.pool.near_symmetries", lambda _: alike[None])
     assert not seen.explains_at_a_glance(truth)
 
 
@@ -140,8 +139,9 @@ def test_without_a_start_what_explains_the_image_at_a_glance_ends_the_search(dri
     asked = [{stage.name: stage for stage in answer.trace} for answer in (quick, slow)]
     assert asked[0]["search"].why.startswith("pairs of pixels")
     skipped = {name for name, stage in asked[0].items() if name.startswith("propose: ") and not stage.ran}
-    assert {"propose: rows, 0 starts", "propose: each piece alone"} < skipped
-    assert any(name.startswith("propose: rows") and stage.ran for name, stage in asked[1].items())
+    assert any(name.startswith("propose: many pairs of pixels") for name in skipped)
+    assert "propose: each piece alone" in skipped
+    assert any(name.startswith("propose: many pairs") and stage.ran for name, stage in asked[1].items())
     assert all(add_s(drill, answer, frame) < 0.003 for answer in (quick, slow))
 
 
@@ -155,7 +155,7 @@ def sensed(lab_frame, drill):
 def test_what_was_fitted_is_not_fitted_again(sensed, lab_frame, monkeypatch):
     pool, truth = sensed.pool, lab_frame.camera_from_object_truth
     known = pool.fitted(truth[None])
-    monkeypatch.setattr("fusion.estimation.pool.align", lambda *_: pytest.fail("nothing is to be fitted"))
+    monkeypatch.setattr("fusion.estimation.search.pool.align", lambda *_: pytest.fail("nothing is to be fitted"))
     again = pool.fitted(known.poses, known=known)
     np.testing.assert_array_equal(again.poses, known.poses)
     np.testing.assert_array_equal(again.costs, known.costs)
@@ -186,6 +186,18 @@ def test_without_a_start_the_whole_objective_says_what_touch_proposes(sensed, la
     by_touch = costs(drill, anywhere.felt, sensed.pool.by_touch(around, stages), sensed.pool.prior)
     assert by_touch[0] == pytest.approx(by_touch.min(), abs=0.5)
     assert replace(anywhere, felt=tables.empty()).by_touch(around, stages).shape == (0, 4, 4)
+
+
+def test_very_many_pairs_of_pixels_propose_the_truth(sensed, lab_frame, drill):
+    pool, truth = replace(sensed.pool, prior=None), lab_frame.camera_from_object_truth
+    proposed, again = (replace(pool, rng=np.random.default_rng(5)).paired() for _ in range(2))
+    np.testing.assert_array_equal(proposed, again)
+    assert 20 < len(proposed) <= ProposalSettings().paired.keep_pairs
+    assert (np.diff(pool.walking(proposed)) >= 0.0).all()
+    errors = [Judge(drill).errors(pose, truth).add_s for pose in proposed[:10]]
+    assert min(errors) < 0.01
+    blind = replace(pool, looked=replace(pool.looked, pixels=pool.looked.pixels.take(np.zeros(0, dtype=int))))
+    assert blind.paired().shape == (0, 4, 4)
 
 
 def test_turned_poses_lie_on_what_is_seen(sensed, lab_frame, drill):
@@ -259,9 +271,9 @@ class Rounds:
 )
 def test_rounds_of_fresh_starts_end_where_nothing_new_comes(drill, monkeypatch, ends, shown, looked_at, why):
     pool = Rounds(drill, ends, shown)
-    monkeypatch.setattr("fusion.estimation.propose.find_modes", pool.end)
-    monkeypatch.setattr("fusion.estimation.propose.walk", pool.walk)
-    monkeypatch.setattr("fusion.estimation.propose.glance", lambda *_: None)
+    monkeypatch.setattr("fusion.estimation.search.sources.find_modes", pool.end)
+    monkeypatch.setattr("fusion.estimation.search.sources.walk", pool.walk)
+    monkeypatch.setattr("fusion.estimation.search.sources.glance", lambda *_: None)
     starts = np.tile(np.eye(4), (320, 1, 1))
     found = modes_near(pool, None, None, starts, search_stages(0.01, ()), PlanSettings(), Trace())
     assert pool.looked_at == looked_at
@@ -277,9 +289,9 @@ def test_what_a_glance_and_a_round_find_as_likely_is_walked_for_no_more(drill, m
     pose = poses.make_pose(None, [0.1, 0.0, 0.0])
     glanced.fitted = Alignment(pose[None], np.array([costlier]), np.eye(6)[None], np.zeros(1, dtype=np.int64))
     glanced.modes = (Mode(pose, 1.0, costlier, np.eye(6)),)
-    monkeypatch.setattr("fusion.estimation.propose.find_modes", pool.end)
-    monkeypatch.setattr("fusion.estimation.propose.walk", pool.walk)
-    monkeypatch.setattr("fusion.estimation.propose.glance", lambda *_: glanced)
+    monkeypatch.setattr("fusion.estimation.search.sources.find_modes", pool.end)
+    monkeypatch.setattr("fusion.estimation.search.sources.walk", pool.walk)
+    monkeypatch.setattr("fusion.estimation.search.sources.glance", lambda *_: glanced)
     starts = np.tile(np.eye(4), (320, 1, 1))
     found = modes_near(pool, None, None, starts, search_stages(0.01, ()), PlanSettings(), trace := Trace())
     assert next(stage.ran for stage in trace.stages if stage.name == "propose: a walk") == walks
@@ -295,9 +307,9 @@ def test_what_a_glance_found_likelier_is_a_doubt_of_what_convinces(drill, monkey
     pose = poses.make_pose(None, [0.1, 0.0, 0.0])
     glanced.fitted = Alignment(pose[None], np.array([costlier]), np.eye(6)[None], np.zeros(1, dtype=np.int64))
     glanced.modes = (Mode(pose, 1.0, costlier, np.eye(6)),)
-    monkeypatch.setattr("fusion.estimation.propose.find_modes", pool.end)
-    monkeypatch.setattr("fusion.estimation.propose.walk", pool.walk)
-    monkeypatch.setattr("fusion.estimation.propose.glance", lambda *_: glanced)
+    monkeypatch.setattr("fusion.estimation.search.sources.find_modes", pool.end)
+    monkeypatch.setattr("fusion.estimation.search.sources.walk", pool.walk)
+    monkeypatch.setattr("fusion.estimation.search.sources.glance", lambda *_: glanced)
     starts = np.tile(np.eye(4), (320, 1, 1))
     modes_near(pool, None, None, starts, search_stages(0.01, ()), PlanSettings(), trace := Trace())
     assert next(stage.ran for stage in trace.stages if stage.name == "propose: a walk") == walks
@@ -363,88 +375,3 @@ def test_a_joint_solution_that_the_picture_refuses_is_not_taken(drill):
     assert np.sqrt(kept.covariance[3, 3]) > 0.019  # as wide as the two are apart
     near = poses.make_pose(None, [0.002, 0.0, 0.0]) @ start
     assert guarded(pool, [result(near)], [start], None, EstimateSettings())[0].pose is near
-
-
-def confidence(*answer):
-    """The probability that an estimate states: that it is the right mode, and that near."""
-    right, near = chances(*answer)
-    return right * near
-
-
-def sure(model, sigma, **shares):
-    covariance = np.diag(np.repeat([(sigma / model.radius) ** 2, sigma**2], 3))
-    modes = (Mode(np.eye(4), 1.0, 0.0, covariance),)
-    return confidence(model, modes, picture(**shares), (), 0.0)
-
-
-def test_confidence_falls_with_spread_and_contradictions(drill):
-    good = sure(drill, 0.0005)
-    assert good > ConfidenceSettings().sure
-    # what is within the tolerance is no less than what is seen at the depth predicted
-    worse = [
-        [sure(drill, spread) for spread in (0.0005, 0.002, 0.005, 0.01)],
-        [sure(drill, 0.0005, agree=0.95 - past, seen=0.9 - past, past=past) for past in (0.0, 0.05, 0.1, 0.2, 0.3)],
-        [sure(drill, 0.0005, agree=0.6, seen=0.5, past=0.1, outline=outline) for outline in (0.0, 0.05, 0.1, 0.15)],
-    ]
-    for falling in worse:
-        assert np.all(np.diff(falling) <= 0)
-        assert falling[-1] < falling[0]
-    # from a quarter on the verdict is lost, whatever this says
-    assert sure(drill, 0.0005, past=0.5, agree=0.4, seen=0.35) < 0.8 * good
-    assert sure(drill, 0.0005, past=0.2, agree=0.3, seen=0.25, outline=0.5) < 0.1 * good
-    assert sure(drill, 0.0005, agree=0.3, seen=0.25, outline=0.5) < 0.9 * good
-    # hidden is not contradicted
-    assert sure(drill, 0.0005, agree=0.3, seen=0.28, hidden=0.7) > 0.5 * good
-    for extreme in (0.0, 1e-9, 1e3):
-        assert 0.0 <= sure(drill, extreme) <= 1.0
-
-
-def test_without_a_picture_the_posterior_speaks(drill):
-    def alone(weight, spread):
-        return confidence(drill, (Mode(np.eye(4), weight, 0.0, spread * np.eye(6)),), None, (), 0.0)
-
-    assert 0.9 < alone(1.0, 1e-12) <= 1.0
-    assert alone(0.5, 1e-12) < alone(0.8, 1e-12) < alone(1.0, 1e-12)
-    assert alone(1.0, 1.0) < 0.02
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_chance_of_being_near_is_that_of_sampled_errors(drill, seed):
-    rng = np.random.default_rng(seed)
-    root = rng.normal(size=(6, 6)) * np.repeat([0.02, 0.002], 3)[:, None]
-    points, normals = drill.sample_surface(400, seed=1)
-    steps = rng.normal(size=(1500, 6)) @ root.T
-    moved = [poses.apply(poses.perturb(np.eye(4), step, drill.centroid), points) - points for step in steps]
-    off = np.sqrt(np.mean(np.square(np.sum(moved * normals, axis=2)), axis=1))
-    for limit in np.quantile(off, [0.2, 0.5, 0.9]):
-        assert within(drill, np.eye(4), root @ root.T, limit, 1.0) == pytest.approx(np.mean(off < limit), abs=0.12)
-
-
-def test_the_whole_covariance_holds_other_modes_and_none(drill):
-    narrow = 1e-6 * np.eye(6)
-    aside = poses.perturb(np.eye(4), np.array([0, 0, 0, 0.03, 0, 0]), drill.centroid)
-    modes = (Mode(np.eye(4), 0.7, 0.0, narrow), Mode(aside, 0.3, 1.0, narrow))
-    both = whole_covariance(drill, modes, 1.0, None)
-    assert both[3, 3] == pytest.approx(1e-6 + 0.3 * 0.03**2)
-    assert both[4, 4] == pytest.approx(1e-6)
-    believed = Prior.isotropic(np.eye(4), 0.2, 0.02)
-    none = whole_covariance(drill, modes[:1], 0.0, believed)
-    assert 0.01 < np.sqrt(none[4, 4]) < 0.021
-    assert np.linalg.eigvalsh(whole_covariance(drill, modes, 0.5, None)).min() > 0
-    left_out = 1.0 - ConfidenceSettings().left_out
-    assert np.allclose(whole_covariance(drill, modes[:1], left_out, None), narrow)
-
-
-def test_turns_about_an_objects_own_axis_are_no_spread():
-    can = library.make("cylinder")
-    axis = can.symmetries.axes[0].direction
-    free = np.zeros((6, 6))
-    free[:3, :3] = np.outer(axis, axis)
-    assert spread_of(can, np.eye(4), free) < 1e-9
-    assert spread_of(library.make("drill"), np.eye(4), free) > 0.01
-
-
-def test_the_answer_says_how_sure_it_is(lab_frame, drill):
-    answer = estimate(lab_frame, drill)
-    assert 0.0 <= answer.confidence <= 1.0
-    assert answer.to_json()["confidence"] == pytest.approx(answer.confidence)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fusion import estimate
+from fusion.estimation.search.walk import WalkSettings, walk
 from fusion.estimation.steps.judge import judge
-from fusion.estimation.steps.walk import WalkSettings, walk
 from scenes.errors import InputError
 from scenes.evidence.search import starts_around
 from scenes.geometry import poses

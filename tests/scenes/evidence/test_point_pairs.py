@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scenes.evidence.point_pairs import PairSettings, PairTable, match_pairs, pair_table
+from scenes.evidence.point_pairs import PairSettings, PairTable, cell_keys, match_pairs, pair_table
 from scenes.geometry import poses
 from scenes.recordings.frames import Contacts
 from scenes.synthesis import library
@@ -82,3 +82,38 @@ def test_a_hundred_thousand_contacts_are_not_paired_all():
     rotations, origins = table.hypotheses(many, 200)  # 5e9 pairs would fill the memory
     assert 100 < len(rotations) == len(origins) <= 200
     assert np.isfinite(rotations).all()
+
+
+def test_cells_are_numbered_as_plain_arrays_number_them(table, rng):
+    some = rng.uniform(-8.0, 50.0, size=(200, 5))
+    some[:20, 1:] = rng.uniform(-4.0, 4.0, size=(20, 4))
+    keys = np.zeros(len(some), np.int64)
+    cell_keys(some, keys)
+    along = np.clip(np.trunc(some[:, 0]), 0, 39)
+    slopes = np.clip(np.floor(some[:, 1:]) + 6, 0, 11)
+    expected = along * 12**4 + slopes @ (12.0 ** np.arange(3, -1, -1))
+    np.testing.assert_array_equal(keys, expected.astype(int))
+    order, begin = table.cells
+    assert begin[-1] == len(order) == len(table.first)
+    np.testing.assert_array_equal(np.sort(order), np.arange(len(order)))
+
+
+def test_draws_of_a_pair_are_pairs_that_look_alike(table, rng):
+    truth = poses.make_pose(poses.random_rotations(1, rng)[0], [0.1, 0.2, 0.3])
+    moved = Contacts(table.points, table.normals).moved(truth)
+    first, second = table.first[:400:20], table.second[:400:20]
+    rotations, origins = table.drawn(moved.points, moved.normals, first, second, 50, np.random.default_rng(3))
+    again = table.drawn(moved.points, moved.normals, first, second, 50, np.random.default_rng(3))
+    np.testing.assert_array_equal(rotations, again[0])
+    assert 0 < len(rotations) == len(origins) <= 50 * len(first)
+    # they lay the object near where it is, some of them on it
+    off = np.linalg.norm(rotations - truth[:3, :3], axis=(1, 2)) + np.linalg.norm(origins - truth[:3, 3], axis=1)
+    assert off.min() < 0.1
+    np.testing.assert_allclose(np.linalg.det(rotations), 1.0, atol=1e-9)
+
+
+def test_pairs_that_look_like_none_of_the_object_give_none(table):
+    points, normals = np.array([[0.0, 0, 0], [100.0, 0, 0]]), np.array([[0.0, 0, 1], [0.0, 0, 1]])
+    rotations, origins = table.drawn(points, normals, np.array([0]), np.array([1]), 5, np.random.default_rng(0))
+    assert rotations.shape == (0, 3, 3)
+    assert origins.shape == (0, 3)

@@ -90,6 +90,8 @@ def test_the_kernel_says_what_plain_arrays_say(lab_frame, drill, rng, known):
         np.testing.assert_allclose([column[n] for column in columns], twin[0], atol=1e-9)
         np.testing.assert_allclose([got.area[n], got.beyond[n]], twin[1:], atol=1e-6)
     np.testing.assert_allclose(found.rough_costs(candidates), predicted_twin.cost(found, candidates, got), atol=1e-9)
+    glimpsed = [predicted_twin.glimpse(found, pose, of_it, which_of(drill, pose, making.CELLS)) for pose in candidates]
+    np.testing.assert_allclose(found.glimpse(candidates), glimpsed, rtol=1e-5, atol=1e-4)
 
 
 @pytest.mark.parametrize("name", ["box", "mug", "drill"])
@@ -104,10 +106,24 @@ def test_rough_costs_are_nearly_those_by_rays(name, rng):
     assert rough[0] < np.quantile(rough, 0.02)
 
 
+@pytest.mark.parametrize("name", ["box", "mug", "drill"])
+def test_a_glimpse_tells_what_is_hopeless(name, rng):
+    frame, model = plain_view(name), library.make(name)
+    truth = frame.camera_from_object_truth
+    found = Predictor(frame, model, DepthModel())
+    some = np.array([truth, *(poses.displaced(truth, 1.0, 0.05, model.centroid, rng) for _ in range(400))])
+    passed = np.argsort(found.glimpse(some), kind="stable")[:100]
+    best = np.argsort(found.rough_costs(some), kind="stable")[:5]
+    assert 0 in passed
+    assert np.isin(best, passed).all()
+
+
 def test_without_an_image_nothing_is_told(drill):
     from scenes.recordings.frames import Frame
 
-    assert (Predictor(Frame(0), drill, DepthModel()).rough_costs(np.eye(4)[None]) == 0.0).all()
+    blind = Predictor(Frame(0), drill, DepthModel())
+    assert (blind.rough_costs(np.eye(4)[None]) == 0.0).all()
+    assert (blind.glimpse(np.eye(4)[None]) == 0.0).all()
 
 
 def test_an_object_that_is_nowhere_is_hidden():

@@ -12,9 +12,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.pool import Pool
-from fusion.estimation.search import Found, PlanSettings, find_modes
-from fusion.estimation.steps.walk import walk
+from fusion.estimation.search.modes import Found, PlanSettings, find_modes
+from fusion.estimation.search.pool import Pool
+from fusion.estimation.search.walk import walk
 from fusion.estimation.trace import Trace
 from scenes.evidence.align import Alignment
 from scenes.evidence.modes import Mode, distinct_modes
@@ -311,8 +311,9 @@ def modes_anywhere(
     trace: Trace,
 ) -> Found:
     """Modes of a frame of which nothing is known. A few pairs of pixels propose first, and what looks like the best of
-    them when it is turned; where that leaves a doubt, touch and rows from many starts, and, unless two of these agree,
-    the whole objective walks from these, from each piece of the image and from between the fingers.
+    them when it is turned; where that leaves a doubt, touch and rows from many starts, or, where nobody says what hides
+    the object, very many pairs of pixels. Unless two of these agree, the whole objective walks from these, from each
+    piece of the image and from between the fingers.
 
     rows: all evidence. starts_of: makes those many starts (n, 4, 4); passes: over them.
     """
@@ -321,13 +322,19 @@ def modes_anywhere(
     asked.enter("pairs of pixels", lambda: pool.glanced(rows), "few pixels may be the object's" if few else "")
     asked.look_beside()
     enough = asked.settled if plan.skipping else ""
-    starts = np.zeros((0, 4, 4)) if enough else starts_of()
+    told = pool.predictor.told_apart
+    # rows lay each start onto whatever hides the object, too: where nobody says what that is, they are not asked
+    starts = starts_of() if not enough and (told or asked.contacts) else np.zeros((0, 4, 4))
     # where a walk begins; touch alone says more than the starts that it comes from
     begun = [] if asked.contacts else [starts]
 
     def searched() -> Array:
         rank, apart = pool.sight.costs, s.passes_apart * pool.apart
         begun.append(search(pool.model, rows, starts, passes, rank=rank, apart=apart, settled=SETTLED).poses)
+        return begun[-1]
+
+    def paired() -> Array:
+        begun.append(walk(pool.model, pool.paired(), pool.walking, pool.rng, pool.proposals.walk_paired))
         return begun[-1]
 
     def felt_alone() -> Array:
@@ -344,10 +351,15 @@ def modes_anywhere(
         asked.look_around()
         return ALIKE if asked.gained < s.hardly else ""
 
+    pieces = pool.looked.pieces
+    by_vision = f"rows, {counted(len(starts), 'start')}", searched
+    if not told:
+        parts = [counted(len(pieces), "piece"), f"{len(pool.coloured)} by colour"]
+        by_vision = ", ".join(["many pairs of pixels", *parts[: 1 + bool(pool.coloured)]]), paired
     agreed = ""
     for source, proposed, why_not in (
         ("touch", felt_alone, "" if asked.contacts else "nothing is felt"),
-        (f"rows, {counted(len(starts), 'start')}", searched, ""),
+        (*by_vision, ""),
     ):
         before = asked.modes
         asked.enter(source, proposed, enough or why_not)
@@ -355,14 +367,7 @@ def modes_anywhere(
             asked.look_beside()
             enough = asked.settled if plan.skipping else ""
             enough = agreed = enough or agrees(before)
-    pieces = pool.looked.pieces
     of_pieces: list[tuple[Evidence, Array]] = []
-
-    def by_colour() -> Array:
-        found = pool.piece_starts(pool.coloured)
-        begun.extend(starts for _, starts in found)
-        begun.append(pool.of_pieces(found))
-        return begun[-1]
 
     def walked() -> Array:
         of_pieces.extend(pool.piece_starts(pieces))
@@ -370,15 +375,12 @@ def modes_anywhere(
         everywhere = np.concatenate([poses_of(asked.modes), *begun, *own, pool.held_starts()])
         return walk(pool.model, pool.sifted(everywhere), pool.walking, pool.rng, pool.proposals.walk_far)
 
-    if not pool.predictor.told_apart:
-        asked.enter(f"{counted(len(pool.coloured), 'piece')} by colour", by_colour, enough or pool.no_colours)
-        if not enough and pool.coloured and asked.convinced:
-            asked.look_beside()
-            enough = asked.settled if plan.skipping else ""
     sources = ["a walk", *[counted(len(pieces), "piece")] * bool(pieces), *["the hand"] * (pool.held is not None)]
     asked.enter(", ".join(sources), walked, enough)
     why_not = enough
-    if not why_not and not of_pieces:
+    if not why_not and not told:
+        why_not = "pairs of its pixels were tried"
+    elif not why_not and not of_pieces:
         why_not = "no piece stands alone"
     elif not why_not and asked.modes and pool.convinces(asked.modes, s.clearly_shown):
         why_not = "the best is clearly seen"
