@@ -77,8 +77,8 @@ class PlanSettings:
     negligible: float = 1e-3
     # Poses that are solved beside the modes where no picture judges, and the share of the distance at which modes are
     # one that they are apart. With contacts alone, refining from the truth ended lower in 26 of 272 answers of tuning
-    # families without these, in 8 with 16, in 7 with 32.
-    beside: int = 16
+    # families without these, in 8 with 16, in 7 with 32; without a start more help (see ProposalSettings.wide).
+    beside: int = 40
     beside_together: float = 0.25
     # The same where a picture judges and the best is in doubt: so many poses, and nats that they may cost more than the
     # best before calibration is solved for. Of 1804 answers to frames of tuning families (fused and vision, with start
