@@ -339,10 +339,13 @@ class Pool:
 
     def _shows(self, pose: Array, least: float, share: float, past: float, runs_on: float) -> bool:
         """Whether at pose (4, 4) at least the share `least` of the whole agrees with what is seen and `share` of what
-        nothing hides, and no more than these shares are seen past and run on over the outline.
+        nothing hides, and no more than these shares are seen past and run on over the outline; and whether, where
+        nobody says what hides the object, the picture as a whole speaks for it.
         """
         p = self.predictor.predict(pose[None])
         clear = p.past[0] <= past and p.outline[0] <= runs_on
+        if not self.predictor.told_apart and self.predictor.costs(pose[None])[0] > self.settings.most_against:
+            return False
         return bool(clear and p.agree[0] >= max(least, share * (1.0 - p.hidden[0] - p.behind_hand[0])))
 
     def _fitted(self, tried: Alignment, side: int, fresh: bool) -> Alignment:

@@ -69,6 +69,9 @@ class PoolSettings:
     explained_share: float = 0.9
     explained_past: float = 0.01
     explained_runs_on: float = 0.03
+    # And where nobody says what hides the object, the picture may cost at most this (nats): agreeing is not enough
+    # where it ends nowhere and scatters. A light bulb in a hand that agreed so cost 13 where the truth earned 23.
+    most_against: float = 0.0
     # The same of what few starts near a prior end in, shares: of the whole, of what nothing hides where at least
     # `tying_contacts` agree and where not, seen past, runs on. Of 416 answers with a start of the tuning families 162
     # passed; the whole search ended each of them in the same valley, and none that passed was wrong.
