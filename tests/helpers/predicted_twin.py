@@ -156,9 +156,8 @@ def glimpse(found, pose, aspects, which):
     third = few // 3
     if few % 3 == 0 and 2 * past[:third].sum() > third:
         seen, past = seen[:third], past[:third]
-    worth = found.score
     share = seen.mean() if few else 0.0
-    return worth.past * past.sum() / max(len(past), 1) - worth.seen * min(share, worth.most_seen)
+    return s.glimpse_past * past.sum() / max(len(past), 1) - s.glimpse_seen * min(share, s.glimpse_most)
 
 
 def size(found, candidates, picture):

@@ -232,8 +232,7 @@ class Predictor:
         shares = glimpsed(
             self.model, candidates, self._small, s.glimpse_step, camera, noise, s.tolerance, s.glimpse_points
         )
-        worth = self.score
-        return np.asarray(worth.past * shares[:, 1] - worth.seen * np.minimum(shares[:, 0], worth.most_seen))
+        return np.asarray(s.glimpse_past * shares[:, 1] - s.glimpse_seen * np.minimum(shares[:, 0], s.glimpse_most))
 
     @cached_property
     def _small(self) -> NDArray[np.float32]:
