@@ -153,10 +153,11 @@ class Pool:
         if not len(points):
             return np.zeros((0, 4, 4))
         parts = [pair_starts(self.model, points, self.rng, how), pixel_starts(self.model, points, how.even, self.rng)]
-        parts += [
-            pair_starts(self.model, piece.points, self.rng, self.proposals.paired_piece)
-            for piece in (*self.looked.pieces, *self.coloured)
-        ]
+        pieces = (*self.looked.pieces, *self.coloured)
+        few = self.proposals.paired_pieces // max(len(pieces), 1)
+        of_piece = self.proposals.paired_piece
+        of_piece = replace(of_piece, pairs=min(of_piece.pairs, few))
+        parts += [pair_starts(self.model, piece.points, self.rng, of_piece) for piece in pieces]
         candidates = np.concatenate(parts)
         likely = np.argsort(self.predictor.glimpse(candidates), kind="stable")[: self.settings.glimpsed]
         candidates = candidates[likely]

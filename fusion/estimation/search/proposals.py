@@ -66,6 +66,8 @@ class ProposalSettings:
     paired_piece: StartSettings = field(
         default_factory=lambda: StartSettings(pairs=600, each=20, drawn=True, oriented=200)
     )
+    # Pairs of all pieces together: a table scene has twenty of them.
+    paired_pieces: int = 3000
     glanced: Passes = ((1.0, 0.5, 60, 6, 24), (1 / 3, 0.2, 120, 8, 16))
     # The same from a prior: its mean and a few draws, enough that nine in ten easy frames end as a whole search does.
     starts_glanced: int = 8
