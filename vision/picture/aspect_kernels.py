@@ -52,6 +52,26 @@ def aspect_at(cells, x, y, z):
     return ((face + (a < 0.0)) * cells + min(i, cells - 1)) * cells + min(j, cells - 1)
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always", **LENT)
+def aspect_of(cells, centroid, r, t):
+    """Which of 6 cells^2 directions an object at a pose, r (4, 4) with translation t (3,), is seen from, and the depth
+    (m) of its centroid (3,), which is in the object's frame.
+    """
+    # the camera as the centroid sees it
+    x, y, z = t[0], t[1], t[2]
+    for i in range(3):
+        x += r[0, i] * centroid[i]
+        y += r[1, i] * centroid[i]
+        z += r[2, i] * centroid[i]
+    which = aspect_at(
+        cells,
+        -(r[0, 0] * x + r[1, 0] * y + r[2, 0] * z),
+        -(r[0, 1] * x + r[1, 1] * y + r[2, 1] * z),
+        -(r[0, 2] * x + r[1, 2] * y + r[2, 2] * z),
+    )
+    return which, z
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
 def sum_aspects(aspects, cells, centroid, poses, image, camera, noise, limits, running, parts, work, words, told):
     """What the points that the object shows at poses (n, 4, 4) add up to: fills told, that is sums (n, SUMS), in
@@ -72,18 +92,7 @@ def sum_aspects(aspects, cells, centroid, poses, image, camera, noise, limits, r
     sums, beyond, area = told
     for n in range(poses.shape[0]):
         r, t = poses[n], poses[n, :3, 3]
-        # the camera as the centroid sees it
-        x, y, z = t[0], t[1], t[2]
-        for i in range(3):
-            x += r[0, i] * centroid[i]
-            y += r[1, i] * centroid[i]
-            z += r[2, i] * centroid[i]
-        which = aspect_at(
-            cells,
-            -(r[0, 0] * x + r[1, 0] * y + r[2, 0] * z),
-            -(r[0, 1] * x + r[1, 1] * y + r[2, 1] * z),
-            -(r[0, 2] * x + r[1, 2] * y + r[2, 2] * z),
-        )
+        which, z = aspect_of(cells, centroid, r, t)
         distance, ahead, inside = z, z > NEAREST, 0
         out = sums[n]
         out[:] = 0.0

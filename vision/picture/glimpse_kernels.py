@@ -13,7 +13,7 @@ import numpy as np
 
 from scenes._numba import LENT
 from scenes.geometry.cameras import FARTHEST_READING
-from vision.picture.aspect_kernels import aspect_at
+from vision.picture.aspect_kernels import aspect_of
 from vision.picture.kernels import NEAREST, is_by_hand, is_on_planes, smooth_sigma
 
 # Added to a depth (m) to say that what is read there is not the object, and on the other side of zero that it is a
@@ -62,17 +62,7 @@ def glimpse_aspects(aspects, cells, centroid, poses, small, step, camera, noise,
     fx, fy, cx, cy, width, height = camera
     for n in range(poses.shape[0]):
         r, t = poses[n], poses[n, :3, 3]
-        x, y, z = t[0], t[1], t[2]
-        for i in range(3):
-            x += r[0, i] * centroid[i]
-            y += r[1, i] * centroid[i]
-            z += r[2, i] * centroid[i]
-        which = aspect_at(
-            cells,
-            -(r[0, 0] * x + r[1, 0] * y + r[2, 0] * z),
-            -(r[0, 1] * x + r[1, 1] * y + r[2, 1] * z),
-            -(r[0, 2] * x + r[1, 2] * y + r[2, 2] * z),
-        )
+        which, z = aspect_of(cells, centroid, r, t)
         own = smooth_sigma(noise, z)
         tolerance = sigmas * math.sqrt(own * own + noise[4] * noise[4] * z * z)
         few = min(count[which], most)

@@ -354,8 +354,8 @@ def modes_anywhere(
     pieces = pool.looked.pieces
     by_vision = f"rows, {counted(len(starts), 'start')}", searched
     if not told:
-        parts = [counted(len(pieces), "piece"), f"{len(pool.coloured)} by colour"]
-        by_vision = ", ".join(["many pairs of pixels", *parts[: 1 + bool(pool.coloured)]]), paired
+        of = [counted(len(pieces), "piece")] * bool(pieces) + [f"{len(pool.coloured)} by colour"] * bool(pool.coloured)
+        by_vision = ", ".join(["many pairs of pixels", *of]), paired
     agreed = ""
     for source, proposed, why_not in (
         ("touch", felt_alone, "" if asked.contacts else "nothing is felt"),
