@@ -58,8 +58,8 @@ class ProposalSettings:
     )
     # Very many pairs, where nobody says what hides the object: of the whole image, and of each of its pieces. Ranked
     # by the whole objective, not by rows: of 576 frames of the tuning families by vision (seeds 101 and 102, hand and
-    # mask kept back) 392 are right and 30 missed, and with rows from 280 starts, pieces by colour and each piece alone
-    # in their place 364 and 65; with half as many pairs 386 and 47.
+    # mask kept back) 382 are right and 40 missed, and with rows from 280 starts, pieces by colour and each piece alone
+    # in their place 364 and 65; half or twice as many pairs, and other draws, give 381 to 392 and 30 to 47.
     paired: StartSettings = field(
         default_factory=lambda: StartSettings(pairs=2000, each=20, drawn=True, oriented=400, even=600, keep_pairs=200)
     )
