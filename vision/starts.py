@@ -18,7 +18,9 @@ from scenes.evidence.point_pairs import pair_table
 from scenes.evidence.search import first_of_each, rotation_grid, thin
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
+from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
+from vision.normal_kernels import surface_at
 
 Array = NDArray[np.float64]
 
@@ -27,13 +29,15 @@ Array = NDArray[np.float64]
 class StartSettings:
     """How many poses are thought of, and how many are kept. Values tuned on generated captures."""
 
-    # Pixels that get a normal; the neighbours it is fitted to, and their reach: share of the object's radius, and
-    # limits (m).
+    # Pixels that get a normal, and how far what it is fitted to reaches: share of the object's radius, of how thick it
+    # is (the mean length of lines through it), since a pipe is round within the first, and limits (m).
     oriented: int = 150
-    neighbours: int = 40
     reach_share: float = 0.12
+    reach_thick: float = 0.4
     reach: tuple[float, float] = (0.005, 0.012)
-    # Fewest neighbours, and the largest thickness (m) of a patch that is taken for a surface: noise at two sigmas.
+    # Neighbours of points without an image. Fewest readings or neighbours, and the largest thickness (m) of what is
+    # taken for a surface: noise at two sigmas.
+    neighbours: int = 40
     fewest: int = 8
     thickest: float = 0.003
     # Pairs of pixels looked up, how many alike each brings, and the shortest as a share of the object's radius; whether
@@ -54,6 +58,41 @@ class StartSettings:
     # Starts nearer than this to a better one are left out: radians, shares of the radius.
     same_angle: float = 0.25
     same_share: float = 0.12
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What may be the object: points (n, 3), camera frame; and of which pixels uv (n, 2) of a depth image (h, w) they
+    are, where there is one: all that is read about them tells their normals.
+    """
+
+    points: Array
+    uv: NDArray[np.int64] | None = None
+    depth: NDArray[np.float32] | None = None
+    camera: Camera | None = None
+
+    def oriented(
+        self, model: ObjectModel, rng: np.random.Generator, settings: StartSettings | None = None
+    ) -> tuple[Array, Array]:
+        """Some of the points and their outward normals, both (m, 3), m at most settings.oriented: those that are on a
+        surface.
+        """
+        s = settings or StartSettings()
+        if self.uv is None or self.depth is None or self.camera is None:
+            return oriented_points(self.points, model, rng, s)
+        chosen = self.uv[rng.permutation(len(self.points))[: s.oriented]]
+        (places, normals), good = np.zeros((2, len(chosen), 3)), np.zeros(len(chosen), dtype=bool)
+        lens = float(self.camera.fx), float(self.camera.fy), float(self.camera.cx), float(self.camera.cy)
+        limits = reach_of(model, s), s.fewest, s.thickest
+        surface_at(self.depth, lens, np.ascontiguousarray(chosen), *limits, places, normals, good)
+        return places[good], normals[good]
+
+
+def reach_of(model: ObjectModel, settings: StartSettings) -> float:
+    """How far (m) what tells a normal of the object may reach."""
+    thick = 4.0 * model.volume / max(model.area, 1e-12)
+    within = min(settings.reach_share * model.radius, settings.reach_thick * thick)
+    return float(np.clip(within, *settings.reach))
 
 
 def pixel_starts(model: ObjectModel, points: Array, count: int, rng: np.random.Generator) -> Array:
@@ -80,23 +119,21 @@ def pixel_starts(model: ObjectModel, points: Array, count: int, rng: np.random.G
     return poses
 
 
-def oriented_pixels(
-    points: Array, radius: float, rng: np.random.Generator, settings: StartSettings | None = None
+def oriented_points(
+    points: Array, model: ObjectModel, rng: np.random.Generator, settings: StartSettings
 ) -> tuple[Array, Array]:
     """Some of the points (n, 3), camera frame, and their outward normals (m, 3), which face the camera.
 
     A normal is that of the plane through the neighbours (principal axes); points among too few of them, or where they
-    are no surface but a rim, are left out. radius (m) of the object scales the neighbourhood.
+    are no surface but a rim, are left out.
     """
     from scipy.spatial import cKDTree
 
-    settings = settings or StartSettings()
     if len(points) < settings.fewest:
         return np.zeros((0, 3)), np.zeros((0, 3))
     chosen = points[rng.permutation(len(points))[: settings.oriented]]
-    reach = float(np.clip(settings.reach_share * radius, *settings.reach))
     count = min(settings.neighbours, len(points))
-    distance, index = cKDTree(points).query(chosen, k=count, distance_upper_bound=reach)
+    distance, index = cKDTree(points).query(chosen, k=count, distance_upper_bound=reach_of(model, settings))
     near = np.isfinite(distance).reshape(len(chosen), count)
     patch = points[np.where(near, index.reshape(near.shape), 0)] - chosen[:, None]
     weight = near / np.maximum(near.sum(axis=1, keepdims=True), 1)
@@ -112,15 +149,15 @@ def oriented_pixels(
 
 
 def pair_starts(
-    model: ObjectModel, points: Array, rng: np.random.Generator, settings: StartSettings | None = None
+    model: ObjectModel, seen: Seen, rng: np.random.Generator, settings: StartSettings | None = None
 ) -> Array:
     """(n, 4, 4) camera_from_object that lay pairs of the object onto pairs of pixels; none without a pair apart."""
     settings = settings or StartSettings()
-    seen, normals = oriented_pixels(points, model.radius, rng, settings)
-    if len(seen) < 2:
+    points, normals = seen.oriented(model, rng, settings)
+    if len(points) < 2:
         return np.zeros((0, 4, 4))
-    first, second = rng.integers(len(seen), size=(2, 8 * settings.pairs))
-    length = np.linalg.norm(seen[first] - seen[second], axis=1)
+    first, second = rng.integers(len(points), size=(2, 8 * settings.pairs))
+    length = np.linalg.norm(points[first] - points[second], axis=1)
     use = np.flatnonzero((length > settings.shortest * model.radius) & (length < model.diameter))
     # pairs of one plane look like too many others: half of the places go to those whose normals differ most
     telling = np.sum(normals[first[use]] * normals[second[use]], axis=1)
@@ -129,14 +166,14 @@ def pair_starts(
     order = np.concatenate([order[:half], np.sort(order[half:])[: settings.pairs - half]])
     if not len(order):
         return np.zeros((0, 4, 4))
-    of, table = (seen, normals, first[order], second[order], settings.each), pair_table(model)
+    of, table = (points, normals, first[order], second[order], settings.each), pair_table(model)
     rotations, origins = table.drawn(*of, rng) if settings.drawn else table.matching(*of)
     return se3.make_poses(rotations, origins)
 
 
 def seen_starts(
     model: ObjectModel,
-    points: Array,
+    seen: Seen,
     rows: Evidence,
     rank: Callable[[Array, float], Array],
     rng: np.random.Generator,
@@ -144,14 +181,14 @@ def seen_starts(
 ) -> Array:
     """The most promising starts (n, 4, 4) camera_from_object of both kinds, those that differ.
 
-    points (n, 3): pixels that may be the object. rows: the evidence that ranks them, with rank(poses, blur) -> (n,) in
+    rows: the evidence that ranks them, with rank(poses, blur) -> (n,) in
     the same units added (what the camera saw past). Camera frame.
     """
     settings = settings or StartSettings()
     few = thin(rows, settings.rows)
     # drawn after the pairs, so that these are the same without
-    pairs = pair_starts(model, points, rng, settings)
-    even = pixel_starts(model, points, settings.even, rng) if settings.even else np.zeros((0, 4, 4))
+    pairs = pair_starts(model, seen, rng, settings)
+    even = pixel_starts(model, seen.points, settings.even, rng) if settings.even else np.zeros((0, 4, 4))
     kept = [np.zeros((0, 4, 4))]
     for candidates, (share, low, high), keep in (
         (pairs, settings.blur_pairs, settings.keep_pairs),

@@ -130,7 +130,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         starts: list[Array] = []
 
         def begun() -> Array:
-            pixels, contacts = looked.pixels.points, felt.contacts
+            pixels, contacts = pool.seen(), felt.contacts
             starts.append(starts_of(model, believed, pixels, contacts, rows, sight.costs, how, pool.rng, felt.patches))
             return starts[0]
 

@@ -52,7 +52,7 @@ def load_object(name: str, unit: str = "m") -> ObjectModel:
     from scenes.geometry.objects import ObjectModel
     from scenes.synthesis import library
 
-    known = [*library.names(), *library.held_out_names()]
+    known = [*library.names(), *library.tool_names(), *library.held_out_names()]
     if name in known and not Path(name).is_file():
         return library.make(name)
     if not Path(name).exists():

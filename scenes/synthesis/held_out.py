@@ -75,9 +75,38 @@ def kettle() -> shapes.Mesh:
     return shapes.mesh_implicit(surface, [-0.102, -0.062, -0.008], [0.106, 0.062, 0.118], 0.0022)
 
 
+def ladle() -> shapes.Mesh:
+    """A flat handle of 240 mm with a bowl of 70 mm across at its end, tilted to one side."""
+
+    def surface(p: Array) -> Array:
+        handle = shapes.rounded_box(p, [0, 0, 0.120], [0.0095, 0.0042, 0.120], 0.003)
+        ball = np.linalg.norm(p - [0.0, 0.026, 0.268], axis=1)
+        # open towards +y
+        bowl = np.maximum(np.abs(ball - 0.033) - 0.0031, p[:, 1] - 0.0337)
+        return shapes.smooth_union([handle, bowl], 0.006)
+
+    return shapes.mesh_implicit(surface, [-0.042, -0.016, -0.006], [0.042, 0.046, 0.310], 0.0022)
+
+
+def wrench() -> shapes.Mesh:
+    """A spanner of 260 mm: a flat shaft, an open jaw at one end and a ring at the other."""
+
+    def surface(p: Array) -> Array:
+        shaft = shapes.rounded_box(p, [0, 0, 0.130], [0.0100, 0.0045, 0.100], 0.003)
+        head = np.hypot(p[:, 0], p[:, 2] - 0.238) - 0.023
+        opening = shapes.rounded_box(p, [0.004, 0, 0.258], [0.0095, 0.020, 0.024], 0.002)
+        jaw = np.maximum(np.maximum(head, -opening), np.abs(p[:, 1]) - 0.0065)
+        ring = np.maximum(np.abs(np.hypot(p[:, 0], p[:, 2] - 0.018) - 0.0135) - 0.0055, np.abs(p[:, 1]) - 0.0075)
+        return shapes.smooth_union([shaft, jaw, ring], 0.003)
+
+    return shapes.mesh_implicit(surface, [-0.030, -0.013, -0.006], [0.030, 0.013, 0.268], 0.0022)
+
+
 MAKERS: dict[str, Callable[[], shapes.Mesh]] = {
     "banana": banana,
     "camera": camera,
     "kettle": kettle,
+    "ladle": ladle,
     "sprayer": sprayer,
+    "wrench": wrench,
 }

@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 Built = tuple[shapes.Mesh, Symmetries]
 
 _MAKERS: dict[str, Callable[[], Built]] = {}
+# Long thin ones, of which little fills the box around their outline.
+_TOOLS: dict[str, Callable[[], Built]] = {}
 
 
 def names() -> list[str]:
@@ -35,19 +37,29 @@ def held_out_names() -> list[str]:
     return sorted(held_out.MAKERS)
 
 
+def tool_names() -> list[str]:
+    """Long thin tools that `make` knows too: of scenes' clutter they are no part, sorted."""
+    return sorted(_TOOLS)
+
+
 @cache
 def make(name: str) -> ObjectModel:
     """The named object; built once per process. Raises InputError, listing the names, for any other name."""
     if name in held_out.MAKERS:
         return ObjectModel.from_mesh(*held_out.MAKERS[name](), name=name)
-    if name not in _MAKERS:
-        raise unknown("object", name, [*names(), *held_out_names()])
-    (vertices, faces), symmetries = _MAKERS[name]()
+    if name not in _MAKERS and name not in _TOOLS:
+        raise unknown("object", name, [*names(), *tool_names(), *held_out_names()])
+    (vertices, faces), symmetries = (_MAKERS.get(name) or _TOOLS[name])()
     return ObjectModel.from_mesh(vertices, faces, name=name, symmetries=symmetries)
 
 
 def _register(maker: Callable[[], Built]) -> Callable[[], Built]:
     _MAKERS[maker.__name__.strip("_")] = maker
+    return maker
+
+
+def _register_tool(maker: Callable[[], Built]) -> Callable[[], Built]:
+    _TOOLS[maker.__name__] = maker
     return maker
 
 
@@ -228,4 +240,35 @@ def bust() -> Built:
         return np.minimum(np.maximum(whole, 0.008 - p[:, 2]), plinth)
 
     mesh = shapes.mesh_implicit(surface, [-0.068, -0.076, -0.007], [0.068, 0.060, 0.174], 0.0026)
+    return mesh, Symmetries.none()
+
+
+@_register_tool
+def hook() -> Built:
+    """A pipe 17 mm across, bent back upon itself at one end: 325 mm long, the hook 80 mm wide."""
+
+    def surface(p: Array) -> Array:
+        stem = shapes.capsule(p, [0, 0, 0.009], [0, 0, 0.280], 0.0085)
+        # half a circle of 32 mm about (0.032, 0, 0.28)
+        x, z = p[:, 0] - 0.032, np.maximum(p[:, 2] - 0.280, 0.0)
+        arc = np.hypot(np.hypot(x, z) - 0.032, p[:, 1]) - 0.0085
+        bend = np.maximum(arc, 0.280 - p[:, 2])
+        tip = shapes.capsule(p, [0.064, 0, 0.280], [0.064, 0, 0.240], 0.0085)
+        return shapes.smooth_union([stem, bend, tip], 0.003)
+
+    mesh = shapes.mesh_implicit(surface, [-0.013, -0.013, -0.004], [0.078, 0.013, 0.326], 0.0024)
+    return mesh, Symmetries.none()
+
+
+@_register_tool
+def rake() -> Built:
+    """A hand rake: a stick of 300 mm that thins out, a bar of 105 mm that reaches farther to one side, four teeth."""
+
+    def surface(p: Array) -> Array:
+        stick = shapes.capsule(p, [0, 0, 0.012], [0, 0, 0.300], 0.0115, 0.0065)
+        bar = shapes.capsule(p, [-0.039, 0, 0.300], [0.064, 0, 0.300], 0.0063)
+        teeth = [shapes.capsule(p, [x, 0, 0.300], [x, 0.034, 0.308], 0.0047) for x in (-0.039, -0.004, 0.031, 0.064)]
+        return shapes.smooth_union([stick, bar, *teeth], 0.003)
+
+    mesh = shapes.mesh_implicit(surface, [-0.050, -0.016, -0.004], [0.075, 0.043, 0.3165], 0.0025)
     return mesh, Symmetries.none()

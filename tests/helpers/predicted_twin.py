@@ -14,7 +14,7 @@ def predicted(found, pose, side):
     found: a Predictor.
     """
     s, camera, depth = found.settings, found.camera, found._depth
-    u, v, inside = grid(found, pose, side)
+    u, v, inside, steps = grid(found, pose, side)
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
     inverse = se3.inverse(pose)
     local = rays @ inverse[:3, :3].T
@@ -32,7 +32,8 @@ def predicted(found, pose, side):
     total = max(hit.sum() - s.unread * (hit & ~read).sum(), 1.0) / max(share, 1e-3)
     sums = [x.sum() / total for x in (fade, near, past_share, hidden, by_hand)]
     sums[3] += 1.0 - share
-    border = *runs_on(found, hit, near, read, hidden, seen, u, v, side), *ends(found, hit, near, seen, u, v, side)
+    grids = [x.reshape(side, side) for x in (hit, near, read, hidden, seen, u, v)]
+    border = *runs_on(found, *grids, steps), *ends(found, hit, near, seen, u, v, side, steps)
     return *sums, *border, scatter(found, seen, expected, near), int(hit.sum())
 
 
@@ -200,19 +201,35 @@ def in_image(found, pose):
 
 
 def grid(found, pose, side):
-    """Pixels u, v (side^2,) over the box of the outline, and which of them are in the image."""
+    """Pixels u, v (side^2,) over the box of the outline, which of them are in the image, and steps (2, 2): u, v from
+    one to the next of its row, and of its column.
+    """
     c = found.camera
     points = found._points @ pose[:3, :3].T + pose[:3, 3]
     z = points[:, 2]
     ahead = (z > 1e-3).all()
     safe = np.where(z > 1e-3, z, 1.0)
     uv = np.stack([c.fx * points[:, 0] / safe + c.cx, c.fy * points[:, 1] / safe + c.cy], axis=1)
-    low = np.clip(uv.min(axis=0) - 1.0, -c.width, 2 * c.width)
-    high = np.clip(uv.max(axis=0) + 1.0, -c.width, 2 * c.width)
-    steps = (np.arange(side) + 0.5)[:, None] / side
-    u, v = np.round(low + steps * (high - low)).astype(np.int64).T
-    u, v = (x.ravel() for x in np.meshgrid(u, v))
-    return u, v, (u >= 0) & (v >= 0) & (u < c.width) & (v < c.height) & ahead
+    axes = np.eye(2)
+    low, high = uv.min(axis=0), uv.max(axis=0)
+    if ahead and (low >= -c.width).all() and (high <= 2 * c.width).all():
+        # those that bound the outline
+        bound = uv if in_image(found, pose) < 1.0 else uv[: found._outer]
+        vectors = np.linalg.eigh(np.cov(bound.T))[1].T[::-1]
+        # the first axis to the right
+        first = vectors[0] * np.sign(vectors[0, 0])
+        turned = np.stack([first, [-first[1], first[0]]])
+        if np.prod(np.ptp(uv @ turned.T, axis=0) + 2.0) < found.settings.slender * np.prod(high - low + 2.0):
+            axes = turned
+            low, high = (uv @ axes.T).min(axis=0), (uv @ axes.T).max(axis=0)
+    low, high = low - 1.0, high + 1.0
+    if (axes == np.eye(2)).all():
+        low, high = np.clip(low, -c.width, 2 * c.width), np.clip(high, -c.width, 2 * c.width)
+    shares = (np.arange(side) + 0.5) / side
+    a, b = np.meshgrid(*(low + shares[:, None] * (high - low)).T)
+    u, v = np.rint(np.stack([a.ravel(), b.ravel()], axis=1) @ axes).astype(np.int64).T
+    inside = (u >= 0) & (v >= 0) & (u < c.width) & (v < c.height) & ahead
+    return u, v, inside, (high - low)[:, None] / side * axes
 
 
 def is_hand(found, at, seen):
@@ -241,24 +258,25 @@ def nearest_around(depth, reach):
     return windows.min(axis=(2, 3))
 
 
-def runs_on(found, hit, near, read, hidden, seen, u, v, side):
+def runs_on(found, hit, near, read, hidden, seen, u, v, steps):
     """Share of the outline across which the surface that is seen inside goes on as it was, further than edges smear;
-    and beside it the borders within, where it goes on to hide.
+    and beside it the borders within, where it goes on to hide. All but steps, see grid: (side, side).
     """
     s = found.settings
     reach = found.reach
-    grids = hit, near, read, hidden, seen, u, v
-    hit, near, read, hidden, seen, u, v = (np.pad(x.reshape(side, side), 1) for x in grids)
+    hit, near, read, hidden, seen, u, v = (np.pad(x, 1) for x in (hit, near, read, hidden, seen, u, v))
     smooth = border = within = 0
     for axis in (0, 1):
+        apart = np.linalg.norm(steps[1 - axis])
         for step in (1, -1):
+            way = -step * steps[1 - axis] / apart
             beyond = hit & ~np.roll(hit, step, axis)
             slope = seen - np.roll(seen, -step, axis)
             room = s.smooth + s.smooth_share * seen
             next_u, next_v = np.roll(u, step, axis), np.roll(v, step, axis)
-            apart = np.abs(next_v - v) if axis == 0 else np.abs(next_u - u)
-            far_u, far_v = (next_u, next_v - step * reach) if axis == 0 else (next_u - step * reach, next_v)
-            lead = seen + slope * (1.0 + reach / np.maximum(apart, 1))
+            far_u = np.rint(next_u + reach * way[0]).astype(int)
+            far_v = np.rint(next_v + reach * way[1]).astype(int)
+            lead = seen + slope * (1.0 + reach / max(apart, 1.0))
             close = near & np.roll(near, -step, axis) & (np.abs(np.roll(seen, step, axis) - seen - slope) < room)
             within += (hit & np.roll(hit & hidden, step, axis) & close).sum()
             close &= leads_to(found, far_u.ravel(), far_v.ravel(), lead.ravel(), room.ravel()).reshape(close.shape)
@@ -267,18 +285,19 @@ def runs_on(found, hit, near, read, hidden, seen, u, v, side):
     return smooth / max(border, 1), within / max(border, 1)
 
 
-def ends(found, hit, near, seen, u, v, side):
+def ends(found, hit, near, seen, u, v, side, steps):
     """Shares of the outline where what agrees ends in a step of depth, and beyond which nothing is read."""
     s = found.settings
     hit, near, seen, u, v = (x.reshape(side, side) for x in (hit, near, seen, u, v))
     beyond, ending, dark, border = np.pad(hit, 1), 0, 0, 0
-    across, down = np.ptp(u) / (side - 1), np.ptp(v) / (side - 1)
     for right, below in ((1, 0), (-1, 0), (0, 1), (0, -1)):
         edge = hit & ~beyond[1 + below : 1 + below + side, 1 + right : 1 + right + side]
         border += edge.sum()
         edge &= near
-        far_u = np.rint(u + right * (across + 0.5 * found.reach)).astype(int)
-        far_v = np.rint(v + below * (down + 0.5 * found.reach)).astype(int)
+        along = right * steps[0] + below * steps[1]
+        length = np.linalg.norm(along)
+        far = along * (1.0 + 0.5 * found.reach / length)
+        far_u, far_v = np.rint(u + far[0]).astype(int), np.rint(v + far[1]).astype(int)
         room = s.smooth + s.smooth_share * seen
         step, nothing = step_at(found, far_u[edge], far_v[edge], seen[edge], 2.0 * room[edge])
         ending, dark = ending + step.sum(), dark + nothing.sum()

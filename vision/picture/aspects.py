@@ -8,7 +8,7 @@ metres.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -25,8 +25,11 @@ Array = NDArray[np.float64]
 # Directions: cells along either side of each face of a cube, of equal angles: 7.5 degrees, by which a point's own
 # direction is off, too, where the object is near.
 CELLS = 12
-# Rays along each side of the box around an outline: some six in ten of their square meet the object.
+# Rays along each side of the box around an outline, and the share of their square that usually meets the object.
 SIDE = 12
+USUAL = 0.6
+# The box is turned to the outline's own axes where these hold less than this share of its area.
+SLENDER = 0.7
 # Radii from which it is looked at: a thing in a hand from half a metre to one.
 AWAY = 6.0
 # Points of the surface whose projections bound the outline.
@@ -36,14 +39,16 @@ BOUNDING = 200
 @dataclass(frozen=True)
 class Aspects:
     """Of each of k directions: points (k, m, 3) that are seen, the first count (k,) of which are there; near (k, m, 4):
-    which of them is beside each in the grid of rays, one up, left, down and right, -1 for none; and cell (k,): what
-    of the outline each stands for (m^2, at the centroid's distance).
+    which of them is beside each in the grid of rays, one up, left, down and right, -1 for none; cell (k,): what of the
+    outline each stands for (m^2, at the centroid's distance). filling: mean share of the boxes around its outlines that
+    is the object.
     """
 
     points: NDArray[np.float32]
     near: NDArray[np.int16]
     count: NDArray[np.int64]
     cell: Array
+    filling: float
 
 
 # images, and camera, noise and limits, of vision.picture.kernels.compare_pixels; parts of part_pieces
@@ -74,16 +79,34 @@ def directions(cells: int) -> Array:
     return np.asarray(flat / np.linalg.norm(flat, axis=1, keepdims=True))
 
 
+def finer(side: int, filling: float) -> int:
+    """Rays along each side of the box around an outline that fills this share of it, so that about as many of them meet
+    the object as meet a usual one of `side`; twice that at most.
+    """
+    return int(np.rint(side * np.sqrt(np.clip(USUAL / max(filling, 1e-3), 1.0, 4.0))))
+
+
 def make_aspects(model: ObjectModel, cells: int = CELLS, side: int = SIDE) -> Aspects:
-    """The aspects of an object from `cells` directions along each side of a cube's faces, side^2 rays each."""
+    """The aspects of an object from `cells` directions along each side of a cube's faces, side^2 rays each, or more of
+    a thing that fills little of its outlines' boxes.
+    """
+    made = _cast(model, cells, side)
+    more = finer(side, made.filling)
+    return made if more == side else replace(_cast(model, cells, more), filling=made.filling)
+
+
+def _cast(model: ObjectModel, cells: int, side: int) -> Aspects:
     towards, away = directions(cells), AWAY * model.radius
     across = np.cross(towards, np.eye(3)[np.argmin(np.abs(towards), axis=1)])
     across /= np.linalg.norm(across, axis=1)[:, None]
     # axes of each camera, as rows
     axes = np.stack([across, np.cross(-towards, across), -towards], axis=1)
     outer, _ = model.bounding_points(BOUNDING)
-    local = (outer - model.centroid) @ axes.transpose(0, 2, 1) + np.array([0.0, 0.0, away])
-    plane = local[..., :2] / local[..., 2:]
+    plane = _projected(outer - model.centroid, axes, away)
+    turned = _along_outline(axes, plane)
+    along = _projected(outer - model.centroid, turned, away)
+    thin = np.prod(np.ptp(along, axis=1), axis=1) < SLENDER * np.prod(np.ptp(plane, axis=1), axis=1)
+    axes[thin], plane[thin] = turned[thin], along[thin]
     low, high = plane.min(axis=1), plane.max(axis=1)
     step = (high - low) / side
     at = low[:, None] + step[:, None] * (np.arange(side) + 0.5)[:, None]
@@ -104,7 +127,23 @@ def make_aspects(model: ObjectModel, cells: int = CELLS, side: int = SIDE) -> As
     points[which, inner[hit]] = (origins + depth[..., None] * rays)[hit]
     for way, (down, right) in enumerate(((0, 1), (1, 0), (2, 1), (1, 2))):
         near[which, inner[hit], way] = place[:, down : down + side, right : right + side][hit]
-    return Aspects(points, near, count, np.prod(step, axis=1) * away**2)
+    return Aspects(points, near, count, np.prod(step, axis=1) * away**2, float(hit.mean()))
+
+
+def _projected(points: Array, axes: Array, away: float) -> Array:
+    """(k, n, 2) where cameras with axes (k, 3, 3), as rows, that look at the origin from so far see points (n, 3)."""
+    local = points @ axes.transpose(0, 2, 1) + np.array([0.0, 0.0, away])
+    return np.asarray(local[..., :2] / local[..., 2:])
+
+
+def _along_outline(axes: Array, places: Array) -> Array:
+    """The axes (k, 3, 3) of cameras, turned about the line of sight to those of the places (k, n, 2) that they see."""
+    centred = places - places.mean(axis=1, keepdims=True)
+    uu, vv = np.square(centred).sum(axis=1).T
+    angle = 0.5 * np.arctan2(2.0 * centred.prod(axis=2).sum(axis=1), uu - vv)
+    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    across = cosine * axes[:, 0] + sine * axes[:, 1]
+    return np.stack([across, cosine * axes[:, 1] - sine * axes[:, 0], axes[:, 2]], axis=1)
 
 
 def sums_of(

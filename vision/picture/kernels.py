@@ -56,24 +56,25 @@ def spread(depth, least, most):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
-def outline_rays(points, outer, poses, camera, middle, u, v, across, rays, index, inside):
-    """Pixels u, v (n, side) over the box of each pose's outline; fills rays and index, and returns how many rays.
+def outline_rays(points, outer, poses, camera, middle, slender, u, v, step, places, rays, index, inside):
+    """Pixels u, v (n, side^2) of a grid over the box of each pose's outline; fills rays and index, and returns how many
+    rays.
 
+    The box is upright; along the outline's own axes where that holds less than the share `slender` of the upright one:
+    of a stick that lies aslant in the image hardly a ray would meet it.
     points (m, 3): of the surface, object frame, the first `outer` of which bound all of them in every view. poses
     (n, 4, 4): camera_from_object. camera: fx, fy, cx, cy, width, height. middle (3,): what the ray caster takes off its
-    points. across (side,): to work in. rays (n side^2, 6): origin and direction with z = 1, object frame about the
-    middle, of the pixels in the image; index: where among all they belong. inside (n,): share of the points that
-    project into the image.
+    points. step (n, 4): pixels u, v from a ray to the next of its row, and to that in the next row. places (m, 2): to
+    work in. rays (n side^2, 6): origin and direction with z = 1, object frame about the middle, of the pixels in the
+    image; index: where among all they belong. inside (n,): share of the points that project into the image.
     """
     fx, fy, cx, cy, width, height = camera
-    side = u.shape[1]
+    side = int(np.rint(math.sqrt(u.shape[1])))
     count = 0
     for n in range(poses.shape[0]):
         r, t = poses[n], poses[n, :3, 3]
-        low_u = low_v = math.inf
-        high_u = high_v = -math.inf
         ahead = True
-        within = 0
+        within = known = 0
         for k in range(points.shape[0]):
             if k == outer and within == k and ahead:
                 # all of them are in the image, and so is what they bound
@@ -88,45 +89,79 @@ def outline_rays(points, outer, poses, camera, middle, u, v, across, rays, index
                 z = 1.0
             a, b = fx * x / z + cx, fy * y / z + cy
             within += 0.0 <= a < width and 0.0 <= b < height
-            low_u, high_u = min(low_u, a), max(high_u, a)
-            low_v, high_v = min(low_v, b), max(high_v, b)
+            places[k, 0], places[k, 1] = a, b
+            known = k + 1
         inside[n] = within / points.shape[0] if ahead else 0.0
-        # far outside the image nothing is asked
-        low_u, high_u = min(max(low_u - 1.0, -width), 2.0 * width), min(max(high_u + 1.0, -width), 2.0 * width)
-        low_v, high_v = min(max(low_v - 1.0, -width), 2.0 * width), min(max(high_v + 1.0, -width), 2.0 * width)
-        for i in range(side):
-            share = (i + 0.5) / side
-            u[n, i] = int(np.rint(low_u + share * (high_u - low_u)))
-            v[n, i] = int(np.rint(low_v + share * (high_v - low_v)))
+        low_u, low_v, long_u, long_v, cosine, sine = outline_box(places[:known], width, slender if ahead else 0.0)
+        along, down = long_u / side, long_v / side
+        step[n, 0], step[n, 1], step[n, 2], step[n, 3] = cosine * along, sine * along, -sine * down, cosine * down
+        for j in range(side):
+            b = low_v + (j + 0.5) / side * long_v
+            for i in range(side):
+                a = low_u + (i + 0.5) / side * long_u
+                u[n, j * side + i] = int(np.rint(cosine * a - sine * b))
+                v[n, j * side + i] = int(np.rint(sine * a + cosine * b))
         if not ahead:
             continue
         ox = -(r[0, 0] * t[0] + r[1, 0] * t[1] + r[2, 0] * t[2]) - middle[0]
         oy = -(r[0, 1] * t[0] + r[1, 1] * t[1] + r[2, 1] * t[2]) - middle[1]
         oz = -(r[0, 2] * t[0] + r[1, 2] * t[1] + r[2, 2] * t[2]) - middle[2]
-        for i in range(side):
-            across[i] = (u[n, i] - cx) / fx
-        for j in range(side):
-            if v[n, j] < 0 or v[n, j] >= height:
+        for k in range(side * side):
+            if u[n, k] < 0 or u[n, k] >= width or v[n, k] < 0 or v[n, k] >= height:
                 continue
-            y = (v[n, j] - cy) / fy
-            for i in range(side):
-                if u[n, i] < 0 or u[n, i] >= width:
-                    continue
-                x = across[i]
-                rays[count, 0], rays[count, 1], rays[count, 2] = ox, oy, oz
-                rays[count, 3] = r[0, 0] * x + r[1, 0] * y + r[2, 0]
-                rays[count, 4] = r[0, 1] * x + r[1, 1] * y + r[2, 1]
-                rays[count, 5] = r[0, 2] * x + r[1, 2] * y + r[2, 2]
-                index[count] = (n * side + j) * side + i
-                count += 1
+            x, y = (u[n, k] - cx) / fx, (v[n, k] - cy) / fy
+            rays[count, 0], rays[count, 1], rays[count, 2] = ox, oy, oz
+            rays[count, 3] = r[0, 0] * x + r[1, 0] * y + r[2, 0]
+            rays[count, 4] = r[0, 1] * x + r[1, 1] * y + r[2, 1]
+            rays[count, 5] = r[0, 2] * x + r[1, 2] * y + r[2, 2]
+            index[count] = n * side * side + k
+            count += 1
     return count
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
+def outline_box(places, width, slender):
+    """The box around places (m, 2) px, a pixel wider: its least coordinates and lengths along its own two axes, and the
+    cosine and sine of the angle of the first of them; upright, or see outline_rays. Far outside an image of this width
+    nothing is asked.
+    """
+    low_u = low_v = math.inf
+    high_u = high_v = -math.inf
+    middle_u = middle_v = 0.0
+    for k in range(places.shape[0]):
+        a, b = places[k, 0], places[k, 1]
+        low_u, high_u = min(low_u, a), max(high_u, a)
+        low_v, high_v = min(low_v, b), max(high_v, b)
+        middle_u, middle_v = middle_u + a, middle_v + b
+    upright = (high_u - low_u + 2.0) * (high_v - low_v + 2.0)
+    near = -width <= low_u and high_u <= 2.0 * width and -width <= low_v and high_v <= 2.0 * width
+    if slender > 0.0 and near:
+        middle_u, middle_v = middle_u / places.shape[0], middle_v / places.shape[0]
+        uu = uv = vv = 0.0
+        for k in range(places.shape[0]):
+            a, b = places[k, 0] - middle_u, places[k, 1] - middle_v
+            uu, uv, vv = uu + a * a, uv + a * b, vv + b * b
+        angle = 0.5 * math.atan2(2.0 * uv, uu - vv)
+        cosine, sine = math.cos(angle), math.sin(angle)
+        low_a = low_b = math.inf
+        high_a = high_b = -math.inf
+        for k in range(places.shape[0]):
+            a = cosine * places[k, 0] + sine * places[k, 1]
+            b = cosine * places[k, 1] - sine * places[k, 0]
+            low_a, high_a = min(low_a, a), max(high_a, a)
+            low_b, high_b = min(low_b, b), max(high_b, b)
+        if (high_a - low_a + 2.0) * (high_b - low_b + 2.0) < slender * upright:
+            return low_a - 1.0, low_b - 1.0, high_a - low_a + 2.0, high_b - low_b + 2.0, cosine, sine
+    low_u, high_u = min(max(low_u - 1.0, -width), 2.0 * width), min(max(high_u + 1.0, -width), 2.0 * width)
+    low_v, high_v = min(max(low_v - 1.0, -width), 2.0 * width), min(max(high_v + 1.0, -width), 2.0 * width)
+    return low_u, low_v, high_u - low_u, high_v - low_v, 1.0, 0.0
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
 def compare_pixels(met, index, u, v, image, camera, noise, limits, expected, seen, state, past, fade):
     """What each ray is: fills expected, seen, state, past and fade, all (n side^2,), which begin as zeros.
 
-    met (k,): depth (m) at which ray `index` (k,), in order, meets the object, inf for none. u, v: see outline_rays.
+    met (k,): depth (m) at which ray `index` (k,), in order, meets the object, inf for none. u, v (n side^2,): pixels.
     image: depth (h, w); mask (h, w) or (0, 0); least and largest depth (m) of the hand at every so many pixels or
     (0, 0); planes (k, 6), see vision.look.mask.find_plane. noise: floor, growth, depth it grows from, bias and scale of
     a DepthModel.
@@ -136,17 +171,9 @@ def compare_pixels(met, index, u, v, image, camera, noise, limits, expected, see
     past; fade: how well one at the predicted depth agrees.
     """
     depth = image[0]
-    side = u.shape[1]
-    # which pose and row of rays the next one is of: counted, for divisions take as long as all else together
-    n, j, begin = 0, 0, 0
     for k in range(index.shape[0]):
         place = index[k]
-        while place >= begin + side:
-            begin += side
-            j += 1
-            if j == side:
-                n, j = n + 1, 0
-        column, row = u[n, place - begin], v[n, j]
+        column, row = u[place], v[place]
         reading = np.float64(depth[row, column])
         read = 0.0 < reading < FARTHEST_READING
         bits = READ if read else 0
@@ -242,7 +269,7 @@ def _beside(depth, row, column, reach, nearer, height, width):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
-def sum_up(u, v, image, camera, noise, limits, expected, seen, state, past, fade, out):
+def sum_up(u, v, step, image, camera, noise, limits, expected, seen, state, past, fade, out):
     """What the rays (n side^2,) of each pose add up to: fills out (n, SUMS); see the columns' names.
 
     The surface runs on across the outline where two pixels beyond it are within smooth (m) and smooth_share (of depth)
@@ -250,21 +277,21 @@ def sum_up(u, v, image, camera, noise, limits, expected, seen, state, past, fade
     the table's, or outside of the mask, is another thing for sure. Within the outline it runs on where the next ray is
     hidden, and seen where they lead. What agrees ends where beyond the outline, past half of what an edge smears, the
     reading is nearer or farther by twice what a smooth surface may be off.
-    u, v (n, side), image, camera, noise: as of compare_pixels. limits: smooth (m), its share of depth, reach of an edge
-    (px), margin (m) and sigmas of the plane.
+    u, v (n, side^2), step (n, 4): see outline_rays. image, camera, noise: as of compare_pixels. limits: smooth (m), its
+    share of depth, reach of an edge (px), margin (m) and sigmas of the plane.
     """
     smooth, smooth_share, reach, plane_margin, plane_sigmas = limits
-    side = u.shape[1]
+    side = int(np.rint(math.sqrt(u.shape[1])))
     for n in range(out.shape[0]):
         begin = n * side * side
         edges = running = within = ends = dark = 0
         count = total = squares = 0.0
         # pixels from ray to ray
-        steps = max(side - 1, 1)
-        across, down = (u[n, side - 1] - u[n, 0]) / steps, (v[n, side - 1] - v[n, 0]) / steps
+        across, down = math.hypot(step[n, 0], step[n, 1]), math.hypot(step[n, 2], step[n, 3])
         for j in range(side):
             for i in range(side):
-                k = begin + j * side + i
+                at = j * side + i
+                k = begin + at
                 bits = state[k]
                 if not bits & HIT:
                     continue
@@ -290,9 +317,13 @@ def sum_up(u, v, image, camera, noise, limits, expected, seen, state, past, fade
                     back = k - dj * side - di
                     inner = in_grid and state[beyond] & HIT
                     edges += not inner
+                    # of that way, pixels from ray to ray, and u and v of one
+                    length = across if di else down
+                    right = (di * step[n, 0] + dj * step[n, 2]) / max(length, 1e-9)
+                    low = (di * step[n, 1] + dj * step[n, 3]) / max(length, 1e-9)
                     if not inner and bits & NEAR:
-                        column = int(np.rint(u[n, i] + di * (across + 0.5 * reach)))
-                        row = int(np.rint(v[n, j] + dj * (down + 0.5 * reach)))
+                        column = int(np.rint(u[n, at] + right * (length + 0.5 * reach)))
+                        row = int(np.rint(v[n, at] + low * (length + 0.5 * reach)))
                         end = ends_at(image[0], column, row, seen[k], 2.0 * (smooth + smooth_share * seen[k]))
                         ends, dark = ends + (end == ENDS), dark + (end == DARK)
                     if not in_grid or not 0 <= j - dj < side or not 0 <= i - di < side:
@@ -306,9 +337,10 @@ def sum_up(u, v, image, camera, noise, limits, expected, seen, state, past, fade
                     if inner:
                         within += 1
                         continue
-                    step = abs(u[n, i + di] - u[n, i]) if di else abs(v[n, j + dj] - v[n, j])
-                    column, row = u[n, i + di] + di * reach, v[n, j + dj] + dj * reach
-                    lead = seen[k] + slope * (1.0 + reach / max(step, 1))
+                    next_one = at + dj * side + di
+                    column = int(np.rint(u[n, next_one] + right * reach))
+                    row = int(np.rint(v[n, next_one] + low * reach))
+                    lead = seen[k] + slope * (1.0 + reach / max(length, 1.0))
                     running += leads_to(image, camera, noise, column, row, lead, room, plane_margin, plane_sigmas)
         out[n, OUTLINE] = running / max(edges, 1)
         out[n, WITHIN] = within / max(edges, 1)

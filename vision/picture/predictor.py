@@ -23,7 +23,7 @@ from scenes.recordings.frames import Frame
 from vision.look.hand import HandView
 from vision.look.pixels import Pixels
 from vision.picture import columns, kernels, scoring_kernels
-from vision.picture.aspects import glimpsed, sums_of
+from vision.picture.aspects import aspects_of, finer, glimpsed, sums_of
 from vision.picture.glimpse_kernels import draw_small
 from vision.picture.hand import hand_depth, widened
 from vision.picture.settings import PictureScore, PredictionSettings
@@ -115,13 +115,15 @@ class Prediction:
 
 @dataclass(frozen=True)
 class View:
-    """The rays of n poses, side^2 each: pixels u, v (n, side) along each side; expected, seen (n, side^2): depth (m) at
-    which a ray meets the object, and what is read, 0 for none; state: bits of predicted_kernels; past: how much of a
-    ray is seen past; fade: how well one at the predicted depth agrees; inside (n,): share of the object in the image.
+    """The rays of n poses, side^2 each, in a grid: pixels u, v (n, side^2), and step (n, 4): pixels u, v from one
+    to the next of its row, and to that in the next row; expected, seen (n, side^2): depth (m) at which a ray meets
+    the object, and what is read, 0 for none; state: bits of predicted_kernels; past: how much of a ray is seen
+    past; fade: how well one at the predicted depth agrees; inside (n,): share of the object in the image.
     """
 
     u: NDArray[np.int64]
     v: NDArray[np.int64]
+    step: Array
     expected: Array
     seen: Array
     state: NDArray[np.uint8]
@@ -132,7 +134,7 @@ class View:
     @property
     def side(self) -> int:
         """Rays along each side."""
-        return self.u.shape[1]
+        return round(self.u.shape[1] ** 0.5)
 
     def has(self, bit: int) -> NDArray[np.bool_]:
         """(n, side^2) whether rays are as a bit says."""
@@ -140,7 +142,7 @@ class View:
 
     def at(self, place: NDArray[np.intp]) -> NDArray[np.int64]:
         """(k, 2) pixels (u, v) of rays (k,) of the first pose."""
-        return np.stack([self.u[0, place % self.side], self.v[0, place // self.side]], axis=1)
+        return np.stack([self.u[0, place], self.v[0, place]], axis=1)
 
 
 class Predictor:
@@ -189,6 +191,18 @@ class Predictor:
     def sees(self) -> bool:
         """Whether there is an image to compare with."""
         return self._depth is not None
+
+    @property
+    def image(self) -> tuple[NDArray[np.float32], Camera] | None:
+        """The depth image (m) and its camera; None without one."""
+        return None if self._depth is None or self.camera is None else (self._depth, self.camera)
+
+    @cached_property
+    def side(self) -> int:
+        """Rays along each side of an outline's box where nobody asks for others: more of a thing that fills little of
+        it.
+        """
+        return finer(self.settings.side, aspects_of(self.model).filling)
 
     @property
     def told_apart(self) -> bool:
@@ -264,7 +278,7 @@ class Predictor:
 
     def predict(self, candidates: Array, side: int | None = None) -> Prediction:
         """What becomes of the predicted pixels of each pose (n, 4, 4); side: rays along the outline's box."""
-        side = self.settings.side if side is None else side
+        side = self.side if side is None else side
         if len(candidates) > _FEW:
             return self._summed(candidates, side)
         known = self._predicted.setdefault(side, {})
@@ -283,11 +297,11 @@ class Predictor:
         s, sums = self.settings, np.zeros((len(candidates), columns.SUMS))
         flat = view.expected.ravel(), view.seen.ravel(), view.state.ravel(), view.past.ravel(), view.fade.ravel()
         limits = s.smooth, s.smooth_share, self.reach, s.plane_margin, s.plane_sigmas
-        kernels.sum_up(view.u, view.v, *self.known, limits, *flat, sums)
+        kernels.sum_up(view.u, view.v, view.step, *self.known, limits, *flat, sums)
         total, area, beyond = np.zeros((3, len(candidates)))
-        scoring_kernels.share_out(view.u, view.v, view.inside, s.unread, sums, total, area)
+        scoring_kernels.share_out(view.step, view.inside, s.unread, sums, total, area)
         if self._pieces is not None and len(self._sizes):
-            rays = view.u, view.v, view.fade.ravel(), view.state.ravel(), total
+            rays = view.u, view.v, view.step, view.fade.ravel(), view.state.ravel(), total
             scoring_kernels.part_pieces(self._pieces, s.piece_step, self._sizes, *rays, s.beside, beyond)
         return Prediction(sums, beyond, area)
 
@@ -304,12 +318,12 @@ class Predictor:
         assert self.camera is not None
         assert self._depth is not None
         count = len(candidates)
-        u, v = np.zeros((2, count, side), dtype=np.int64)
+        u, v = np.zeros((2, count, side**2), dtype=np.int64)
         rays, index = np.zeros((count * side**2, 6), np.float32), np.zeros(count * side**2, dtype=np.int64)
-        inside, across = np.zeros(count), np.zeros(side)
+        inside, step, places = np.zeros(count), np.zeros((count, 4)), np.zeros((len(self._points), 2))
         middle, poses = self.model.surface.middle, np.ascontiguousarray(candidates)
-        bounding, out = (self._points, self._outer), (u, v, across, rays, index, inside)
-        k = kernels.outline_rays(*bounding, poses, self.known[1], middle, *out)
+        bounding, out = (self._points, self._outer), (u, v, step, places, rays, index, inside)
+        k = kernels.outline_rays(*bounding, poses, self.known[1], middle, self.settings.slender, *out)
         met = self.model.surface.cast_local(rays[:k])
         shape = count, side**2
         expected, seen, past, fade = np.zeros((4, count * side**2))
@@ -317,14 +331,14 @@ class Predictor:
         kernels.compare_pixels(
             met,
             index[:k],
-            u,
-            v,
+            u.ravel(),
+            v.ravel(),
             *self.known,
             self._limits,
             *(expected, seen, state, past, fade),
         )
         expected, seen, past, fade = (values.reshape(shape) for values in (expected, seen, past, fade))
-        return View(u, v, expected, seen, state.reshape(shape), past, fade, inside)
+        return View(u, v, step, expected, seen, state.reshape(shape), past, fade, inside)
 
     @cached_property
     def _limits(self) -> tuple[float, ...]:
@@ -354,8 +368,8 @@ class Predictor:
         chosen = np.zeros(side * side, dtype=np.int64)
         chosen = chosen[: shown_rays(view.state[0], side, inner, self.settings.thin_share, chosen)]
         uv = view.at(chosen)
-        area = float(np.ptp(view.u[0]) * np.ptp(view.v[0])) / side**2
-        return Pixels(uv, self._rays(uv) * view.seen[0, chosen, None], max(area, 1.0))
+        area = scoring_kernels.cell_of(view.step[0])
+        return Pixels(uv, self._rays(uv) * view.seen[0, chosen, None], max(float(area), 1.0))
 
     def _rays(self, uv: NDArray[np.int64]) -> Array:
         """(n, 3) rays of depth 1 through pixels (n, 2)."""

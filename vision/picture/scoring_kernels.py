@@ -32,23 +32,21 @@ LEAST_OPEN = 0.05
 
 
 @numba.njit(cache=True, nogil=True)
-def share_out(u, v, inside, unread, sums, total, area):
+def share_out(step, inside, unread, sums, total, area):
     """Make shares of what the rays of each pose add up to, sums (n, SUMS), in place; fills total (n,): rays of which
     shares are taken, and area (n,): of the outline (px^2) that they tell of, what the image's border cuts off included.
 
     Where nothing is read little is known: surfaces that give no reading are the object's or not, so that this share of
     them, unread, is left out. What the image's border hides is hidden, too: the corner of an object tells little of it.
-    u, v (n, side), inside (n,): as of outline_rays.
+    step (n, 4), inside (n,): as of outline_rays.
     """
-    side = u.shape[1]
     for n in range(sums.shape[0]):
         seen = max(inside[n], 1e-3)
         total[n] = max(sums[n, HITS] - unread * sums[n, UNREAD], 1.0) / seen
         for k in (SEEN, AGREE, PAST, BEHIND, BEHIND_HAND):
             sums[n, k] /= total[n]
         sums[n, BEHIND] += 1.0 - inside[n]
-        across = float((u[n].max() - u[n].min()) * (v[n].max() - v[n].min()))
-        area[n] = total[n] * across / max(side - 1, 1) ** 2
+        area[n] = total[n] * cell_of(step[n])
 
 
 @numba.njit(cache=True, nogil=True, **LENT)
@@ -82,32 +80,33 @@ def cost_of_shares(poses, centroid, shares, beyond, area, outline, nats, cells, 
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def part_pieces(pieces, step, sizes, u, v, fade, state, total, beside, beyond):
+def part_pieces(pieces, apart, sizes, u, v, step, fade, state, total, beside, beyond):
     """Fill beyond (n,): the share of the rays that are seen on parts of one colour that go on beyond the outline, each
     as far as it does.
 
-    pieces (h, w) at every `step` pixels, from 0, -1 for none; sizes (m,): pixels of the first m, those of one colour.
-    u, v (n, side), fade, state (n side^2,): as of compare_pixels. total (n,): rays of which shares are taken. beside:
-    see of_parts.
+    pieces (h, w) at every `apart` pixels, from 0, -1 for none; sizes (m,): pixels of the first m, those of one colour.
+    u, v (n, side^2), step (n, 4): of outline_rays; fade, state (n side^2,): of compare_pixels. total (n,): rays of
+    which shares are taken. beside: see of_parts.
     """
-    side = u.shape[1]
     words = np.zeros((2, sizes.shape[0]))
-    column = np.zeros(side, dtype=np.int64)
     for n in range(u.shape[0]):
         words[:] = 0.0
-        for i in range(side):
-            column[i] = min(max(u[n, i] // step, 0), pieces.shape[1] - 1)
-        for j in range(side):
-            row = min(max(v[n, j] // step, 0), pieces.shape[0] - 1)
-            for i in range(side):
-                k = (n * side + j) * side + i
-                label = pieces[row, column[i]]
-                if 0 <= label < sizes.shape[0]:
-                    words[0, label] += fade[k]
-                    words[1, label] += state[k] & HIT
-        # pixels that each ray stands for
-        across = float((u[n].max() - u[n].min()) * (v[n].max() - v[n].min()))
-        beyond[n] = of_parts(words, sizes, total[n], across / max(side - 1, 1) ** 2, beside)
+        for at in range(u.shape[1]):
+            k = n * u.shape[1] + at
+            if not state[k] & HIT:
+                continue
+            row = min(max(v[n, at] // apart, 0), pieces.shape[0] - 1)
+            label = pieces[row, min(max(u[n, at] // apart, 0), pieces.shape[1] - 1)]
+            if 0 <= label < sizes.shape[0]:
+                words[0, label] += fade[k]
+                words[1, label] += 1.0
+        beyond[n] = of_parts(words, sizes, total[n], cell_of(step[n]), beside)
+
+
+@numba.njit(cache=True, nogil=True, **LENT)
+def cell_of(step):
+    """Pixels (px^2) that each ray of a grid stands for; step (4,): see outline_rays."""
+    return abs(step[0] * step[3] - step[1] * step[2])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)

@@ -52,6 +52,8 @@ class PredictionSettings:
 
     # Rays along each side of the box around the outline: some six in ten of their square meet the object.
     side: int = 16
+    # That box is upright; it lies along the outline's own axes where these hold less than this share of its area.
+    slender: float = 0.7
     # The same where pixels are wanted as rows of evidence: first, and where that shows fewer than so many pixels.
     sides_rows: tuple[int, int] = (40, 64)
     enough_rows: int = 450

@@ -51,7 +51,7 @@ def _would_show(predictor: Predictor, pose: Array, side: int) -> float:
     """About how many of `side` rays along each side of the box around the outline at pose (4, 4) show the object, by
     the few that a pose is scored by: all but those at the rim of the outline.
     """
-    few, finer = predictor.predict(pose[None]), side / predictor.settings.side
+    few, finer = predictor.predict(pose[None]), side / predictor.side
     across = finer * np.sqrt(few.count[0])
     rim = 1.0 - 2.0 / max(across, 2.0)
     return float(few.agree[0] * across**2 * rim**2)
@@ -66,19 +66,20 @@ def _rows(
     shown = kernels.shown_rays(view.state[n], side, 1, s.thin_share, chosen)
     depths = np.array(s.empty_depths)
     # of rays that see past, as many are taken as a pose is scored by
-    room = np.zeros((min(side, s.side) ** 2 * len(depths), COLUMNS))
+    room = np.zeros((min(side, predictor.side) ** 2 * len(depths), COLUMNS))
     kept = most + max(1, most // 2) if most else settings.most + len(free) + len(room)
     rows = np.zeros((kept, COLUMNS))
     count = kernels.fill_rows(
         view.u[n],
         view.v[n],
+        view.step[n],
         (view.expected[n], view.seen[n], view.state[n], view.past[n]),
         predictor.known[1],
         chosen,
         (shown, least),
         (belief.axial_floor, belief.axial_growth, belief.axial_from, belief.bias_sigma),
         (settings.most, belief.sharing_length**2, settings.gate_above, settings.gate_below),
-        (depths, s.empty_clearance, s.empty_sigma, s.empty_gate, s.cells, s.side),
+        (depths, s.empty_clearance, s.empty_sigma, s.empty_gate, s.cells, predictor.side),
         free.rows,
         most,
         room,

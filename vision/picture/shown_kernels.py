@@ -14,6 +14,7 @@ import numpy as np
 from scenes._numba import LENT
 from scenes.evidence.table import COLUMNS, FACING, GATE_ABOVE, GATE_BELOW, SIGMA, WEIGHT
 from vision.picture.columns import HIT, NEAR
+from vision.picture.scoring_kernels import cell_of
 
 
 @numba.njit(cache=True, nogil=True)
@@ -75,17 +76,18 @@ def free_rays(expected, seen, past, share, chosen):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill_rows(u, v, view, camera, chosen, limits, noise, surface, beyond, free, most, room, rows):
+def fill_rows(u, v, step, view, camera, chosen, limits, noise, surface, beyond, free, most, room, rows):
     """Rows (n, COLUMNS) of evidence of one pose, as many as are returned: its pixels, then what is free.
 
-    u, v (side,), view: expected, seen, state, past (side^2,): as of predicted_kernels.compare_pixels. camera: fx, fy,
-    cx, cy. chosen (side^2,): rays that show the object, see shown_rays, which are overwritten; limits: how many, and
-    the fewest that are believed. noise: floor, growth, depth it grows from, and bias of a DepthModel. surface: most
-    rows of pixels, square of the length (px) over which pixels share a bias, gates above and below. beyond: depths (m)
-    behind the surface at which a ray that sees past is empty, clearance, sigma, gate, cells of an outline, and rays of
-    a side by which a pose is scored. free (k, COLUMNS): more of that, wherever the object is. most: at most so many of
-    the pixels' and half as many of the other rows are taken, evenly, carrying the weight of all; 0: all. room:
-    to work in, as many rows as `beyond` has depths for each ray that it is scored by.
+    u, v (side^2,), step (4,): of vision.picture.kernels.outline_rays. view: expected, seen, state, past (side^2,):
+    as of compare_pixels. camera: fx, fy, cx, cy. chosen (side^2,): rays that show the object, see shown_rays, which
+    are overwritten; limits: how many, and the fewest that are believed. noise: floor, growth, depth it grows from,
+    and bias of a DepthModel. surface: most rows of pixels, square of the length (px) over which pixels share a
+    bias, gates above and below. beyond: depths (m) behind the surface at which a ray that sees past is empty,
+    clearance, sigma, gate, cells of an outline, and rays of a side by which a pose is scored. free (k, COLUMNS):
+    more of that, wherever the object is. most: at most so many of the pixels' and half as many of the other rows
+    are taken, evenly, carrying the weight of all; 0: all. room: to work in, as many rows as `beyond` has depths for
+    each ray that it is scored by.
     """
     expected, seen, state, past = view
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
@@ -93,21 +95,21 @@ def fill_rows(u, v, view, camera, chosen, limits, noise, surface, beyond, free, 
     floor, growth, least_from, bias = noise
     most_rows, sharing_square, gate_above, gate_below = surface
     depths, clearance, sigma_free, gate_free, cells, scored = beyond
-    side = u.shape[0]
+    side = math.sqrt(u.shape[0])
 
     pixels = 0
     if shown >= least:
-        area = max((u.max() - u.min()) * (v.max() - v.min()) / (side * side), 1.0)
-        step = max(1.0, shown / most_rows)
-        pixels = int(shown / step)
-        sharing = min(max(sharing_square / (area * step), 1.0), max(1.0, pixels / 3.0))
+        area = max(cell_of(step), 1.0)
+        each = max(1.0, shown / most_rows)
+        pixels = int(shown / each)
+        sharing = min(max(sharing_square / (area * each), 1.0), max(1.0, pixels / 3.0))
         taken = pixels if most == 0 else min(pixels, most)
         for k in range(taken):
             row = rows[k]
             row[:] = 0.0
-            ray = chosen[int((k * pixels) // taken * step)]
+            ray = chosen[int((k * pixels) // taken * each)]
             z = seen[ray]
-            x, y = (u[ray % side] - cx) / fx * z, (v[ray // side] - cy) / fy * z
+            x, y = (u[ray] - cx) / fx * z, (v[ray] - cy) / fy * z
             length = math.sqrt(x * x + y * y + z * z)
             row[0], row[1], row[2] = x, y, z
             row[3], row[4], row[5] = x / length, y / length, z / length
@@ -120,7 +122,7 @@ def fill_rows(u, v, view, camera, chosen, limits, noise, surface, beyond, free, 
         pixels = taken
 
     hits = 0
-    for k in range(side * side):
+    for k in range(u.shape[0]):
         hits += state[k] & HIT > 0
     fewer = min(1.0, (scored / side) ** 2)
     rays = free_rays(expected, seen, past, fewer, chosen)
@@ -133,7 +135,7 @@ def fill_rows(u, v, view, camera, chosen, limits, noise, surface, beyond, free, 
             if z < seen[ray] - clearance:
                 row = room[empty]
                 row[:] = 0.0
-                row[0], row[1], row[2] = (u[ray % side] - cx) / fx * z, (v[ray // side] - cy) / fy * z, z
+                row[0], row[1], row[2] = (u[ray] - cx) / fx * z, (v[ray] - cy) / fy * z, z
                 row[SIGMA], row[WEIGHT], row[GATE_BELOW] = sigma_free, weight, gate_free
                 empty += 1
     silent = free.shape[0] + empty

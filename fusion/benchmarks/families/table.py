@@ -26,6 +26,8 @@ RECORDED = "recorded"
 TUNED_OBJECTS = ("mug", "drill", "bottle", "hammer", "bust", "box", "l_block", "light_bulb")
 # Those of the report families.
 HELD_OBJECTS = ("banana", "camera", "kettle", "sprayer")
+# Long thin ones, of either.
+TUNED_TOOLS, HELD_TOOLS = ("hook", "rake"), ("ladle", "wrench")
 YCB_OBJECTS = ("ycb:banana", "ycb:cracker_box", "ycb:mustard_bottle", "ycb:power_drill", "ycb:tomato_soup_can")
 # Cameras: a VGA structured-light camera for tuning, a longer lens and another principal point for reports (px).
 TUNED_LENS = Camera(570.0, 570.0, 319.5, 239.5, 640, 480)
@@ -268,6 +270,16 @@ FAMILIES: dict[str, Family] = {
             hand="five-finger",
             scene="wall+unknown-hand",
         ),
+        _tuned(
+            "tools",
+            "d435",
+            "long thin tools in a robot hand without a URDF over a table, its fingertips report contacts",
+            hand="five-finger",
+            scene="table+unknown-hand",
+            rig="lab",
+            objects=TUNED_TOOLS,
+            levels=OPEN_LEVELS,
+        ),
         # ---- only reported
         _held(RECORDED, "", "recorded frames with a true pose, no mask", touch=(), objects=(), levels=NO_LEVELS),
         _held("harsh", "worn", "a worn robot, a bad camera", hand="stout"),
@@ -317,6 +329,15 @@ FAMILIES: dict[str, Family] = {
             scene="table+wall+unknown-hand",
             touch=(),
             levels=GRIPPER_LEVELS,
+        ),
+        _held(
+            "kitchen-tools",
+            "workshop",
+            "long thin tools in a robot hand without a URDF whose fingertips report contacts",
+            hand="stout",
+            scene="unknown-hand",
+            objects=HELD_TOOLS,
+            levels=OPEN_LEVELS,
         ),
         _held("adapter", "workshop", "parts on the hand that the URDF lacks", hand="stout", scene="adapter"),
         _held("fat-mesh", "workshop", "the mesh is 1 mm too fat", hand="stout", mesh_error="fat"),

@@ -29,7 +29,7 @@ from vision.look.pixels import Pixels
 from vision.picture.predictor import Predictor
 from vision.picture.shown import shown_rows
 from vision.sight import Sight
-from vision.starts import different, pair_starts, pixel_starts, seen_starts
+from vision.starts import Seen, different, pair_starts, pixel_starts, seen_starts
 
 Array = NDArray[np.float64]
 
@@ -104,13 +104,18 @@ class Pool:
             poses = moved.poses[order[leaders(self.model, moved.poses[order], 0.5 * self.apart)[0]]]
         return poses
 
+    def seen(self, pixels: Pixels | None = None) -> Seen:
+        """Pixels that may be the object, those of a piece or all, with the image that tells their normals."""
+        pixels, image = pixels or self.looked.pixels, self.predictor.image
+        return Seen(pixels.points) if self.looked.is_cloud or image is None else Seen(pixels.points, pixels.uv, *image)
+
     def piece_starts(self, pieces: tuple[Pixels, ...]) -> tuple[tuple[Evidence, Array], ...]:
         """Of each piece of the image its rows, and starts (n, 4, 4) that it proposes by itself."""
         found = []
         for piece in pieces:
             rows = surface_rows(replace(self.looked, pixels=piece, told_apart=True), self.depth, self.rows)
             settings = self.proposals.of_piece
-            found.append((rows, seen_starts(self.model, piece.points, rows, self.sight.costs, self.rng, settings)))
+            found.append((rows, seen_starts(self.model, self.seen(piece), rows, self.sight.costs, self.rng, settings)))
         return tuple(found)
 
     def of_pieces(self, pieces: tuple[tuple[Evidence, Array], ...]) -> Array:
@@ -134,7 +139,7 @@ class Pool:
             far = costs(self.model, tables.empty(), candidates, self.prior) if self.prior is not None else 0.0
             return self.sight.costs(candidates, blur) + far
 
-        starts = seen_starts(self.model, points, rows, rank, self.rng, how.glance)
+        starts = seen_starts(self.model, self.seen(), rows, rank, self.rng, how.glance)
         if not len(starts):
             return starts
         passes, apart = search_stages(how.blur(self.model), how.glanced), self.settings.passes_apart * self.apart
@@ -152,12 +157,13 @@ class Pool:
         how, points = self.proposals.paired, self.looked.pixels.points
         if not len(points):
             return np.zeros((0, 4, 4))
-        parts = [pair_starts(self.model, points, self.rng, how), pixel_starts(self.model, points, how.even, self.rng)]
+        parts = [pair_starts(self.model, self.seen(), self.rng, how)]
+        parts.append(pixel_starts(self.model, points, how.even, self.rng))
         pieces = (*self.looked.pieces, *self.coloured)
         few = self.proposals.paired_pieces // max(len(pieces), 1)
         of_piece = self.proposals.paired_piece
         of_piece = replace(of_piece, pairs=min(of_piece.pairs, few))
-        parts += [pair_starts(self.model, piece.points, self.rng, of_piece) for piece in pieces]
+        parts += [pair_starts(self.model, self.seen(piece), self.rng, of_piece) for piece in pieces]
         candidates = np.concatenate(parts)
         likely = np.argsort(self.predictor.glimpse(candidates), kind="stable")[: self.settings.glimpsed]
         candidates = candidates[likely]

@@ -21,7 +21,7 @@ from touch.gels.localize import sifted_starts
 from touch.gels.patches import Patch
 from touch.held import HeldSettings
 from touch.multistart import contact_starts
-from vision.starts import StartSettings, seen_starts
+from vision.starts import Seen, StartSettings, seen_starts
 
 Array = NDArray[np.float64]
 
@@ -100,7 +100,7 @@ def search_stages(blur: float, passes: Passes) -> tuple[SearchStage, ...]:
 def starts_of(
     model: ObjectModel,
     prior: Prior | None,
-    pixels: Array,
+    seen: Seen,
     contacts: Contacts,
     rows: Evidence,
     rank: Callable[[Array, float], Array],
@@ -115,9 +115,9 @@ def starts_of(
         return starts_of_prior(model, prior, settings.starts_near, settings.widest_angle, model.diameter, rng)
     parts = []
     if len(contacts):
-        parts.append(contact_starts(model, contacts, settings.starts_global // (2 if len(pixels) else 1), rng))
-    if len(pixels):
-        parts.append(seen_starts(model, pixels, rows, rank, rng, settings.seen))
+        parts.append(contact_starts(model, contacts, settings.starts_global // (2 if len(seen.points) else 1), rng))
+    if len(seen.points):
+        parts.append(seen_starts(model, seen, rows, rank, rng, settings.seen))
     if patches:
         parts.append(sifted_starts(model, patches, rng))
     return np.concatenate(parts)

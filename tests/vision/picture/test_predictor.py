@@ -5,12 +5,16 @@ from dataclasses import replace
 import numpy as np
 import predicted_twin
 import pytest
+import trimesh
 from made_frames import plain_view
 
 from scenes.geometry import poses
+from scenes.geometry.cameras import Camera
+from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import DepthModel
 from scenes.recordings.depth_cameras import DEPTH_CAMERAS
+from scenes.recordings.frames import Frame
 from scenes.synthesis import library
 from vision.look.look import look
 from vision.picture import columns, kernels, scoring_kernels
@@ -87,6 +91,50 @@ def test_the_kernels_say_what_plain_arrays_say(lab_frame, drill, rng, known):
         )
 
 
+def rod(bent=0.0):
+    """A rod of 300 mm, 16 mm wide; with an arm at its end that reaches so far to the side."""
+    if not bent:
+        mesh = trimesh.creation.box((0.016, 0.016, 0.3))
+        return ObjectModel.from_mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    corners = np.array([[0, 0], [0.016, 0], [0.016, 0.284], [bent, 0.284], [bent, 0.3], [0, 0.3]])
+    caps = np.array([[0, 1, 2], [0, 2, 5], [2, 3, 4], [2, 4, 5]])
+    ends = [np.insert(corners, 1, y, axis=1) for y in (0.0, 0.016)]
+    sides = [[[k, k + 6, (k + 1) % 6], [(k + 1) % 6, k + 6, (k + 1) % 6 + 6]] for k in range(6)]
+    faces = np.concatenate([caps, caps[:, ::-1] + 6, np.reshape(sides, (-1, 3))])
+    return ObjectModel.from_mesh(np.concatenate(ends), faces)
+
+
+def drawn(model, pose):
+    """A frame that shows only the object at a pose."""
+    camera = Camera(285.0, 285.0, 159.5, 119.5, 320, 240)
+    depth = Renderer({"object": (model.vertices, model.faces)}).render(camera, {"object": pose}).depth
+    return Frame(0, camera=camera, depth=depth)
+
+
+@pytest.mark.parametrize("bent", [0.0, 0.1])
+@pytest.mark.parametrize("degrees", [0.0, 31.0, 43.0, 76.0, 90.0, 137.0])
+def test_as_many_rays_meet_a_stick_however_it_lies_in_the_image(rng, bent, degrees):
+    model = rod(bent)
+    turn = poses.exp_rotation([0.0, 0.0, np.deg2rad(degrees)]) @ poses.exp_rotation([np.deg2rad(80.0), 0.0, 0.0])
+    pose = poses.make_pose(turn, [0.0, 0.0, 0.7])
+    frame = drawn(model, pose)
+    found = predictor(frame, model)
+    # more rays are cast at what fills little of its box
+    assert found.side == 16 if not bent else 18 < found.side <= 32
+    here = found.predict(pose[None])
+    assert here.count[0] > 80
+    assert here.agree[0] > 0.85
+    assert here.area[0] == pytest.approx((frame.depth > 0).sum(), rel=0.15)
+    assert found.sketch(pose[None]).count[0] > 35
+    around = np.array([poses.displaced(pose, 0.2, 0.02, model.centroid, rng) for _ in range(6)])
+    for candidates in (np.concatenate([pose[None], around]), around[:1]):
+        got = found.predict(candidates)
+        shares = got.seen, got.agree, got.past, got.hidden, got.behind_hand, got.outline, got.within
+        expected = [predicted_twin.predicted(found, one, found.side) for one in candidates]
+        columns = *shares, got.ends, got.dark, got.scatter, got.count
+        np.testing.assert_allclose(np.array(columns).T, expected, atol=1e-9)
+
+
 def test_a_surface_that_goes_through_the_object_is_another_thing(lab_frame, drill):
     """What hides the object ends in a step of depth; where the surface that agrees runs on to hide it, it is not it."""
     frame, model = plain_view("box"), library.make("box")
@@ -133,9 +181,6 @@ def test_what_the_known_hand_hides_is_no_wonder(lab_frame, drill):
 
 def on_a_table(model):
     """A box on a table that fills the image, seen at a slant, its lower face on the table; the table's plane."""
-    from scenes.geometry.cameras import Camera
-    from scenes.recordings.frames import Frame
-
     camera = Camera(285.0, 285.0, 159.5, 119.5, 320, 240)
     tilt = poses.make_pose(poses.exp_rotation([np.deg2rad(130.0), 0.0, 0.0]), [0.0, 0.02, 0.6])
     low = float(model.vertices[:, 2].min())
@@ -268,19 +313,20 @@ def test_an_empty_image_neither_sees_nor_contradicts():
 
 
 def test_what_is_of_parts_that_go_on_is_what_plain_arrays_say(rng):
-    poses_n, side, step, labels, parts = 4, 6, 3, 5, 3
+    poses_n, side, apart, labels, parts = 4, 6, 3, 5, 3
     pieces = rng.integers(-1, labels, size=(20, 30))
     sizes = rng.uniform(0.0, 4000.0, size=parts)
-    u, v = np.sort(rng.integers(-5, 95, size=(2, poses_n, side)), axis=2)
+    u, v = rng.integers(-5, 95, size=(2, poses_n, side**2))
+    step = rng.normal(size=(poses_n, 4)) * 8.0
     fade, total = rng.random(poses_n * side**2), rng.uniform(5.0, 40.0, size=poses_n)
     state = rng.integers(0, 4, size=poses_n * side**2).astype(np.uint8)
+    fade[state & columns.HIT == 0] = 0.0
     beside, lost = 0.15, np.zeros(poses_n)
-    scoring_kernels.part_pieces(pieces, step, sizes, u, v, fade, state, total, beside, lost)
-    row, column = np.clip(v // step, 0, 19), np.clip(u // step, 0, 29)
-    label = pieces[row[:, :, None], column[:, None, :]].reshape(poses_n, -1)
+    scoring_kernels.part_pieces(pieces, apart, sizes, u, v, step, fade, state, total, beside, lost)
+    label = pieces[np.clip(v // apart, 0, 19), np.clip(u // apart, 0, 29)]
     for n in range(poses_n):
         rays = slice(n * side**2, (n + 1) * side**2)
-        area = np.ptp(u[n]) * np.ptp(v[n]) / (side - 1) ** 2
+        area = abs(np.linalg.det(step[n].reshape(2, 2)))
         expected = 0.0
         for part in range(parts):
             mine = label[n] == part

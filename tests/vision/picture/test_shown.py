@@ -38,11 +38,11 @@ def by_arrays(predictor, looked, pose, side, free, rows):
 
     where = np.flatnonzero(good)
     uv, seen = points(where, view.seen[0, where, None])
-    area = max(np.ptp(view.u[0]) * np.ptp(view.v[0]) / side**2, 1.0)
+    area = max(abs(np.linalg.det(view.step[0].reshape(2, 2))), 1.0)
     mine = replace(looked, pixels=Pixels(uv, seen[:, 0], area), told_apart=True)
     on = surface_rows(mine, predictor.belief, rows) if len(where) >= LEAST else tables.empty()
     past = np.flatnonzero((view.past[0] == 1.0) & (view.seen[0] > view.expected[0]))
-    share = min(1.0, (s.side / side) ** 2)
+    share = min(1.0, (predictor.side / side) ** 2)
     count = max(1, round(len(past) * share))
     past = past[(np.arange(count) * len(past)) // count] if len(past) else past
     depth = view.expected[0, past, None] + np.array(s.empty_depths)
