@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scenes.evidence import table as tables
 from scenes.evidence.align import Alignment, AlignSettings, Prior, align, costs
 from scenes.evidence.modes import Mode, ModeSettings, covariance_of, distinct_modes
-from scenes.evidence.point_pairs import pair_table
+from scenes.evidence.point_pairs import built_pair_table, pair_table
 from scenes.evidence.search import SearchStage, rotation_grid, search
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
@@ -153,7 +153,7 @@ def multistart(
     settings = settings or LocalizeSettings()
     model.field  # noqa: B018  (building the lattice is not part of the search's time, nor is the table of pairs)
     if int(contacts.has_normal.sum()) >= settings.least_normals:
-        pair_table(model)
+        built_pair_table(model)
     begin = time.perf_counter()
     rng = np.random.default_rng(seed)
     few = contacts

@@ -35,6 +35,7 @@ from fusion.estimation.steps.facing import (
     unread,
     why_no_print,
 )
+from fusion.estimation.steps.picture import why_not_asked, with_picture
 from fusion.estimation.steps.sense import look_once, sense, solve_together
 from fusion.estimation.steps.twins import with_twins
 from fusion.estimation.tolerance import good_enough, is_within, with_shared_errors, with_shift
@@ -43,7 +44,7 @@ from scenes.evidence import table as tables
 from scenes.evidence.align import Prior
 from scenes.evidence.alike import alike
 from scenes.evidence.near_symmetries import near_symmetries
-from scenes.evidence.point_pairs import pair_table
+from scenes.evidence.point_pairs import built_pair_table
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
@@ -96,7 +97,7 @@ def estimate(
     if model.texture is not None:
         model.texture.levels  # noqa: B018
     if asked.prior is None:
-        pair_table(model)
+        built_pair_table(model)
     if asked.prior is None and frame.gels:
         build_tables(model)
     trace = Trace(budget_ms)
@@ -184,6 +185,13 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
             spread = moments(model, rows, first.pose, first.covariance, asked.seed, believed, settings=how_wide)
             modes = (replace(first, pose=spread.pose, covariance=spread.covariance), *modes[1:])
             stage.note(len(rows), f"{spread.effective:.0f} effective samples, directions widened: {spread.widened}")
+    unasked = why_not_asked(predictor)
+    with trace.stage("picture", finish and not unasked, why_not if not finish else unasked) as stage:
+        if finish and not unasked:
+            seen_from = best.as_seen @ se3.inverse(best.pose)
+            first, gained = with_picture(model, modes[0], seen_from, predictor, asked.seed, settings.picture_mean)
+            modes = (first, *modes[1:])
+            stage.note(len(rows), f"likelier by {gained:.1f} nats" if gained else "nothing near is likelier")
     coloured = viewed.rgb is not None and predictor.sees and asks_for(viewed.rgb, settings.contour)
     no_image = "no image beside depth" if viewed.rgb is None else "a colour camera's image is not asked for"
     useless: tuple[str, ...] = ()

@@ -17,6 +17,7 @@ from fusion.estimation.search.pool_settings import PoolSettings
 from fusion.estimation.search.proposals import ProposalSettings
 from fusion.estimation.solve.settings import JointSettings
 from fusion.estimation.steps.another import AnotherSettings
+from fusion.estimation.steps.picture import PictureMeanSettings
 from fusion.estimation.verdict import VerdictSettings
 from scenes.evidence.modes import ModeSettings
 from touch.arrays.ranking import RankingSettings
@@ -66,6 +67,7 @@ class EstimateSettings:
     felt: ModeSettings = field(default_factory=lambda: ModeSettings(temper=0.85, width=0.0))
     joint: JointSettings = field(default_factory=JointSettings)
     moments: MomentSettings = field(default_factory=MomentSettings)
+    picture_mean: PictureMeanSettings = field(default_factory=PictureMeanSettings)
     contour: ContourSettings = field(default_factory=ContourSettings)
     # Nats by which touch and the picture of depth together may speak more against a pose moved to the image's outline:
     # of 76 answers of the tuning family `d435` it was 5 at most but for one that rightly moved at 8.

@@ -44,7 +44,7 @@ from fusion.tracking.steps.searching import leader_at, look_closer, recover, ren
 from fusion.tracking.steps.sensing import Sensed, pool_near
 from scenes.errors import CaptureError
 from scenes.evidence.align import Prior
-from scenes.evidence.point_pairs import pair_table
+from scenes.evidence.point_pairs import built_pair_table
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
@@ -152,7 +152,7 @@ class Tracker:
 
     def _begin(self, frame: Frame) -> TrackedEstimate:
         if self.live:
-            pair_table(self.model)  # a search beside the frames would build it, and keep them waiting
+            built_pair_table(self.model)  # a search beside the frames would build it, and keep them waiting
         answer = self.estimated(frame, self._prior)
         self._prior = None  # it was the first frame's
         if answer.verdict == "lost":

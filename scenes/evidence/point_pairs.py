@@ -179,12 +179,18 @@ _TABLES: WeakKeyDictionary[ObjectModel, PairTable] = WeakKeyDictionary()
 
 
 def pair_table(model: ObjectModel) -> PairTable:
-    """The object's table, built at the first call and kept as long as the object."""
+    """The object's table, kept as long as the object; what pairs are looked up in is built when it is first asked."""
     table = _TABLES.get(model)
     if table is None:
         table = PairTable(model)
         _TABLES[model] = table
-    table.tree  # noqa: B018  (built here, not inside a timed search)
+    return table
+
+
+def built_pair_table(model: ObjectModel) -> PairTable:
+    """The same with all that pairs are looked up in, so that no timed search builds it."""
+    table = pair_table(model)
+    table.tree, table.cells  # noqa: B018
     return table
 
 

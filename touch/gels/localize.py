@@ -13,7 +13,7 @@ from scenes.errors import InputError
 from scenes.evidence import table as tables
 from scenes.evidence.align import AlignSettings, Prior, costs
 from scenes.evidence.modes import ModeSettings, distinct_modes
-from scenes.evidence.point_pairs import pair_table
+from scenes.evidence.point_pairs import built_pair_table, pair_table
 from scenes.evidence.search import SearchStage, search, starts_of_prior
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
@@ -80,7 +80,7 @@ def gel_starts(
 def build_tables(model: ObjectModel, settings: GelSearchSettings | None = None) -> None:
     """What gel_starts looks up in the object: built at the first call and kept, a second's work."""
     settings = settings or GelSearchSettings()
-    pair_table(model)
+    built_pair_table(model)
     for box in settings.proposals.boxes:
         bending_table(model, box, settings.proposals)
 

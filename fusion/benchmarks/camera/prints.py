@@ -21,7 +21,7 @@ from fusion.estimation.answer import Estimate
 from fusion.estimation.estimate import estimate
 from scenes.errors import InputError
 from scenes.evidence.near_symmetries import near_symmetries
-from scenes.evidence.point_pairs import pair_table
+from scenes.evidence.point_pairs import built_pair_table
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
@@ -71,7 +71,7 @@ def printed_model(name: str) -> ObjectModel:
 
     model = with_print(judge_of(name, None).model)
     near_symmetries(model)
-    pair_table(model)
+    built_pair_table(model)
     assert model.texture is not None
     model.texture.levels  # noqa: B018
     return model

@@ -52,9 +52,11 @@ class ProposalSettings:
     of_piece: StartSettings = field(
         default_factory=lambda: StartSettings(pairs=50, even=200, keep_pairs=60, keep_even=30, oriented=80)
     )
-    # At a glance: starts behind few pairs of pixels, and the passes over them.
+    # At a glance: starts behind few pairs of pixels, drawn, which looks up nothing in a tree; and the passes over them.
     glance: StartSettings = field(
-        default_factory=lambda: StartSettings(pairs=60, each=10, even=0, rows=24, keep_pairs=48, oriented=100)
+        default_factory=lambda: StartSettings(
+            pairs=60, each=10, drawn=True, even=0, rows=24, keep_pairs=48, oriented=100
+        )
     )
     # Very many pairs, where nobody says what hides the object: of the whole image, and of each of its pieces. Ranked
     # by the whole objective, not by rows: of 576 frames of the tuning families by vision (seeds 101 and 102, hand and

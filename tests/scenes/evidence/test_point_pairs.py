@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scenes.evidence.point_pairs import PairSettings, PairTable, cell_keys, match_pairs, pair_table
+from scenes.evidence.point_pairs import PairSettings, PairTable, built_pair_table, cell_keys, match_pairs, pair_table
 from scenes.geometry import poses
 from scenes.recordings.frames import Contacts
 from scenes.synthesis import library
@@ -72,7 +72,7 @@ def test_without_normals_or_room_there_are_none(table):
 
 def test_the_table_is_kept_as_long_as_the_object():
     model = library.make("l_block")
-    assert pair_table(model) is pair_table(model)
+    assert pair_table(model) is pair_table(model) is built_pair_table(model)
 
 
 def test_a_hundred_thousand_contacts_are_not_paired_all():
