@@ -29,6 +29,8 @@ def surface_at(depth, lens, uv, reach, fewest, roughest, places, normals, good):
         u0, v0 = uv[n, 0], uv[n, 1]
         z0 = np.float64(depth[v0, u0])
         good[n] = False
+        if not 0.0 < z0 < FARTHEST_READING:
+            continue
         x0, y0 = (u0 - cx) / fx, (v0 - cy) / fy
         half_u, half_v = int(min(reach * fx / z0, width)), int(min(reach * fy / z0, height))
         step_u, step_v = 1 + 2 * half_u // WINDOW, 1 + 2 * half_v // WINDOW

@@ -88,6 +88,10 @@ def test_the_kernel_of_normals_says_what_numpy_says(lab_frame, rng, reach):
     (places, normals), good = np.zeros((2, len(uv), 3)), np.zeros(len(uv), dtype=bool)
     lens = camera.fx, camera.fy, camera.cx, camera.cy
     surface_at(depth, lens, uv, reach, SETTINGS.fewest, SETTINGS.thickest, places, normals, good)
+    dark = np.argwhere(depth == 0.0)[:1, ::-1].copy()
+    there = np.ones(1, dtype=bool)
+    surface_at(depth, lens, dark, reach, SETTINGS.fewest, SETTINGS.thickest, np.zeros((1, 3)), np.zeros((1, 3)), there)
+    assert not there[0]
     expected_places, expected, off, telling = normals_by_numpy(depth, camera, uv, reach, SETTINGS.fewest)
     clear = np.abs(off - SETTINGS.thickest) > 2e-4
     np.testing.assert_array_equal(good[clear], (telling & (off < SETTINGS.thickest))[clear])

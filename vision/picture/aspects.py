@@ -19,6 +19,7 @@ from scenes.geometry.objects import ObjectModel
 from vision.picture.aspect_kernels import sum_aspects
 from vision.picture.columns import SUMS
 from vision.picture.glimpse_kernels import glimpse_aspects
+from vision.picture.settings import SLENDER
 
 Array = NDArray[np.float64]
 
@@ -28,8 +29,6 @@ CELLS = 12
 # Rays along each side of the box around an outline, and the share of their square that usually meets the object.
 SIDE = 12
 USUAL = 0.6
-# The box is turned to the outline's own axes where these hold less than this share of its area.
-SLENDER = 0.7
 # Radii from which it is looked at: a thing in a hand from half a metre to one.
 AWAY = 6.0
 # Points of the surface whose projections bound the outline.

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+# Share of an upright box's area below which a grid lies along the outline's own axes, of rays as of aspects. By
+# judgement: a compact thing keeps its grid, a stick aslant would be met by a tenth of it.
+SLENDER = 0.7
+
 
 @dataclass(frozen=True)
 class PictureScore:
@@ -53,7 +57,7 @@ class PredictionSettings:
     # Rays along each side of the box around the outline: some six in ten of their square meet the object.
     side: int = 16
     # That box is upright; it lies along the outline's own axes where these hold less than this share of its area.
-    slender: float = 0.7
+    slender: float = SLENDER
     # The same where pixels are wanted as rows of evidence: first, and where that shows fewer than so many pixels.
     sides_rows: tuple[int, int] = (40, 64)
     enough_rows: int = 450

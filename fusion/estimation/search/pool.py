@@ -106,7 +106,7 @@ class Pool:
 
     def seen(self, pixels: Pixels | None = None) -> Seen:
         """Pixels that may be the object, those of a piece or all, with the image that tells their normals."""
-        pixels, image = pixels or self.looked.pixels, self.predictor.image
+        pixels, image = self.looked.pixels if pixels is None else pixels, self.predictor.image
         return Seen(pixels.points) if self.looked.is_cloud or image is None else Seen(pixels.points, pixels.uv, *image)
 
     def piece_starts(self, pieces: tuple[Pixels, ...]) -> tuple[tuple[Evidence, Array], ...]:

@@ -281,10 +281,8 @@ def test_rounds_of_fresh_starts_end_where_nothing_new_comes(drill, monkeypatch, 
     assert why in found.why
 
 
-@pytest.mark.parametrize(("costlier", "tied", "walks"), [(1.0, True, False), (-1.0, True, False), (9.0, True, True)])
-def test_what_a_glance_and_a_round_find_as_likely_is_walked_for_no_more(drill, monkeypatch, costlier, tied, walks):
-    pool = Rounds(drill, [0.0, 0.0005])
-    pool.tied = tied
+def glance_elsewhere(pool, costlier, monkeypatch):
+    """A glance that found another pose, which costs so many nats more: that pose, and the starts of a search."""
     glanced = Competition(pool, Trace())
     pose = poses.make_pose(None, [0.1, 0.0, 0.0])
     glanced.fitted = Alignment(pose[None], np.array([costlier]), np.eye(6)[None], np.zeros(1, dtype=np.int64))
@@ -292,7 +290,14 @@ def test_what_a_glance_and_a_round_find_as_likely_is_walked_for_no_more(drill, m
     monkeypatch.setattr("fusion.estimation.search.sources.find_modes", pool.end)
     monkeypatch.setattr("fusion.estimation.search.sources.walk", pool.walk)
     monkeypatch.setattr("fusion.estimation.search.sources.glance", lambda *_: glanced)
-    starts = np.tile(np.eye(4), (320, 1, 1))
+    return pose, np.tile(np.eye(4), (320, 1, 1))
+
+
+@pytest.mark.parametrize(("costlier", "tied", "walks"), [(1.0, True, False), (-1.0, True, False), (9.0, True, True)])
+def test_what_a_glance_and_a_round_find_as_likely_is_walked_for_no_more(drill, monkeypatch, costlier, tied, walks):
+    pool = Rounds(drill, [0.0, 0.0005])
+    pool.tied = tied
+    pose, starts = glance_elsewhere(pool, costlier, monkeypatch)
     found = modes_near(pool, None, None, starts, search_stages(0.01, ()), PlanSettings(), trace := Trace())
     assert next(stage.ran for stage in trace.stages if stage.name == "propose: a walk") == walks
     # and what the glance found stays where it is likelier
@@ -303,16 +308,15 @@ def test_what_a_glance_and_a_round_find_as_likely_is_walked_for_no_more(drill, m
 def test_what_a_glance_found_likelier_is_a_doubt_of_what_convinces(drill, monkeypatch, costlier, tied, walks):
     pool = Rounds(drill, [0.0] + [0.0005] * 8, shown=0.3)
     pool.tied = tied
-    glanced = Competition(pool, Trace())
-    pose = poses.make_pose(None, [0.1, 0.0, 0.0])
-    glanced.fitted = Alignment(pose[None], np.array([costlier]), np.eye(6)[None], np.zeros(1, dtype=np.int64))
-    glanced.modes = (Mode(pose, 1.0, costlier, np.eye(6)),)
-    monkeypatch.setattr("fusion.estimation.search.sources.find_modes", pool.end)
-    monkeypatch.setattr("fusion.estimation.search.sources.walk", pool.walk)
-    monkeypatch.setattr("fusion.estimation.search.sources.glance", lambda *_: glanced)
-    starts = np.tile(np.eye(4), (320, 1, 1))
+    _, starts = glance_elsewhere(pool, costlier, monkeypatch)
     modes_near(pool, None, None, starts, search_stages(0.01, ()), PlanSettings(), trace := Trace())
     assert next(stage.ran for stage in trace.stages if stage.name == "propose: a walk") == walks
+
+
+def test_a_piece_without_a_pixel_stands_for_no_pixel(sensed):
+    pool = sensed.pool
+    assert len(pool.seen().points) == len(pool.looked.pixels) > 0
+    assert len(pool.seen(pool.looked.pixels.take(np.zeros(0, dtype=np.int64))).points) == 0
 
 
 def test_pairs_of_pixels_are_asked_where_a_prior_leaves_turns_that_are_not_drawn(sensed, lab_frame):
