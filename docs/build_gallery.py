@@ -34,7 +34,7 @@ any, of other poses that fit as well (orange). The tables say what each sense ma
 make of it together: the mean distance of the two surfaces (ADD-S), and the standard deviations that the answer claims
 in its worst direction. `open` means that nothing sensed tells of some direction, or that several poses fit. The scenes
 were chosen to show one thing each: how often an answer is right, and how often one is wrong and `ok`, is in
-[the benchmarks](benchmarks.md).
+[the benchmarks](benchmarks/index.md).
 """
 
 

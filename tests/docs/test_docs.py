@@ -21,13 +21,13 @@ from scenes.synthesis.recording import synthesize
 
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"
-PAGES = [README, *sorted(DOCS.glob("*.md"))]
+TABLES = DOCS / "benchmarks"
+PAGES = [README, *sorted(DOCS.glob("*.md")), *sorted(TABLES.glob("*.md"))]
 # Pages whose blocks are run below, and those that another test runs or whose recordings and minutes no test has: of
 # these every command is held against the parser.
 RUN_HERE = {"tutorial.md", "live.md", "faq.md", "README.md", "commands.md", "gallery.md", "gels.md"}
 ONLY_PARSED = {
     "formats.md": "test_formats_docs.py runs it on recordings that it makes",
-    "benchmarks.md": "benches take minutes to hours, and some need recorded contact sets",
     "scenes.md": "one block, which downloads",
     "evaluation.md": "benches take minutes to hours",
 }
@@ -125,14 +125,20 @@ def test_the_front_page(tmp_path, monkeypatch):
 def test_pages_are_known():
     """A new page is run, or it is said why not."""
     told = RUN_HERE | set(ONLY_PARSED)
-    unknown = [page.name for page in PAGES if docs_commands.all_blocks(page) and page.name not in told]
+    # benches take minutes to hours, and some need recorded contact sets: their pages are only parsed
+    pages = [page for page in PAGES if page.parent != TABLES]
+    unknown = [page.name for page in pages if docs_commands.all_blocks(page) and page.name not in told]
     silent = {"api.md", "architecture.md", "method.md"}
     assert set(unknown) <= silent
     for name in silent:
         assert not [b for b in docs_commands.all_blocks(DOCS / name) if b.language in ("sh", "python")]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def name_of(page):
+    return f"{page.parent.name}/{page.name}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_every_command_is_one(page):
     """Names and options of every call of palpate on every page, what is not run included."""
     parser = build_parser()
@@ -141,7 +147,7 @@ def test_every_command_is_one(page):
             parser.parse_args(argv)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_links_lead_somewhere(page):
     """Files, and headings of files, by GitHub's rule for their names."""
     for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
@@ -160,10 +166,13 @@ def test_links_lead_somewhere(page):
 def test_the_site_names_every_page():
     """`make docs` has the same pages; its own front page leads to all of them."""
     config = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
-    named = set(re.findall(r"^  - .*: (\w+\.md)$", config, re.MULTILINE))
-    assert named == {page.name for page in DOCS.glob("*.md")}
-    front = (DOCS / "index.md").read_text(encoding="utf-8")
-    assert all(f"({name})" in front for name in named - {"index.md"})
+    named = set(re.findall(r"^ +- .*: ([\w/]+\.md)$", config, re.MULTILINE))
+    assert named == {page.relative_to(DOCS).as_posix() for page in PAGES if page != README}
+    front, tables = ((folder / "index.md").read_text(encoding="utf-8") for folder in (DOCS, TABLES))
+    own = {name.removeprefix("benchmarks/") for name in named if name.startswith("benchmarks/")}
+    assert all(f"({name})" in tables for name in own - {"index.md"})
+    others = {name for name in named if "/" not in name} | {"benchmarks/index.md"}
+    assert all(f"({name})" in front for name in others - {"index.md"})
 
 
 @pytest.mark.slow
@@ -171,7 +180,7 @@ def test_the_site_is_built_and_fetches_nothing(tmp_path):
     pytest.importorskip("mkdocs", reason="the extra docs is not installed")
     build = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(tmp_path / "site")]
     subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
-    for page in (tmp_path / "site").glob("*.html"):
+    for page in (tmp_path / "site").rglob("*.html"):
         assert not re.search(r'<(?:script|link|img)[^>]+(?:src|href)="https?://', page.read_text(encoding="utf-8"))
 
 
@@ -181,6 +190,32 @@ def test_the_house_is_as_the_page_has_it():
     named = re.findall(r"`((?:scenes|vision|touch|fusion|tests)/[\w/.]*)`", text)
     assert len(named) > 20
     assert [name for name in named if not (ROOT / name).exists()] == []
+
+
+def test_tables_of_benchmarks_are_put_into_their_pages(tmp_path):
+    made = docs_commands.script("build_benchmarks")
+    mark = "<!-- table search: By what; columns: who=sense, missed; rows: start=yes -->"
+    page = f"text\n{mark}\nold\n<!-- end -->\nmore\n"
+    assert made.rebuilt(page, [tmp_path]) == page
+    rows = "| sense | start | missed |\n| --- | --- | --- |\n| fused | yes | 1 % |\n| fused | no | 2 % |\n"
+    head = "# search: whose fault\n\n`palpate bench search`\n\n1 trial; seed 0\n"
+    report = f"{head}\n## By what is told\n\n{rows}\nnote\n"
+    (tmp_path / "search.md").write_text(report, encoding="utf-8")
+    new = made.rebuilt(page, [tmp_path])
+    assert "| who | missed |\n| --- | --- |\n| fused | 1 % |\n\n*`palpate bench search`; 1 trial; seed 0*" in new
+    assert "old" not in new
+    assert made.rebuilt(new, [tmp_path]) == new
+    for wrong in ("columns: none", "rows: start=maybe", "size: 3"):
+        with pytest.raises(ValueError, match="expected"):
+            made.rebuilt(page.replace("rows: start=yes", wrong), [tmp_path])
+
+
+@pytest.mark.parametrize("page", sorted(TABLES.glob("*.md")), ids=name_of)
+def test_marks_of_tables_are_read(page):
+    made, text = docs_commands.script("build_benchmarks"), page.read_text(encoding="utf-8")
+    assert len(made.MARKED.findall(text)) == text.count("<!-- table ") == text.count("<!-- end -->")
+    for what in re.findall(r"<!-- table (.*?) -->", text):
+        assert made.asked_of(what).title
 
 
 def test_reasons_are_given_for_what_is_not_run():

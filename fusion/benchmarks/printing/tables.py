@@ -1,7 +1,7 @@
 """What every benchmark returns and how it is shown: numbers with their spread, tables, claims, machine and versions.
 
 A benchmark module has `run(settings: BenchSettings) -> Report`; the command line prints the report's tables and writes
-`NAME.json`, `NAME.txt` and `NAME.svg`. Cells are numbers, text, `Spread` (mean and standard deviation over trials),
+`NAME.json`, `NAME.txt`, `NAME.md` and `NAME.svg`. Cells are numbers, text, `Spread` (mean and standard deviation over trials),
 `Quantile` (median or another) or `Rate` (share of trials); JSON has the 95 % interval of the last three.
 """
 
@@ -206,6 +206,12 @@ class Table:
         """The cells as they are printed."""
         return [[text_of(cell, column.digits) for cell, column in zip(row, self.columns)] for row in self.rows]
 
+    def markdown(self) -> str:
+        """Heading, rows and note in Markdown, as the pages of docs/benchmarks have them."""
+        lines = [[column.name for column in self.columns], ["---"] * len(self.columns), *self.texts()]
+        rows = ["| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines]
+        return "\n".join([f"## {self.title}", "", *rows, *(["", self.note] if self.note else []), ""])
+
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
         rows = [{column.name: plain(cell) for column, cell in zip(self.columns, row)} for row in self.rows]
@@ -305,15 +311,16 @@ def plain(cell: Any) -> Any:
 
 
 def write_report(report: Report, folder: Path) -> list[Path]:
-    """NAME.json, NAME.txt and, when there are charts, NAME.svg in the folder; returns what was written."""
+    """NAME.json, NAME.txt, NAME.md and, when there are charts, NAME.svg in the folder; returns what was written."""
     from fusion.benchmarks.printing.charts import draw
     from fusion.truth.errors import json_number
 
     folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"{report.name}.json", folder / f"{report.name}.txt"]
+    paths = [folder / f"{report.name}.{kind}" for kind in ("json", "txt", "md")]
     text = json.dumps(json_number(report.to_json()), indent=1, allow_nan=False)
     paths[0].write_text(text + "\n", encoding="utf-8")
     paths[1].write_text(as_text(report), encoding="utf-8")
+    paths[2].write_text(as_markdown(report), encoding="utf-8")
     if report.charts:
         paths.append(folder / f"{report.name}.svg")
         paths[-1].write_text(draw(report.charts), encoding="utf-8")
@@ -323,6 +330,14 @@ def write_report(report: Report, folder: Path) -> list[Path]:
         paths.append(folder / f"{report.name}_{name}.png")
         write_rgb(paths[-1], picture)
     return paths
+
+
+def as_markdown(report: Report) -> str:
+    """The whole report as Markdown: what ran where, then every table under its own heading."""
+    tables = [*report.tables, report.claims_table()] if report.claims else report.tables
+    head = [f"# {report.name}: {report.title}", "", f"`{command_line()}`", ""]
+    told = f"{report.trials}; seed {report.seed}; code {report.version}; {machine_line()}"
+    return "\n".join([*head, told, "", *(table.markdown() for table in tables)])
 
 
 def as_text(report: Report) -> str:

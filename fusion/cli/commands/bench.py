@@ -1,4 +1,4 @@
-"""Run a benchmark, or all: tables on the terminal, and with --out DIR also JSON, text and plots."""
+"""Run a benchmark, or all: tables on the terminal, and with --out DIR also JSON, text, Markdown and plots."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         metavar="DIR",
         type=Path,
-        help="also write NAME.json, NAME.txt and NAME.svg here, and keep captures (all: default out/bench)",
+        help="also write NAME.json, NAME.txt, NAME.md and NAME.svg here, and keep captures (all: default out/bench)",
     )
 
 

@@ -69,13 +69,14 @@ def test_the_report_is_text_json_and_a_picture(tmp_path):
     for part in ("2.0 ± 1.0", "90 %", "MISSED", "[note]", "numpy", "seed 7"):
         assert part in text
     paths = write_report(report, tmp_path / "new")
-    assert [p.name for p in paths] == ["name.json", "name.txt", "name.svg"]
+    assert [p.name for p in paths] == ["name.json", "name.txt", "name.md", "name.svg"]
     data = json.loads(paths[0].read_text())
     assert data["tables"][0]["rows"][0]["error mm"]["n"] == 3
     assert data["tables"][0]["rows"][1]["error mm"] is None
     assert data["claims"][0] == {"what": "fast", "value": 3.0, "at most": 5.0, "met": True}
     assert {"processor", "threads", "versions"} <= set(data["machine"])
-    ElementTree.parse(paths[2])
+    assert "| --- |" in paths[2].read_text(encoding="utf-8")
+    ElementTree.parse(paths[3])
 
 
 def test_tables_are_shown_as_they_are_done_and_once(capsys, monkeypatch):
