@@ -1,8 +1,8 @@
 """What every benchmark returns and how it is shown: numbers with their spread, tables, claims, machine and versions.
 
 A benchmark module has `run(settings: BenchSettings) -> Report`; the command line prints the report's tables and writes
-`NAME.json`, `NAME.txt`, `NAME.md` and `NAME.svg`. Cells are numbers, text, `Spread` (mean and standard deviation over trials),
-`Quantile` (median or another) or `Rate` (share of trials); JSON has the 95 % interval of the last three.
+`NAME.json`, `NAME.txt`, `NAME.md` and `NAME.svg`. Cells are numbers, text, `Spread` (mean and standard deviation over
+trials), `Quantile` (median or another) or `Rate` (share of trials); JSON has the 95 % interval of the last three.
 """
 
 from __future__ import annotations
