@@ -14,6 +14,7 @@ from scenes.evidence.align import Prior
 from scenes.geometry import poses as se3
 from scenes.recordings.beliefs import Beliefs, usual_beliefs
 from scenes.recordings.frames import Frame
+from vision.noise import believed_of
 
 Array = NDArray[np.float64]
 
@@ -42,10 +43,11 @@ class Asked:
         settings: EstimateSettings | None = None,
         beliefs: Beliefs | None = None,
     ) -> Asked:
-        """As `estimate` takes it, checked; what is not said is the frame's own."""
+        """As `estimate` takes it, checked; what is not said is the frame's own, and as noisy as it shows."""
         settings, senses = settings or EstimateSettings(), check_senses(use)
         believed = as_prior(prior if prior is not None else frame.prior, settings)
-        return Asked(senses, believed, tolerance, seed, beliefs or frame.beliefs or usual_beliefs(), settings)
+        known = believed_of(frame, beliefs or frame.beliefs or usual_beliefs(), settings.look.noise)
+        return Asked(senses, believed, tolerance, seed, known, settings)
 
 
 def check_senses(use: Iterable[str]) -> frozenset[str]:

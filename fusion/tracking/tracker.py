@@ -56,6 +56,7 @@ from touch.contacts import Felt, feel
 from touch.gels.slip import in_palm
 from vision.look.looked import Looked
 from vision.look.warm import Looker
+from vision.noise import believed_of
 from vision.tracking.by_vision import ConstantVelocity
 
 Array = NDArray[np.float64]
@@ -128,8 +129,8 @@ class Tracker:
         state = self._state
         frame, unused = through_one_lens(frame, state, self.settings)
         if state.belief is None:
-            if self._asked is None and frame.beliefs is not None:
-                self._believe(frame.beliefs)
+            told = self._asked or frame.beliefs or Beliefs()
+            self._believe(believed_of(frame, told, self.settings.first.look.noise))
             return self._begin(frame)
         if self.live and self._aside is None:
             self._aside = Aside()

@@ -34,7 +34,8 @@ def predicted(found, pose, side):
     sums[3] += 1.0 - share
     grids = [x.reshape(side, side) for x in (hit, near, read, hidden, seen, u, v)]
     border = *runs_on(found, *grids, steps), *ends(found, hit, near, seen, u, v, side, steps)
-    return *sums, *border, scatter(found, seen, expected, near), int(hit.sum())
+    # of the whole outline's border, as far as it is in the image
+    return *sums, *(share * one for one in border), scatter(found, seen, expected, near), int(hit.sum())
 
 
 def scatter(found, seen, z, near):
@@ -124,7 +125,7 @@ def by_aspect(found, pose, aspects, which):
             lost += min(outside / max(total * each, 1.0), fade[mine].sum() / total)
     shares = [x.sum() / total for x in (fade, near, past, hidden, by_hand)]
     shares[3] += 1.0 - share
-    border = [count / max(edges, 1) for count in (goes_on, within, ending, dark)]
+    border = [share * count / max(edges, 1) for count in (goes_on, within, ending, dark)]
     return np.array([*shares, *border, scatter(found, seen, z, near), hit.sum()]), total * each, lost
 
 
@@ -158,7 +159,8 @@ def glimpse(found, pose, aspects, which):
     if few % 3 == 0 and 2 * past[:third].sum() > third:
         seen, past = seen[:third], past[:third]
     share = seen.mean() if few else 0.0
-    return s.glimpse_past * past.sum() / max(len(past), 1) - s.glimpse_seen * min(share, s.glimpse_most)
+    nats = s.glimpse_past * past.sum() / max(len(past), 1) - s.glimpse_seen * min(share, s.glimpse_most)
+    return as_far(found, pose[None], [nats])[0]
 
 
 def size(found, candidates, picture):
@@ -179,7 +181,23 @@ def cost(found, candidates, picture):
     border = score.runs_on * p.outline + np.minimum(score.within * p.within, score.most_within)
     border = border - score.ends * p.ends - score.dark * p.dark
     weight = size(found, candidates, p) ** score.by_size
-    return np.where(p.count > 0, weight * (against - agreeing + border), score.hidden)
+    return as_far(found, candidates, np.where(p.count > 0, weight * (against - agreeing + border), score.hidden))
+
+
+def as_far(found, candidates, nats):
+    """Nats (n,) of poses (n, 4, 4) as far as their distance lets depth tell, and what is believed of that distance."""
+    s, belief, out = found.settings, found.belief, []
+    for pose, one in zip(candidates, nats):
+        z = se3.apply(pose, found.model.centroid[None])[0, 2]
+        if z <= s.resolved_to:
+            out.append(one)
+            continue
+        told = []
+        for depth in (z, s.resolved_to):
+            parts = belief.independent_sigma(depth), belief.bias_sigma, belief.scale_sigma * depth
+            told.append(np.log(1.0 + found.model.radius / (s.tolerance * np.linalg.norm(parts))))
+        out.append(one * told[0] / told[1] + s.places * np.log(z / s.resolved_to))
+    return np.array(out)
 
 
 def picture(seen=0.9, agree=0.95, past=0.0, hidden=0.0, behind_hand=0.0, outline=0.0):

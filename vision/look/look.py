@@ -24,6 +24,7 @@ from vision.look.pixel_kernels import CHOSEN, OTHER
 from vision.look.pixels import Pixels, Region, median, read_pixels, sort_pixels
 from vision.look.points import all_points
 from vision.look.regions import find_region, region_around
+from vision.noise import NoiseSettings
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -69,6 +70,7 @@ class LookSettings:
     colour: PartingSettings = field(default_factory=PartingSettings)
     hand: HandViewSettings = field(default_factory=HandViewSettings)
     mask: MaskSettings = field(default_factory=MaskSettings)
+    noise: NoiseSettings = field(default_factory=NoiseSettings)
     rows: RowSettings = field(default_factory=RowSettings)
 
 

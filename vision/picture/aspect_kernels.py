@@ -198,3 +198,5 @@ def sum_aspects(aspects, cells, centroid, poses, image, camera, noise, limits, r
         for i in (SEEN, AGREE, PAST, BEHIND, BEHIND_HAND):
             out[i] /= total
         out[BEHIND] += 1.0 - share
+        for i in (OUTLINE, WITHIN, ENDS, DARK):
+            out[i] *= share

@@ -246,7 +246,8 @@ class Predictor:
         shares = glimpsed(
             self.model, candidates, self._small, s.glimpse_step, camera, noise, s.tolerance, s.glimpse_points
         )
-        return np.asarray(s.glimpse_past * shares[:, 1] - s.glimpse_seen * np.minimum(shares[:, 0], s.glimpse_most))
+        nats = s.glimpse_past * shares[:, 1] - s.glimpse_seen * np.minimum(shares[:, 0], s.glimpse_most)
+        return self._as_told(candidates, nats)
 
     @cached_property
     def _small(self) -> NDArray[np.float32]:
@@ -274,7 +275,28 @@ class Predictor:
         scoring_kernels.cost_of_shares(
             np.ascontiguousarray(candidates), centroid, p.shares, p.beyond, p.area, usual, nats, cells, out
         )
-        return out
+        return self._as_told(candidates, out)
+
+    def _as_told(self, candidates: Array, nats: Array) -> Array:
+        """Nats (n,) of poses (n, 4, 4) as far as depth resolves the object at their distance, and what is believed of
+        that distance.
+        """
+        s = self.settings
+        z = candidates[:, 2, :3] @ self.model.centroid + candidates[:, 2, 3]
+        beyond = np.maximum(z, s.resolved_to)
+        told = np.log1p(self.model.radius / self._tolerance(beyond)) / self._told_near
+        return np.asarray(told * nats + s.places * np.log(beyond / s.resolved_to))
+
+    @cached_property
+    def _told_near(self) -> float:
+        near = self._tolerance(np.array(self.settings.resolved_to))
+        return float(np.log1p(self.model.radius / near))
+
+    def _tolerance(self, z: Array) -> Array:
+        """How far off (m) a reading at depth z (n,) m may be and agree, as in `compare_pixels`."""
+        m = self.belief
+        squares = np.square(m.independent_sigma(z)) + m.bias_sigma**2 + np.square(m.scale_sigma * z)
+        return self.settings.tolerance * np.sqrt(squares)
 
     def predict(self, candidates: Array, side: int | None = None) -> Prediction:
         """What becomes of the predicted pixels of each pose (n, 4, 4); side: rays along the outline's box."""

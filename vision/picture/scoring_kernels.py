@@ -46,6 +46,9 @@ def share_out(step, inside, unread, sums, total, area):
         for k in (SEEN, AGREE, PAST, BEHIND, BEHIND_HAND):
             sums[n, k] /= total[n]
         sums[n, BEHIND] += 1.0 - inside[n]
+        # of the whole outline's border: a corner that reaches into the image ends there, and shows little of it
+        for k in (OUTLINE, WITHIN, ENDS, DARK):
+            sums[n, k] *= inside[n]
         area[n] = total[n] * cell_of(step[n])
 
 

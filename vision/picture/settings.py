@@ -123,6 +123,13 @@ class PredictionSettings:
     # How far (m, and share of depth) the next pixel may be from where the seen surface leads.
     smooth: float = 0.003
     smooth_share: float = 0.004
+    # Up to this distance (m) depth resolves an object's form. Beyond it a picture counts as much less as the logarithm
+    # of one and the object's radius over the tolerance: what may be off by the object's own size agrees with anything.
+    # And places that look alike grow in number: as the square of distance across the image, and in proportion along it
+    # when every distance is as likely as its double, so many nats for each factor e. By judgement: no tuning family has
+    # anything beyond; rooms have.
+    resolved_to: float = 1.0
+    places: float = 3.0
     # A mask is right to so many pixels: what is seen outside of it is not the object.
     mask_margin: int = 6
     # The hand is drawn at every so many pixels; a reading this near (m) to it is the hand's.

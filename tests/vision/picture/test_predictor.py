@@ -222,6 +222,41 @@ def test_an_outline_counts_by_its_size_not_only_by_its_share():
     assert before_nothing < 0.8 * looking.predict(away[None]).area[0]
 
 
+def test_far_off_where_noise_is_as_large_as_the_object_agreement_tells_little():
+    """The wall of a room agrees with whatever is laid onto it; the thing on the table does not owe it that."""
+    model = library.make("box")
+    near, far = (poses.make_pose(poses.exp_rotation([0.4, 0.3, 0.0]), [0.0, 0.0, z]) for z in (0.7, 4.5))
+    frame = drawn(model, near)
+    before_wall = replace(frame, depth=np.where(frame.depth > 0, frame.depth, 4.5).astype(np.float32))
+    found = predictor(before_wall, model)
+    beside = poses.make_pose(None, [0.9, 0.0, 0.0]) @ far
+    picture = found.predict(np.array([near, beside]))
+    assert picture.agree[1] > 0.9
+    cost = found.costs(np.array([near, beside]))
+    assert cost[0] < cost[1] - 15.0
+    assert found.glimpse(near[None])[0] < found.glimpse(beside[None])[0] - 5.0
+    # up to a metre a place is a place
+    assert found._as_told(near[None], np.array([-7.0]))[0] == -7.0
+
+
+def test_a_corner_that_reaches_into_the_image_earns_what_a_corner_does():
+    model = library.make("box")
+    whole = poses.make_pose(None, [0.0, 0.0, 0.6])
+    frame = drawn(model, whole)
+    found = predictor(frame, model)
+    width = frame.camera.width
+    # so far to the right that a tenth of it is left in the image
+    right = (width - 1 - frame.camera.cx) / frame.camera.fx * 0.6 + 0.4 * np.ptp(model.vertices[:, 0])
+    corner = poses.make_pose(None, [right, 0.0, 0.6])
+    seen = drawn(model, corner)
+    cut = predictor(seen, model).predict(corner[None])
+    assert 0.02 < 1.0 - cut.hidden[0] < 0.3
+    share = 1.0 - cut.hidden[0]
+    for sketched in (cut, predictor(seen, model).sketch(corner[None])):
+        assert sketched.ends[0] + sketched.dark[0] < 1.5 * share
+    assert found.predict(whole[None]).ends[0] + found.predict(whole[None]).dark[0] > 0.9
+
+
 def turning(a, b):
     """(3, 3) the smallest turn of direction a onto b."""
     axis = np.cross(a, b)

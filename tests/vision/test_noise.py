@@ -1,0 +1,87 @@
+"""How noisy a depth image is, read off its smooth surfaces; the compiled loop against NumPy."""
+
+import numpy as np
+import pytest
+
+from scenes.geometry.cameras import Camera
+from scenes.recordings.beliefs import Beliefs, DepthModel
+from scenes.recordings.frames import Frame
+from vision import noise_kernels
+from vision.noise import NoiseSettings, believed_of, noise_ratio
+
+CAMERA = Camera(570.0, 570.0, 159.5, 119.5, 320, 240)
+
+
+def wall(rng, times, lost=0.0):
+    """A slanting plane, 0.6 to 1 m off, read with so many times the noise that is believed."""
+    u, v = np.meshgrid(np.arange(320.0), np.arange(240.0))
+    z = 1.0 / (1.0 + 1.2e-3 * u + 8e-4 * v)
+    noise = times * DepthModel().independent_sigma(z) * rng.standard_normal(z.shape)
+    return np.where(rng.random(z.shape) < lost, 0.0, z + noise).astype(np.float32)
+
+
+def by_numpy(depth, step, count, stride, farthest):
+    span, out = step * (count - 1), []
+    i, j = np.meshgrid(np.arange(count), np.arange(count))
+    design = np.stack([np.ones(count**2), i.ravel(), j.ravel()], axis=1)
+    for top in range(0, depth.shape[0] - span, stride):
+        for left in range(0, depth.shape[1] - span, stride):
+            part = depth[top : top + span + 1 : step, left : left + span + 1 : step].astype(np.float64).ravel()
+            if not ((part > 0.0) & (part <= farthest)).all():
+                continue
+            inverse = 1.0 / part
+            off = inverse - design @ np.linalg.lstsq(design, inverse, rcond=None)[0]
+            out.append((np.sqrt(off @ off / (count**2 - 3)) / inverse.mean() ** 2, 1.0 / inverse.mean()))
+    return np.array(out).reshape(-1, 2)
+
+
+def test_windows_are_fitted_as_numpy_fits_them(rng):
+    depth = wall(rng, 1.3, lost=0.01)
+    depth[40:60, 100:140] = np.nan
+    told = by_numpy(depth, 4, 6, 20, 0.9)
+    found = np.zeros((500, 2))
+    count = noise_kernels.scatter_on_planes(depth, 4, 6, 20, 0.9, found)
+    assert 10 < count == len(told)
+    assert np.allclose(found[:count], told, rtol=1e-6)
+    few = np.zeros((3, 2))
+    assert noise_kernels.scatter_on_planes(depth, 4, 6, 20, 0.9, few) == 3
+    assert np.array_equal(few, found[:3])
+
+
+@pytest.mark.parametrize("times", [0.5, 1.0, 2.0, 4.0])
+def test_noise_is_told_to_a_tenth(rng, times):
+    assert noise_ratio(wall(rng, times), DepthModel()) == pytest.approx(times, rel=0.12)
+
+
+def test_edges_and_bent_things_are_no_noise(rng):
+    depth = wall(rng, 1.0)
+    depth[60:180, 90:230] = 0.45 + 2e-5 * np.square(np.arange(140.0) - 70.0)
+    depth[60:180, 90:230] += 0.0012 * rng.standard_normal((120, 140))
+    assert noise_ratio(depth, DepthModel()) == pytest.approx(1.0, rel=0.15)
+
+
+def test_only_more_than_usual_is_news_and_only_where_nothing_is_told(rng):
+    usual, told = Beliefs(), Beliefs(depth=DepthModel(axial_floor=0.002))
+    quiet, noisy = (Frame(0, camera=CAMERA, depth=wall(rng, times)) for times in (1.4, 3.2))
+    assert believed_of(quiet, usual) is usual
+    assert believed_of(noisy, told) is told
+    believed, known = believed_of(noisy, usual).depth, usual.depth
+    times = believed.axial_floor / known.axial_floor
+    assert times == pytest.approx(2.0, rel=0.12)
+    assert believed.axial_growth == pytest.approx(times * known.axial_growth)
+    assert believed.bias_sigma == pytest.approx(times * known.bias_sigma)
+    assert believed.scale_sigma == known.scale_sigma
+    worst = Frame(0, camera=CAMERA, depth=wall(rng, 20.0))
+    assert believed_of(worst, usual).depth.axial_floor == pytest.approx(NoiseSettings().most * known.axial_floor)
+
+
+@pytest.mark.parametrize("depth", [np.zeros((240, 320)), np.full((240, 320), np.nan), np.full((240, 320), 5.0)])
+def test_nothing_flat_and_near_tells_nothing(depth):
+    assert np.isnan(noise_ratio(depth, DepthModel()))
+    usual = Beliefs()
+    assert believed_of(Frame(0, camera=CAMERA, depth=np.nan_to_num(depth).astype(np.float32)), usual) is usual
+
+
+def test_images_smaller_than_a_window_tell_nothing():
+    for size in ((1, 1), (16, 2), (20, 20)):
+        assert np.isnan(noise_ratio(np.full(size, 0.5), DepthModel()))
