@@ -70,9 +70,11 @@ def tables_of(text: str) -> dict[str, list[list[str]]]:
 
 
 def stamp_of(text: str) -> str:
-    """Command, trials, seed, code and machine of a report in Markdown."""
+    """Command, trials, seed, code and machine of a report in Markdown, without what is of that machine alone: folders,
+    and versions of libraries.
+    """
     command, told = [line for line in text.splitlines() if line.strip()][1:3]
-    return f"{command}; {told}"
+    return f"{re.sub(r' --(out|json|data|bop) [^` ]+', '', command)}; {told.split('; Python')[0]}"
 
 
 def shown(asked: Asked, table: list[list[str]]) -> list[str]:

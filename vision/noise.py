@@ -1,4 +1,4 @@
-"""How noisy a depth image is, by the image itself: what a camera is worth where nobody says which one it is.
+"""How noisy a depth image is, by the image itself: what a camera is worth in this scene, whatever its data sheet says.
 
 Most of what a camera sees is smooth. About the planes that fit small windows of it readings scatter by the camera's
 noise, and by how the surface is bent; a quarter of all windows lie on what is flat enough for the former alone. Their
@@ -53,11 +53,12 @@ def noise_ratio(depth: ArrayLike, believed: DepthModel, settings: NoiseSettings 
 
 
 def believed_of(frame: Frame, beliefs: Beliefs, settings: NoiseSettings | None = None) -> Beliefs:
-    """The beliefs; where they say nothing of the camera, with its noise and its bias from place to place larger by as
-    much as the frame shows beyond what is usual.
+    """The beliefs, with the camera's noise and its bias from place to place larger by as much as the frame shows beyond
+    what is usual. Of a camera that is told, too: a data sheet knows no walls without texture, and one who measured
+    has a ratio of 1.
     """
     s = settings or NoiseSettings()
-    if frame.depth is None or beliefs.depth != DepthModel():
+    if frame.depth is None:
         return beliefs
     ratio = noise_ratio(frame.depth, beliefs.depth, s) / s.usual
     if not ratio > 1.0:  # not true of NaN either
