@@ -71,6 +71,7 @@ class Contribution:
 class Estimate:
     """The answer for one frame. All poses are camera_from_object unless named otherwise (4x4, metres).
 
+    modes: the answer first, which is the likeliest of those that were solved with everything; then the others by cost.
     covariance (6, 6) about the centroid, (turn, move): of the first mode when the verdict is `ok`; otherwise of all
     that may be the case, other modes and none of them included. Each mode has its own. Errors have longer tails than a
     Gaussian's, near enough those of a Student distribution of three degrees of freedom with that covariance, whose 95 %

@@ -16,7 +16,7 @@ from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import Asked, check_limits, sure_to_be_within
 from fusion.estimation.confidence import as_shown, observations, room_about, told_covariance, within
 from fusion.estimation.moments import moments
-from fusion.estimation.ranking import rejudged
+from fusion.estimation.ranking import led, rejudged
 from fusion.estimation.search.modes import find_modes, not_solved, worth_solving
 from fusion.estimation.search.proposals import search_stages, starts_of
 from fusion.estimation.search.sources import modes_anywhere, modes_near
@@ -172,7 +172,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
             # where a print was read, the modes were asked about it
             rest = () if facing.pixels else not_solved(found, worth, float(in_all[0]))
             modes = rejudged(model, solved.results, in_all, settings, predictor.sees, rest)
-            first_of = int(np.argmin(in_all))
+            modes, first_of = led(modes, solved.results)
             searched = worth[first_of]
             best, seen = parted(solved.results[first_of]), solved.shown[first_of]
             rows = tables.stack(seen, felt.rows)

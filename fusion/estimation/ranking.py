@@ -105,6 +105,17 @@ def rejudged(
     return distinct_modes(model, Alignment(poses, nats, hessians, np.zeros(len(both), dtype=np.int64)), told)
 
 
+def led(modes: tuple[Mode, ...], solved: list[JointResult]) -> tuple[tuple[Mode, ...], int]:
+    """The modes, the likeliest of those that were solved first, and which solution that is; the rest by their costs.
+
+    Of two minima of about the same cost the narrower is the likelier (see `EstimateSettings.told`), so that the one of
+    least cost need not be.
+    """
+    of = [next((i for i, one in enumerate(solved) if np.array_equal(one.pose, mode.pose)), -1) for mode in modes]
+    first = max((k for k, i in enumerate(of) if i >= 0), key=lambda k: modes[k].weight)
+    return (modes[first], *modes[:first], *modes[first + 1 :]), of[first]
+
+
 def beyond_rows(frame: Frame, model: ObjectModel, solved: list[JointResult], settings: EstimateSettings) -> Array:
     """What to add to the costs (k,) of several solutions for what taxel arrays say beyond rows of evidence: the shape
     and the pressures of their patterns, in place of their taxels' rows.
