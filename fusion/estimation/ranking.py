@@ -112,7 +112,10 @@ def led(modes: tuple[Mode, ...], solved: list[JointResult]) -> tuple[tuple[Mode,
     least cost need not be.
     """
     of = [next((i for i, one in enumerate(solved) if np.array_equal(one.pose, mode.pose)), -1) for mode in modes]
-    first = max((k for k, i in enumerate(of) if i >= 0), key=lambda k: modes[k].weight)
+    known = [k for k, i in enumerate(of) if i >= 0]
+    if not known:
+        return modes, 0  # what was not solved is far likelier than all that was
+    first = max(known, key=lambda k: modes[k].weight)
     return (modes[first], *modes[:first], *modes[first + 1 :]), of[first]
 
 

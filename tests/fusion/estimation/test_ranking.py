@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from fusion.estimation.ranking import rejudged
+from fusion.estimation.ranking import led, rejudged
 from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.solve.joint import JointResult, solve
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.settings import JointSettings
 from scenes.evidence import table as evidence
+from scenes.evidence.modes import Mode
 from scenes.evidence.table import TOUCH
 from scenes.recordings.beliefs import Beliefs
 
@@ -38,3 +39,20 @@ def test_a_direction_that_nothing_tells_is_as_wide_as_the_object(drill):
     weak = np.repeat([1.0, drill.radius], 3)
     widest = np.linalg.eigvalsh(mode.covariance / weak / weak[:, None])[-1]
     assert np.sqrt(widest) == pytest.approx(1.0, abs=0.01)
+
+
+def at(x):
+    pose = np.eye(4)
+    pose[0, 3] = x
+    return pose
+
+
+def test_the_likeliest_of_those_that_were_solved_leads():
+    """A narrow minimum may cost a little more than a wide one, and is the answer; one that was not solved never is."""
+    solved = [result(1e-6 * np.eye(6), at(x)) for x in (0.0, 0.1, 0.2)]
+    told = ((0.1, 0.15), (0.3, 0.5), (0.0, 0.3), (0.2, 0.05))  # by cost: the second was not solved
+    modes = tuple(Mode(at(x), weight, float(k), 1e-6 * np.eye(6)) for k, (x, weight) in enumerate(told))
+    found, first_of = led(modes, solved)
+    assert first_of == 0
+    assert [float(mode.pose[0, 3]) for mode in found] == [0.0, 0.1, 0.3, 0.2]
+    assert led(modes[1:2], solved) == (modes[1:2], 0)
