@@ -2,7 +2,7 @@
 
 A page names a table and what it shows of it, and the table follows, up to its end:
 
-    <!-- table search: By what is told; columns: role=families, sense, start; rows: sense=vision, hand=no -->
+    <!-- table search: By what is told; columns: families=role | sense | start; rows: sense=vision | hand=no -->
     ...
     <!-- end -->
 
@@ -43,7 +43,7 @@ def asked_of(text: str) -> Asked:
     rows: list[tuple[str, str]] = []
     for part in parts:
         kind, _, listed = part.partition(":")
-        for one in re.split(r",\s+", listed.strip()):
+        for one in re.split(r"\s*\|\s*", listed.strip()):
             left, equals, right = one.partition("=")
             if kind == "columns":
                 columns.append((left, right if equals else left))

@@ -194,7 +194,7 @@ def test_the_house_is_as_the_page_has_it():
 
 def test_tables_of_benchmarks_are_put_into_their_pages(tmp_path):
     made = docs_commands.script("build_benchmarks")
-    mark = "<!-- table search: By what; columns: who=sense, missed; rows: start=yes -->"
+    mark = "<!-- table search: By what; columns: who=sense | missed; rows: start=yes -->"
     page = f"text\n{mark}\nold\n<!-- end -->\nmore\n"
     assert made.rebuilt(page, [tmp_path]) == page
     rows = "| sense | start | missed |\n| --- | --- | --- |\n| fused | yes | 1 % |\n| fused | no | 2 % |\n"
