@@ -9,12 +9,15 @@ import math
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from scenes._numba import LENT
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
-def scatter_on_planes(depth, step, count, stride, farthest, out):
+def scatter_on_planes(
+    depth: NDArray[np.float32], step: int, count: int, stride: int, farthest: float, out: NDArray[np.float64]
+) -> int:
     """Of every `stride`-th window of count^2 readings, `step` pixels apart, all of which are there and no farther than
     `farthest` (m): standard deviation (m) about the plane that fits them best, and mean depth (m), in the order of the
     image, as far as out (n, 2) goes; returns how many.
