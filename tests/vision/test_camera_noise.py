@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scenes.geometry.cameras import Camera
-from scenes.recordings.beliefs import Beliefs, DepthModel
+from scenes.recordings.beliefs import LARGEST, Beliefs, DepthModel
 from scenes.recordings.frames import Frame
 from vision import noise_kernels
 from vision.noise import NoiseSettings, believed_of, noise_ratio
@@ -74,6 +74,14 @@ def test_only_more_than_usual_is_news(rng):
     assert believed.scale_sigma == known.scale_sigma
     worst = Frame(0, camera=CAMERA, depth=wall(rng, 20.0))
     assert believed_of(worst, usual).depth.axial_floor == pytest.approx(NoiseSettings().most * known.axial_floor)
+
+
+def test_a_belief_as_large_as_any_grows_no_further(rng):
+    told = Beliefs(depth=DepthModel(axial_floor=0.09, bias_sigma=0.08))
+    nothing_but_noise = rng.uniform(0.1, 1.4, (240, 320)).astype(np.float32)
+    believed = believed_of(Frame(0, camera=CAMERA, depth=nothing_but_noise), told).depth
+    assert believed.axial_floor == LARGEST["axial_floor"]
+    assert believed.bias_sigma == LARGEST["bias_sigma"]
 
 
 @pytest.mark.parametrize("depth", [np.zeros((240, 320)), np.full((240, 320), np.nan), np.full((240, 320), 5.0)])
