@@ -198,7 +198,7 @@ def test_tables_of_benchmarks_are_put_into_their_pages(tmp_path):
     page = f"text\n{mark}\nold\n<!-- end -->\nmore\n"
     assert made.rebuilt(page, [tmp_path]) == page
     rows = "| sense | start | missed |\n| --- | --- | --- |\n| fused | yes | 1 % |\n| fused | no | 2 % |\n"
-    head = "# search: whose fault\n\n`palpate bench search --out /home/me/out`\n\n1 trial; seed 0; Python 3.11\n"
+    head = "# search: whose fault\n\n`palpate bench search --out out/bench`\n\n1 trial; seed 0; Python 3.11\n"
     report = f"{head}\n## By what is told\n\n{rows}\nnote\n"
     (tmp_path / "search.md").write_text(report, encoding="utf-8")
     new = made.rebuilt(page, [tmp_path])
