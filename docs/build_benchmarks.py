@@ -112,11 +112,15 @@ def rebuilt(page: str, folders: list[Path]) -> str:
 
 
 def main() -> int:
-    """Every page anew. Exit code 2 without folders, or for a mark that asks for what is not there."""
+    """Every page anew. Exit code 2 without folders, for one that is none, or a mark that asks for what is not there."""
     folders = [Path(name) for name in sys.argv[1:]]
     if not folders:
         sys.stderr.write("build_benchmarks: expected folders of `palpate bench … --out FOLDER`, got none\n")
         return 2
+    for folder in folders:
+        if not folder.is_dir():
+            sys.stderr.write(f"build_benchmarks: {folder}: expected a folder of reports, found none\n")
+            return 2
     for path in sorted(PAGES.glob("*.md")):
         page = path.read_text(encoding="utf-8")
         try:

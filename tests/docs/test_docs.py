@@ -210,6 +210,14 @@ def test_tables_of_benchmarks_are_put_into_their_pages(tmp_path):
             made.rebuilt(page.replace("rows: start=yes", wrong), [tmp_path])
 
 
+def test_tables_of_nowhere_are_refused(tmp_path, monkeypatch, capsys):
+    made = docs_commands.script("build_benchmarks")
+    for folders in ([], [str(tmp_path / "nowhere")]):
+        monkeypatch.setattr(sys, "argv", ["build_benchmarks.py", *folders])
+        assert made.main() == 2
+        assert capsys.readouterr().err.count("\n") == 1
+
+
 @pytest.mark.parametrize("page", sorted(TABLES.glob("*.md")), ids=name_of)
 def test_marks_of_tables_are_read(page):
     made, text = docs_commands.script("build_benchmarks"), page.read_text(encoding="utf-8")
