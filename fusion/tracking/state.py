@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation.solve.settings import Level
 from fusion.tracking.filter import Belief, Measurement, block
 from fusion.tracking.hypotheses import Hypotheses
 from fusion.tracking.motion import HandState
@@ -159,8 +160,8 @@ class TrackState:
     index: of that; seen_at (4, 4): camera_from_hand, as reported, where pixels told of the object last; unseen: frames
     without evidence; lost_for: frames; leads: how often another hypothesis has taken the lead; usual: share of pixels
     that the pose explains, usually; things: what goes with the object and is not it; untold: what no frame tells of it;
-    sizes: what looks left unexplained; jumps: how far frames were from what was predicted; rigs: of each of the first
-    frames, the mean square of how large its shared errors may be (levels); right: chance that the leader is the right
+    sizes: what looks left unexplained; jumps: how far frames were from what was predicted; levels: of each of the
+    first frames, how large its shared errors may be; right: chance that the leader is the right
     one, as last judged; sure: whether the last answer was ok; known: from the last look in full, None when the next
     frame must be looked at so; correction (4, 4) camera_from_camera of what the robot reports, as the last joint
     solution has it where no pixels of the hand tell: a calibration stays; None before; lens (4,): focal lengths (px,
@@ -180,7 +181,7 @@ class TrackState:
     untold: Untold = field(default_factory=Untold)
     sizes: Sizes = field(default_factory=Sizes)
     jumps: Jumps = field(default_factory=Jumps)
-    rigs: list[float] = field(default_factory=list)
+    levels: list[Level] = field(default_factory=list)
     renewal: Renewal = field(default_factory=Renewal)
     right: float = 0.0
     sure: bool = False

@@ -294,14 +294,14 @@ class Tracker:
             leader = found.hypotheses[0].pose
             if found.switched:
                 prior = replace(prior, pose=leader)
-            learned = len(state.rigs)
-            solved = solve_leader(model, frame, leader, prior, found, sensed, state.rigs, beliefs, s)
+            learned = len(state.levels)
+            solved = solve_leader(model, frame, leader, prior, found, sensed, state.levels, beliefs, s)
             blind = state.hand is not None and not len(looked.pixels)
             told = self._looker.correction is not None or state.correction is not None
             shown = replace(sensed, seen=found.seen)
             untold, nearest = state.untold, predicted.pose
             measured, untold = measurement_of(model, solved, nearest, shown, blind, told, untold, beliefs, s)
-            if len(state.rigs) > learned:  # of what all frames share the first was told no more than this one
+            if len(state.levels) > learned:  # of what all frames share the first was told no more than this one
                 predicted = replace(predicted, shared=measured.shared)
             if felt_rows and not placed:
                 felt = felt.corrected(solved.correct())

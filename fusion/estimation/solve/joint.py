@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from fusion.estimation.solve.newton_kernels import JITTER
 from fusion.estimation.solve.problem import JointProblem
-from fusion.estimation.solve.settings import JointSettings
+from fusion.estimation.solve.settings import JointSettings, Level
 from fusion.estimation.solve.system import FIXED, POSE, SCALE, XI, System
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -51,7 +51,7 @@ class JointResult:
     follows (6, 6): by how much xi is expected to be otherwise where the pose turns out to be otherwise.
     unsolved (6, 6): what else of the covariance pixels share, solved for by nothing: the mesh's own error, and by how
     much parts of the image disagree. biased (6, 6): what of `shared` comes of the depth bias. shares: of the mixture,
-    of each rig that was tried; empty where none were. mesh_variance (m^2): of the mesh's own error, as blocks of the
+    of each rig that was tried, and bias_shares of each bias; empty where none were. mesh_variance (m^2): of the mesh's own error, as blocks of the
     image have it, 0 where nothing is seen; strain: squares of all shared errors, in units of what is believed of them,
     and told: how many of them the frame tells; 0 where it was not asked for (`strained`). ended: where the solution
     ended, while nobody has asked it for independent, shared, biased and follows (`parted`).
@@ -64,7 +64,7 @@ class JointResult:
     scale: float
     cost: float
     log_evidence: float
-    level: float
+    level: Level
     pixel_cost: float = 0.0
     independent: Array = field(default_factory=lambda: np.zeros((6, 6)))
     shared: Array = field(default_factory=lambda: np.zeros((6, 6)))
@@ -73,6 +73,7 @@ class JointResult:
     unsolved: Array = field(default_factory=lambda: np.zeros((6, 6)))
     biased: Array = field(default_factory=lambda: np.zeros((6, 6)))
     shares: tuple[float, ...] = ()
+    bias_shares: tuple[float, ...] = ()
     mesh_variance: float = 0.0
     strain: float = 0.0
     told: float = 0.0
@@ -100,7 +101,7 @@ class Settled:
     cost: float
     normal: Array
     log_evidence: float
-    level: float
+    level: Level
 
     @property
     def free(self) -> int:
@@ -108,15 +109,15 @@ class Settled:
         return self.system.size if self.system.problem.ties_depth else SCALE
 
 
-def solve(problem: JointProblem, pose: Array, level: float) -> JointResult:
-    """The minimum near `pose` (4, 4) for shared errors `level` times as large as believed, and how sure it is."""
+def solve(problem: JointProblem, pose: Array, level: Level) -> JointResult:
+    """The minimum near `pose` (4, 4) for shared errors as large as `level` says, and how sure it is."""
     return answered(settle(problem, pose, level))
 
 
 def settle(
-    problem: JointProblem, pose: Array, level: float, after: Settled | None = None, facing: System | None = None
+    problem: JointProblem, pose: Array, level: Level, after: Settled | None = None, facing: System | None = None
 ) -> Settled:
-    """Gauss-Newton from `pose` (4, 4) for shared errors `level` times as large as believed.
+    """Gauss-Newton from `pose` (4, 4) for shared errors as large as `level` says.
 
     Where nothing of known shape ties depth's scale and bias (problem.ties_depth), they are not solved for, because a
     wrong outline is then explained by a wrong scale: they widen the covariance by what they do to the pose (a consider
@@ -130,11 +131,11 @@ def settle(
     return Settled(system, here, unknown, cost, normal, -cost - 0.5 * log_det, level)
 
 
-def _onwards(after: Settled, level: float) -> tuple[Array, Array]:
+def _onwards(after: Settled, level: Level) -> tuple[Array, Array]:
     """Pose (4, 4) and unknowns (size,) of another level as a solution's own Gauss-Newton matrix has them: what was
     sensed is the same, only the shared errors' prior is as wide as the level says.
     """
-    ratio, system = level / after.level, after.system
+    ratio, system = _ratio(after, level), after.system
     step = _step_to(after, ratio)
     if max(np.abs(step[:3]).max(), np.abs(step[3:6]).max() / system.problem.model.radius) > FARTHEST:
         return after.pose, after.unknown / ratio
@@ -142,10 +143,17 @@ def _onwards(after: Settled, level: float) -> tuple[Array, Array]:
     return se3.perturb(after.pose, step[POSE], system.problem.model.centroid), unknown
 
 
-def _step_to(after: Settled, ratio: float) -> Array:
-    """(size,) from a solution to that of shared errors `ratio` times as large, whitened by `after`'s level."""
+def _ratio(after: Settled, level: Level) -> Array:
+    """(size,) by how much larger than in a solution each unknown may be at another level; 1 for the pose's."""
+    out = np.ones(after.system.size)
+    out[6:FIXED], out[FIXED:] = level.rig / after.level.rig, level.bias / after.level.bias
+    return out
+
+
+def _step_to(after: Settled, ratio: Array) -> Array:
+    """(size,) from a solution to that of shared errors `ratio` (size,) times as large, whitened by `after`'s level."""
     own = np.zeros(after.system.size)
-    own[6:] = 1.0 - ratio**-2.0
+    own[6:] = 1.0 - ratio[6:] ** -2.0
     # at the minimum what was sensed pulls as the prior does, the other way
     return np.asarray(np.linalg.solve(after.normal + np.diag(after.system.width - own), own * after.unknown))
 
@@ -158,13 +166,13 @@ class Expected:
     log_evidence: float
 
 
-def expected(after: Settled, level: float) -> Expected:
+def expected(after: Settled, level: Level) -> Expected:
     """Another level as a solution's own Gauss-Newton matrix has it: rows that would change sides on the way are not
     asked.
     """
-    ratio, system, free = level / after.level, after.system, after.free
+    ratio, system, free = _ratio(after, level), after.system, after.free
     own, scale = np.zeros(system.size), np.ones(system.size)
-    own[6:], scale[6:] = 1.0, ratio
+    own[6:], scale[6:] = 1.0, ratio[6:]
     step, sensed = _step_to(after, ratio), after.normal - np.diag(own)
     unknown = (own * (after.unknown + step)) / ratio
     before = own * after.unknown
@@ -172,6 +180,26 @@ def expected(after: Settled, level: float) -> Expected:
     whole = (sensed * scale * scale[:, None] + np.diag(own + system.width))[:free, :free]
     log_det = float(np.linalg.slogdet(whole)[1])
     return Expected(se3.perturb(after.pose, step[POSE], system.problem.model.centroid), -cost - 0.5 * log_det)
+
+
+def rigs_beside(after: Settled, levels: list[float]) -> list[tuple[Array, float]]:
+    """How far (6,) the pose would be moved, and by how much more log evidence there would be, for each of other sizes of
+    calibration and scale than a solution's: as `expected`, its bias marginalised once.
+    """
+    width, own = after.system.width[:FIXED], after.unknown[:FIXED]
+    whole = after.normal + np.diag(after.system.width)
+    ties = whole[:FIXED, FIXED:]
+    kept = whole[:FIXED, :FIXED] - ties @ np.linalg.solve(whole[FIXED:, FIXED:], ties.T)
+    before, out = float(np.linalg.slogdet(kept)[1]), []
+    for level in levels:
+        ratio, prior = level / after.level.rig, np.zeros(FIXED)
+        prior[6:] = ratio**-2.0 - 1.0
+        there = kept + np.diag(prior)
+        step = np.linalg.solve(there, -prior * own)
+        costlier = 0.5 * float(step @ kept @ step - width @ step**2 + prior @ (own + step) ** 2)
+        log_det = float(np.linalg.slogdet(there)[1]) + 2.0 * (FIXED - 6) * float(np.log(ratio)) - before
+        out.append((step[POSE], -costlier - 0.5 * log_det))
+    return out
 
 
 def answered(settled: Settled) -> JointResult:

@@ -14,12 +14,13 @@ from fusion.estimation.solve.joint import (
     answered,
     expected,
     marginalised,
+    rigs_beside,
     settle,
     solve,
     strained,
 )
 from fusion.estimation.solve.problem import JointProblem
-from fusion.estimation.solve.settings import JointSettings
+from fusion.estimation.solve.settings import JointSettings, Level
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 
@@ -34,59 +35,86 @@ BESIDE, ANOTHER = 0.2, 1.0
 def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[JointResult]:
     """Solve each problem from its start, at least one; how large shared errors are is averaged over at the first.
 
-    A rig weighs exp(log evidence / temperature) times how usual it is. The first answer is the rigs' weighted mean,
-    with the likeliest one's covariance and as far as they end apart, so that not knowing the rig is part of its
+    A size of them weighs exp(log evidence / temperature) times how usual it is. The first answer is their weighted
+    mean, with the likeliest one's covariance and as far as they end apart, so that not knowing the rig is part of its
     uncertainty; other modes use the likeliest. The mean of their covariances is mostly the widest rig's: by it the true
     errors of 211 answers of the tuning families were each 0.1 nats less likely.
     """
     problem, settings = problems[0], problems[0].settings
     pairs = list(zip(problems, starts, strict=True))
     if not problem.ties_depth:
-        return [solve(problem, starts[0], 1.0), *_others(pairs, 1.0)]
-    tried = _rigs(problem, starts[0])
-    weights = _shares([one.log_evidence for one in tried], settings)
-    likely = np.flatnonzero(weights >= settings.negligible)
-    usual = tried[likely[int(np.argmax(weights[likely]))]]
-    assert isinstance(usual, Settled)
-    best = answered(usual)
-    first = _averaged(problem.model, [tried[n].pose for n in likely], weights[likely], best)
+        return [solve(problem, starts[0], Level()), *_others(pairs, Level())]
+    tried = _tried(problem, starts[0])
+    weights = _weights(tried, settings)
+    bias, rig = np.unravel_index(int(np.argmax(weights)), weights.shape)
+    usual = tried[bias][rig]
+    if not isinstance(usual, Settled):
+        near = next(one for one in tried[bias] if isinstance(one, Settled))
+        level = Level(settings.rigs[rig].level, settings.biases[bias].level)
+        usual = tried[bias][rig] = settle(problem, near.pose, level, near, near.system)
+    likely = [(n, k) for n, k in np.ndindex(weights.shape) if weights[n, k] >= settings.negligible]
+    best, shares = answered(usual), np.array([weights[at] for at in likely])
+    first = _averaged(problem.model, [tried[n][k].pose for n, k in likely], shares, best)
     strain, told = strained(usual)
-    first = replace(first, shares=tuple(float(share) for share in weights), strain=strain, told=told)
+    of_rigs, of_biases = (tuple(float(share) for share in weights.sum(axis=axis)) for axis in (0, 1))
+    first = replace(first, shares=of_rigs, bias_shares=of_biases, strain=strain, told=told)
     return [first, *_others(pairs, usual.level)]
 
 
-def _others(pairs: list[tuple[JointProblem, Array]], level: float) -> list[JointResult]:
+def _others(pairs: list[tuple[JointProblem, Array]], level: Level) -> list[JointResult]:
     """Solutions of all but the first for shared errors of one level; what makes their covariances is told of the one
     that turns out to be the best (`joint.parted`).
     """
     return [marginalised(settle(problem, start, level)) for problem, start in pairs[1:]]
 
 
-def _rigs(problem: JointProblem, start: Array) -> list[Settled | Expected]:
-    """Where each rig ends from a start (4, 4). Where a prior holds the pose the first two are solved, and of the others
-    those that count, as far as the second says where they end.
+def _tried(problem: JointProblem, start: Array) -> list[list[Settled | Expected]]:
+    """Where each bias, and with it each rig, ends from a start (4, 4). With the usual rig and where a prior holds the
+    pose, the first two biases are solved, and of the others those that count, as far as the second says where they end;
+    without a prior all are. Other rigs end where these say.
     """
     settings = problem.settings
-    solved = len(settings.rigs) if problem.prior is None else settings.solved
+    rigs, biases = settings.rigs, settings.biases
+    usual = int(np.argmax([rig.share for rig in rigs]))
+    solved = len(biases) if problem.prior is None else settings.solved
     tried: list[Settled | Expected] = []
     last: Settled | None = None
-    for n, rig in enumerate(settings.rigs):
+    for n, bias in enumerate(biases):
+        level = Level(rigs[usual].level, bias.level)
         if last is not None and n >= solved:
-            guess = expected(last, rig.level)
-            if _shares([*(one.log_evidence for one in tried), guess.log_evidence], settings)[-1] < settings.counting:
+            guess = expected(last, level)
+            usualness = [one.share for one in biases[: n + 1]]
+            if _shares([*(one.log_evidence for one in tried), guess.log_evidence], usualness, settings)[-1] < settings.counting:
                 tried.append(guess)
                 continue
         # from the second on they end so near to each other that pixels face the surface alike
         facing = last.system if last is not None and n > 1 else None
-        last = settle(problem, start if last is None else last.pose, rig.level, last, facing)
+        last = settle(problem, start if last is None else last.pose, level, last, facing)
         tried.append(last)
-    return tried
+    levels, centroid = [rig.level for rig in rigs], problem.model.centroid
+    out: list[list[Settled | Expected]] = []
+    for one in tried:
+        if isinstance(one, Settled):
+            # of a bias that is not solved it is as of the last that is
+            beside = rigs_beside(one, levels)
+        row: list[Settled | Expected] = [
+            Expected(se3.perturb(one.pose, step, centroid), one.log_evidence + gained) for step, gained in beside
+        ]
+        row[usual] = one
+        out.append(row)
+    return out
 
 
-def _shares(log_evidence: list[float], settings: JointSettings) -> Array:
-    """(k,) shares of the mixture of the first k rigs."""
-    usual = np.log([rig.share for rig in settings.rigs[: len(log_evidence)]])
-    score = np.array(log_evidence) / settings.evidence_temperature + usual
+def _weights(tried: list[list[Settled | Expected]], settings: JointSettings) -> Array:
+    """(biases, rigs) shares of the mixture."""
+    usual = [bias.share * rig.share for bias in settings.biases for rig in settings.rigs]
+    evidence = [one.log_evidence for row in tried for one in row]
+    return _shares(evidence, usual, settings).reshape(len(settings.biases), len(settings.rigs))
+
+
+def _shares(log_evidence: list[float], usual: list[float], settings: JointSettings) -> Array:
+    """(k,) shares of a mixture whose parts are so usual before anything is seen."""
+    score = np.array(log_evidence) / settings.evidence_temperature + np.log(usual)
     weights = np.exp(score - score.max())
     return np.asarray(weights / weights.sum())
 

@@ -6,10 +6,20 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
+class Level:
+    """How large shared errors are: factors on what is believed. rig: of the calibration and of the depth's scale; bias:
+    of the depth's smooth bias.
+    """
+
+    rig: float = 1.0
+    bias: float = 1.0
+
+
+@dataclass(frozen=True)
 class Rig:
     """A size of shared errors that may be the case. Tuned on generated captures.
 
-    level: factor on what calibration, depth scale and bias are believed to be off by. share: how usual it is.
+    level: factor on what they are believed to be. share: how usual it is.
     """
 
     level: float
@@ -26,14 +36,19 @@ class JointSettings:
     worth: float = 0.04
     # Steps that may be refused because they made it worse: by a nat or so a cost is rough, and no shorter step helps.
     refused: int = 1
-    # Rigs that are tried: factors on the believed sizes of calibration, scale and bias errors, how usual each is before
-    # anything is seen, and the weight of a pixel in it. A rig without shared errors, a usual one, a poor one; with one
-    # in between, at 0.2 or 0.4, frames that show little of the hand took it too often, and were too sure.
+    # Sizes of calibration and depth's scale that are tried, and of depth's smooth bias: factors on what is believed,
+    # and how usual each is before anything is seen. None, a usual one, a poor one, a bad one; with one between the first
+    # two, at 0.2 or 0.4, frames that show little of the hand took it too often, and were too sure. A camera may be flat
+    # and its scale be off, or the robot's calibration: while one factor was all three's, many pixels near by, which
+    # tell of the bias alone, made 24 % of the regions too narrow along the ray on hands and cameras of another
+    # generator (8 % since).
     rigs: tuple[Rig, ...] = (Rig(0.25, 0.1), Rig(1.0, 0.7), Rig(2.0, 0.15), Rig(4.0, 0.05))
-    # Near a prior so many rigs are solved; the others end where the last one's Gauss-Newton matrix says, but for those
-    # that have at least this share of the mixture. So told, the log evidence of the third was right to 1.2 nats in nine
-    # of ten of 335 answers of tuning families, of which a quarter counts; the share of the third was 3 % on average.
-    # Without a prior a rig may end elsewhere, and tells how wide an answer is: there all are solved.
+    biases: tuple[Rig, ...] = (Rig(0.25, 0.1), Rig(1.0, 0.7), Rig(2.0, 0.15), Rig(4.0, 0.05))
+    # Near a prior so many biases are solved, with the usual rig; the others end where the last one's Gauss-Newton matrix
+    # says, but for those that have at least this share of the mixture. So told, the log evidence of the third was right
+    # to 1.2 nats in nine of ten of 335 answers of tuning families, of which a quarter counts; the share of the third was
+    # 3 % on average. Without a prior a bias may end elsewhere, and tells how wide an answer is: there all are solved.
+    # Other rigs always end where these say, and the likeliest of all is solved.
     solved: int = 2
     counting: float = 0.1
     # Weight of a pixel. Neighbours share what nothing here describes: fingers whose joints are off, flying pixels, the

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fusion.estimation.solve import newton_kernels as kernels
 from fusion.estimation.solve.kernels import number_blocks, prior_row
 from fusion.estimation.solve.problem import JointProblem
+from fusion.estimation.solve.settings import Level
 from scenes.evidence.table import NORMAL, POINT
 from scenes.geometry import poses as se3
 from vision.look.hand import prior_spread
@@ -27,9 +28,9 @@ FIXED = 13
 class System:
     """Cost, gradient and Gauss-Newton matrix of a JointProblem about (delta, whitened xi, s, b)."""
 
-    def __init__(self, problem: JointProblem, pose: Array, level: float, facing: System | None = None) -> None:
-        """Pose (4, 4): where it is solved from. level: factor on what shared errors are believed to be. facing: a
-        system of the same problem that knows from near there which way the surface faces each pixel.
+    def __init__(self, problem: JointProblem, pose: Array, level: Level, facing: System | None = None) -> None:
+        """Pose (4, 4): where it is solved from. level: how large shared errors are. facing: a system of the same
+        problem that knows from near there which way the surface faces each pixel.
         """
         self.problem = problem
         self.size = FIXED + len(problem.bias)
@@ -40,10 +41,10 @@ class System:
         # a cloud has no camera to turn about: the calibration is wrong where the hand is
         lever = self.centre if problem.camera is not None else np.zeros(3)
         spread = prior_spread(problem.beliefs.calibration, lever)
-        self.white_xi = level * spread if problem.has_robot else 1e-9 * np.eye(6)
+        self.white_xi = level.rig * spread if problem.has_robot else 1e-9 * np.eye(6)
         told = len(problem.seen) and problem.camera is not None
-        self.white[SCALE] = level * problem.beliefs.depth.scale_sigma if told else 1e-9
-        self.white[FIXED:] = level * problem.beliefs.depth.bias_sigma
+        self.white[SCALE] = level.rig * problem.beliefs.depth.scale_sigma if told else 1e-9
+        self.white[FIXED:] = level.bias * problem.beliefs.depth.bias_sigma
         self.seen_white = problem.seen_basis * self.white[FIXED:]
         self.width = np.zeros(self.size)
         self.width[POSE] = np.array([1.0] * 3 + [problem.model.radius] * 3) ** -2.0

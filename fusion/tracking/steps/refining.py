@@ -17,7 +17,7 @@ from fusion.estimation.moments import moments
 from fusion.estimation.solve.joint import JointResult
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import solve_modes
-from fusion.estimation.solve.settings import Rig
+from fusion.estimation.solve.settings import JointSettings, Level, Rig
 from fusion.estimation.verdict import contact_residuals, nats_of_contacts
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Measurement
@@ -126,21 +126,23 @@ def solve_leader(
     prior: Prior,
     found: Refined,
     sensed: Sensed,
-    rigs: list[float],
+    levels: list[Level],
     beliefs: Beliefs,
     settings: TrackSettings,
 ) -> JointResult:
     """The leader's joint solution from `start` (4, 4) with all shared errors. How large these are does not change from
-    frame to frame, so that no number of frames tells it better than a few do: the rig is the mean of what the first
-    that see it were taken for, which go into `rigs` (see `rig_of`).
+    frame to frame, so that no number of frames tells it better than a few do: the level is the mean of what the first
+    that see it were taken for, which go into `levels` (see `level_of`).
     """
-    s, seen, asked = settings, found.seen, settings.joint.rigs
-    if len(rigs) < s.level_frames:
-        tried = _solved(model, frame, start, prior, seen, sensed, asked, beliefs, s)
+    s, seen, joint = settings, found.seen, settings.joint
+    if len(levels) < s.level_frames:
+        tried = _solved(model, frame, start, prior, seen, sensed, joint, beliefs, s)
         if not tried.shares or not len(seen):
             return tried
-        rigs.append(rig_of(tried.shares, asked))
-    return _solved(model, frame, start, prior, seen, sensed, (mean_rig(rigs),), beliefs, s)
+        levels.append(level_of(tried, joint))
+    mean = mean_level(levels)
+    known = replace(joint, rigs=(Rig(mean.rig, 1.0),), biases=(Rig(mean.bias, 1.0),))
+    return _solved(model, frame, start, prior, seen, sensed, known, beliefs, s)
 
 
 def _solved(
@@ -150,7 +152,7 @@ def _solved(
     prior: Prior,
     seen: Evidence,
     sensed: Sensed,
-    rigs: tuple[Rig, ...],
+    joint: JointSettings,
     beliefs: Beliefs,
     settings: TrackSettings,
 ) -> JointResult:
@@ -159,8 +161,8 @@ def _solved(
     """
     hand = sensed.looked.hand
     felt = sensed.felt.rows if sensed.placed else sensed.felt.reported_rows
-    how, most_worse = replace(settings.joint, rigs=rigs), settings.first.most_worse
-    problem = JointProblem.of(model, frame, seen, felt, prior, hand, beliefs, how)
+    most_worse = settings.first.most_worse
+    problem = JointProblem.of(model, frame, seen, felt, prior, hand, beliefs, joint)
     solved = solve_modes([problem], [start])[0]
     if sensed.pool is None:
         return solved
@@ -176,17 +178,20 @@ def _solved(
     )  # fmt: skip
 
 
-def rig_of(shares: Sequence[float], rigs: Sequence[Rig]) -> float:
-    """Mean square of the level of shared errors of a mixture of rigs.
+def level_of(solved: JointResult, settings: JointSettings) -> Level:
+    """How large shared errors are in a mixture of rigs and of biases, root mean squares.
 
-    Covariances go with it, so that one rig that has it is as wide as the mixture (the law of total variance).
+    Covariances go with squares, so that one rig that has it is as wide as the mixture (the law of total variance).
     """
-    return sum(share * rig.level**2 for share, rig in zip(shares, rigs))
+    of_each = (solved.shares, settings.rigs), (solved.bias_shares, settings.biases)
+    rig, bias = (sum(share * one.level**2 for share, one in zip(shares, kinds)) for shares, kinds in of_each)
+    return Level(float(np.sqrt(rig)), float(np.sqrt(bias)))
 
 
-def mean_rig(found: Sequence[float]) -> Rig:
-    """The rig of several frames, at least one: as wide as their mixtures (see `rig_of`) are on average."""
-    return Rig(float(np.sqrt(np.mean(found))), 1.0)
+def mean_level(found: Sequence[Level]) -> Level:
+    """Of several frames, at least one: as wide as their mixtures (see `level_of`) are on average."""
+    squares = np.mean([(one.rig**2, one.bias**2) for one in found], axis=0)
+    return Level(*np.sqrt(squares).tolist())
 
 
 def measurement_of(

@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion.estimation.solve import rigs
-from fusion.estimation.solve.joint import expected, settle, solve, strained
+from fusion.estimation.solve.joint import expected, rigs_beside, settle, solve, strained
 from fusion.estimation.solve.kernels import mark_near
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import _averaged, solve_modes
-from fusion.estimation.solve.settings import JointSettings
+from fusion.estimation.solve.settings import JointSettings, Level
 from fusion.estimation.solve.system import FIXED, POSE, SCALE, XI, System, _blocks, exceeding
 from scenes.evidence import table as evidence
 from scenes.evidence.align import Prior
@@ -111,7 +111,7 @@ def steps_of(problem, unknown):
 def test_the_gradient_is_that_of_the_cost(drill, seed, camera):
     rng = np.random.default_rng(seed)
     problem, pose = made_problem(drill, rng, camera)
-    system = System(problem, pose, 1.0)
+    system = System(problem, pose, Level())
     unknown = np.zeros(FIXED + len(problem.bias))
     _, gradient, normal = system.terms(pose, unknown)
     numeric = numeric_gradient(system, pose, unknown, steps_of(problem, unknown))
@@ -126,7 +126,7 @@ def test_the_gradient_is_that_of_the_cost(drill, seed, camera):
 def test_the_kernels_agree_with_their_twins(drill, seed, camera):
     rng = np.random.default_rng(seed)
     problem, pose = made_problem(drill, rng, camera)
-    system = System(problem, pose, 1.0)
+    system = System(problem, pose, Level())
     unknown = np.zeros(FIXED + len(problem.bias))
     unknown[SCALE], unknown[FIXED:], unknown[XI] = 0.01, 0.3 * rng.normal(size=len(unknown) - FIXED), 0.2
     pose = poses.perturb(pose, 0.02 * rng.normal(size=6), drill.centroid)
@@ -138,7 +138,7 @@ def test_the_kernels_agree_with_their_twins(drill, seed, camera):
 def test_the_gradient_holds_away_from_zero_corrections(drill, seed):
     rng = np.random.default_rng(seed)
     problem, pose = made_problem(drill, rng)
-    system = System(problem, pose, 1.0)
+    system = System(problem, pose, Level())
     unknown = np.zeros(FIXED + len(problem.bias))
     unknown[SCALE], unknown[FIXED:], unknown[XI] = 0.01, 0.008 * rng.normal(size=len(unknown) - FIXED), 0.012
     _, gradient, normal = system.terms(pose, unknown)
@@ -150,7 +150,7 @@ def test_the_gradient_holds_away_from_zero_corrections(drill, seed):
 def test_the_hands_block_is_that_of_its_pixels(exact_frame, drill):
     """Quadratic in the corrections: gradient and value against the residuals written out."""
     problem, _ = frame_problem(exact_frame, drill)
-    system = System(problem, exact_frame.camera_from_object_truth, 1.0)
+    system = System(problem, exact_frame.camera_from_object_truth, Level())
     rng = np.random.default_rng(0)
     unknown = 0.3 * rng.normal(size=FIXED + len(problem.bias))
     cost, gradient, normal = joint_twin.hand(system, unknown)
@@ -199,9 +199,9 @@ def test_known_shared_errors_are_found_from_exact_data(exact_frame, drill, seed)
     truth = frame.camera_from_object_truth
     start = poses.perturb(truth, [0.01, -0.01, 0.01, 0.001, 0.001, -0.001], drill.centroid)
     # at the believed size of the shared errors, which is the size they were drawn with
-    result = solve(problem, solve(problem, start, 1.0).pose, 1.0)
+    result = solve(problem, solve(problem, start, Level()).pose, Level())
     unknown = np.zeros(FIXED + len(problem.bias))
-    system = System(problem, result.pose, 1.0)
+    system = System(problem, result.pose, Level())
     unknown[XI] = np.linalg.solve(system.white_xi, result.xi)
     unknown[SCALE] = result.scale / system.white[SCALE]
     normal = system.terms(result.pose, unknown)[2]
@@ -221,15 +221,15 @@ def test_known_shared_errors_are_found_from_exact_data(exact_frame, drill, seed)
 def test_solving_lowers_the_cost_and_keeps_the_pose_rigid(drill, rng):
     problem, pose = made_problem(drill, rng)
     start = poses.perturb(pose, [0.05, -0.03, 0.02, 0.004, 0.003, -0.004], drill.centroid)
-    result = solve(problem, start, 1.0)
+    result = solve(problem, start, Level())
     unknown = np.zeros(FIXED + len(problem.bias))
-    system = System(problem, start, 1.0)
+    system = System(problem, start, Level())
     assert result.cost < system.terms(start, unknown)[0]
     poses.check_pose(result.pose)
     assert np.linalg.norm(poses.difference(result.pose, pose, drill.centroid)[3:]) < 0.003
     assert np.linalg.eigvalsh(result.covariance).min() > 0
     assert np.isfinite(result.log_evidence)
-    again = solve(problem, start, 1.0)
+    again = solve(problem, start, Level())
     assert np.array_equal(again.pose, result.pose)
 
 
@@ -261,11 +261,13 @@ def test_the_level_of_shared_errors_follows_the_data(drill):
     off = problem.seen.moved(poses.make_pose(None, [0.0, 0.0, 0.006]))
     apart = JointProblem(drill, off, felt, None, None, Beliefs(), CAMERA, settings=own)
     disagree = solve_modes([apart], [pose])[0]
-    assert agree.level < disagree.level
-    assert {rig.level for rig in own.rigs} >= {agree.level, disagree.level}
+    usual = [np.dot(one.shares, [rig.level for rig in own.rigs]) for one in (agree, disagree)]
+    assert usual[0] < usual[1]
     for result in (agree, disagree):
         assert sum(result.shares) == pytest.approx(1.0)
-        assert own.rigs[int(np.argmax(result.shares))].level == result.level
+        assert sum(result.bias_shares) == pytest.approx(1.0)
+        assert result.level.rig in {rig.level for rig in own.rigs}
+        assert result.level.bias in {bias.level for bias in own.biases}
         # shared errors that were moved, beside how many of them the frame tells
         unknowns = 7 + len(together.bias)
         assert 0.0 < result.told < unknowns
@@ -277,25 +279,25 @@ def test_the_level_of_shared_errors_follows_the_data(drill):
 def test_how_far_shared_errors_were_moved_is_told_beside_how_many_are_known(drill):
     """Of a scale that nothing tells as much is left as was believed; of one that is told exactly nothing is."""
     problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-5)
-    settled = settle(problem, pose, 1.0)
+    settled = settle(problem, pose, Level())
     strain, told = strained(settled)
     covariance = np.linalg.inv(settled.normal + np.diag(settled.system.width))
     assert strain == pytest.approx(float(np.square(settled.unknown[6:]).sum()))
     assert told == pytest.approx(len(settled.unknown) - 6 - float(np.trace(covariance[6:, 6:])))
     off = replace(problem, seen=problem.seen.moved(poses.make_pose(None, [0.0, 0.0, 0.006])))
-    assert strained(settle(off, pose, 1.0))[0] > strain
+    assert strained(settle(off, pose, Level()))[0] > strain
     nothing = replace(problem, felt=evidence.empty())
-    assert strained(settle(nothing, pose, 1.0)) == (0.0, 0.0)  # nothing of known shape ties them
+    assert strained(settle(nothing, pose, Level())) == (0.0, 0.0)  # nothing of known shape ties them
 
 
 def test_a_rig_beside_one_that_was_solved_ends_where_its_matrix_says(drill):
     """Pose and log evidence of other levels from one solution's Gauss-Newton matrix, held against solving for them."""
     problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-4)
-    solved = settle(problem, pose, 1.0)
-    same = expected(solved, 1.0)
+    solved = settle(problem, pose, Level())
+    same = expected(solved, Level())
     np.testing.assert_allclose(same.pose, solved.pose, atol=1e-9)
     assert same.log_evidence == pytest.approx(solved.log_evidence, abs=1e-3)
-    for level in (0.7, 2.0):
+    for level in (Level(0.7, 0.7), Level(2.0, 2.0), Level(1.0, 0.5), Level(2.0, 1.0)):
         guess, there = expected(solved, level), settle(problem, solved.pose, level, solved)
         moved = np.linalg.norm(poses.difference(there.pose, solved.pose, drill.centroid)[3:])
         off = np.linalg.norm(poses.difference(guess.pose, there.pose, drill.centroid)[3:])
@@ -303,12 +305,23 @@ def test_a_rig_beside_one_that_was_solved_ends_where_its_matrix_says(drill):
         assert guess.log_evidence == pytest.approx(there.log_evidence, abs=0.5)
 
 
+def test_rigs_beside_one_that_was_solved_are_told_with_its_bias_marginalised_once(drill):
+    """The same as with all unknowns: how far the pose moves, and what the log evidence gains."""
+    problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-4)
+    solved = settle(problem, pose, Level(1.0, 0.5))
+    levels = [0.25, 1.0, 3.0]
+    for level, (step, gained) in zip(levels, rigs_beside(solved, levels)):
+        whole = expected(solved, Level(level, 0.5))
+        np.testing.assert_allclose(poses.perturb(solved.pose, step, drill.centroid), whole.pose, atol=1e-8)
+        assert solved.log_evidence + gained == pytest.approx(whole.log_evidence, abs=1e-3)
+
+
 @pytest.mark.parametrize("prior", [True, False])
-def test_a_rig_that_counts_is_solved(drill, monkeypatch, prior):
-    """The answer is the same where all rigs are solved and where those are that count; all are without a prior."""
+def test_a_bias_that_counts_is_solved(drill, monkeypatch, prior):
+    """The answer is the same where all biases are solved and where those are that count; all are without a prior."""
     problem, pose = made_problem(drill, np.random.default_rng(0), prior=prior, noise=1e-5)
     off = replace(problem, seen=problem.seen.moved(poses.make_pose(None, [0.0, 0.0, 0.006])))
-    few, levels = [], [rig.level for rig in off.settings.rigs]
+    few, levels = [], [Level(1.0, bias.level) for bias in off.settings.biases]
     answers = []
     for solved in (1, 4):
         monkeypatch.setattr(rigs, "settle", lambda *given: few.append(given[2]) or settle(*given))
@@ -325,12 +338,10 @@ def test_a_rig_that_is_not_known_widens_the_answer(drill):
     """The covariance is the likeliest rig's, and as far as the rigs that may be the case end apart."""
     problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-5)
     calm = solve_modes([problem], [pose])[0]
-    likeliest = problem.settings.rigs[int(np.argmax(calm.shares))].level
-    assert calm.level == likeliest
-    alone = solve(problem, pose, likeliest)
+    alone = solve(problem, pose, calm.level)
     beyond = np.linalg.eigvalsh(calm.covariance - alone.covariance)
     assert beyond.min() > -0.02 * np.linalg.eigvalsh(alone.covariance).max()
-    assert np.trace(calm.covariance[3:, 3:]) < np.trace(solve(problem, pose, 4.0).covariance[3:, 3:])
+    assert np.trace(calm.covariance[3:, 3:]) < np.trace(solve(problem, pose, Level(4.0, 4.0)).covariance[3:, 3:])
 
 
 def test_the_evidence_of_rigs_counts_by_its_temperature(drill):
@@ -350,7 +361,7 @@ def test_the_evidence_of_rigs_counts_by_its_temperature(drill):
 def test_rigs_that_end_apart_widen_the_answer_and_move_it_only_near_by(drill):
     """Not knowing which of two poses it is, is part of the uncertainty, however far apart; their mean is no answer."""
     problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-5)
-    best = solve(problem, pose, 1.0)
+    best = solve(problem, pose, Level())
     share, weights = 0.5 * drill.radius, np.array([0.75, 0.25])
 
     def averaged(model, step):
@@ -386,18 +397,18 @@ def test_a_surface_that_is_off_smoothly_speaks_of_the_mesh(drill, rng):
     off = replace(problem, seen=replace(problem.seen, rows=rows))
     found = []
     for one in (problem, off):
-        system = System(one, pose, 1.0)
+        system = System(one, pose, Level())
         system.terms(pose, np.zeros(system.size))
         found.append(system.mesh_variance())
     believed = problem.beliefs.mesh_sigma**2
     assert found[0] < believed < found[1]
     # what is believed stays where nothing is seen
     unseen = replace(problem, seen=evidence.empty())
-    blind = System(unseen, pose, 1.0)
+    blind = System(unseen, pose, Level())
     assert blind.mesh_variance() == pytest.approx(believed)
     # and is no sign of the mesh
-    assert solve(unseen, pose, 1.0).mesh_variance == 0.0
-    assert solve(problem, pose, 1.0).mesh_variance > 0.0
+    assert solve(unseen, pose, Level()).mesh_variance == 0.0
+    assert solve(problem, pose, Level()).mesh_variance > 0.0
 
 
 def test_what_exceeds_is_what_another_covariance_lacks(rng):

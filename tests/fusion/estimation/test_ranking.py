@@ -7,7 +7,7 @@ from fusion.estimation.ranking import led, rejudged
 from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.solve.joint import JointResult, solve
 from fusion.estimation.solve.problem import JointProblem
-from fusion.estimation.solve.settings import JointSettings
+from fusion.estimation.solve.settings import JointSettings, Level
 from scenes.evidence import table as evidence
 from scenes.evidence.modes import Mode
 from scenes.evidence.table import TOUCH
@@ -34,7 +34,7 @@ def test_a_direction_that_nothing_tells_is_as_wide_as_the_object(drill):
     points, normals = drill.sample_surface(1, seed=0)
     felt = evidence.make(points, 1e-3, TOUCH, normals=normals, sigma_normal=0.09)
     problem = JointProblem(drill, evidence.empty(), felt, None, None, Beliefs(), None, settings=JointSettings())
-    solved = solve(problem, np.eye(4), 1.0)
+    solved = solve(problem, np.eye(4), Level())
     (mode,) = rejudged(drill, [solved], np.zeros(1), EstimateSettings(), True)
     weak = np.repeat([1.0, drill.radius], 3)
     widest = np.linalg.eigvalsh(mode.covariance / weak / weak[:, None])[-1]

@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion.estimation.solve.settings import Rig
+from fusion.estimation.solve.settings import JointSettings, Rig
 from fusion.tracking.filter import Belief, Measurement, SlipTest, block, positive_part, scales, update
 from fusion.tracking.motion import (
     HandMotion,
@@ -21,7 +22,7 @@ from fusion.tracking.motion import (
     palm_motion,
 )
 from fusion.tracking.spans import SpanTest
-from fusion.tracking.steps.refining import mean_rig, rig_of
+from fusion.tracking.steps.refining import level_of, mean_level
 from scenes.geometry import poses
 from scenes.recordings.beliefs import CalibrationModel
 from scenes.recordings.frames import Contacts, Frame
@@ -142,14 +143,20 @@ def test_a_measurement_loses_nothing_of_its_frame_and_averages_out_what_changes(
 
 
 def test_one_rig_is_as_wide_as_the_mixture_that_it_stands_for():
-    """The law of total variance: levels by their squares."""
+    """The law of total variance: levels by their squares, of robot and scale as of the depth's smooth bias."""
     kinds = (Rig(0.25, 0.1), Rig(1.0, 0.7), Rig(2.0, 0.2))
-    frames = [(0.9, 0.1, 0.0), (0.5, 0.25, 0.25)]
-    rig = mean_rig([rig_of(shares, kinds) for shares in frames])
-    levels = np.array([kind.level for kind in kinds])
-    assert rig.level**2 == pytest.approx(np.mean([np.dot(shares, levels**2) for shares in frames]))
+    settings = JointSettings(rigs=kinds, biases=kinds[:2])
+    level = np.array([kind.level for kind in kinds])
+
+    def solved(shares, bias_shares):
+        return SimpleNamespace(shares=shares, bias_shares=bias_shares)
+
+    frames = [((0.9, 0.1, 0.0), (1.0, 0.0)), ((0.5, 0.25, 0.25), (0.2, 0.8))]
+    mean = mean_level([level_of(solved(*frame), settings) for frame in frames])
+    assert mean.rig**2 == pytest.approx(np.mean([np.dot(shares, level**2) for shares, _ in frames]))
+    assert mean.bias**2 == pytest.approx(np.mean([np.dot(shares, level[:2] ** 2) for _, shares in frames]))
     # a frame that is almost sure of small errors does not make a track sure of them
-    assert mean_rig([rig_of((0.9, 0.1, 0.0), kinds)]).level > 1.5 * kinds[0].level
+    assert level_of(solved((0.9, 0.1, 0.0), (1.0, 0.0)), settings).rig > 1.5 * kinds[0].level
 
 
 def test_only_the_depth_bias_is_otherwise_elsewhere_in_the_image(mug):
