@@ -285,15 +285,20 @@ def chances(
 
 
 def within_of(model: ObjectModel, same: Alike, tolerance: float, nearest: float) -> float:
-    """Probability that ADD-S is below tolerance (m) if the first mode is the right one, or one of the same as it.
+    """Probability that ADD-S is below tolerance (m) if the first mode is the right one, or one of the same as it or
+    near it. What a mode is off by itself comes beside how far it is from the first: in full where all of the surface is
+    as far, by its square where most of it is where the first has it and a part, as a handle, is elsewhere.
 
     nearest: see `Regression`.
     """
-    near = [
-        mode.weight * within(model, mode.pose, mode.covariance, tolerance - mean, nearest)
-        for mode, mean in zip(same.modes, same.means.tolist())
-    ]
-    return sum(near) / same.weight if same.weight > 0.0 else near[0]
+    chance, weight = 0.0, same.near_weight
+    if not weight > 0.0:
+        return within(model, same.modes[0].pose, same.modes[0].covariance, tolerance, nearest)
+    for mode, mean in zip(same.near, same.near_means.tolist()):
+        is_same = any(mode is one for one in same.modes)
+        left = tolerance - mean if is_same else float(np.sqrt(max(tolerance**2 - mean**2, 0.0)))
+        chance += mode.weight * within(model, mode.pose, mode.covariance, left, nearest)
+    return chance / weight
 
 
 def within(model: ObjectModel, pose: Array, covariance: Array, tolerance: float, nearest: float) -> float:

@@ -8,7 +8,7 @@ the tolerance that was asked for. That is stricter than the same ADD-S, which a 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,12 +34,13 @@ STEP = float(np.deg2rad(15.0))
 class Alike:
     """The first of some modes and those that look like it: modes, and how far (m, mean) the surface of each is from the
     first's; weight: of all of them. near: these, and those of which most of the surface is where the first has it, as a
-    mug's is whose handle is out of sight: the mean distance is within the tolerance.
+    mug's is whose handle is out of sight: the mean distance, near_means (m), is within the tolerance.
     """
 
     modes: tuple[Mode, ...]
     means: Array
     near: tuple[Mode, ...] = ()
+    near_means: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def near_weight(self) -> float:
@@ -57,12 +58,12 @@ def alike(model: ObjectModel, modes: tuple[Mode, ...], tolerance: float) -> Alik
     what they settled apart.
     """
     if len(modes) == 1:
-        return Alike(modes, np.zeros(1), modes)
+        return Alike(modes, np.zeros(1), modes, np.zeros(1))
     largest, means = moved(model, modes[0].pose, np.array([mode.pose for mode in modes[1:]]))
     same = [k for k in range(len(modes)) if not k or largest[k - 1] <= SETTLED * tolerance]
     near = [k for k in range(len(modes)) if k in same or means[k - 1] <= tolerance]
-    off = np.array([means[k - 1] if k else 0.0 for k in same])
-    return Alike(tuple(modes[k] for k in same), off, tuple(modes[k] for k in near))
+    off, near_off = (np.array([means[k - 1] if k else 0.0 for k in some]) for some in (same, near))
+    return Alike(tuple(modes[k] for k in same), off, tuple(modes[k] for k in near), near_off)
 
 
 def moved(model: ObjectModel, pose: Array, others: Array) -> tuple[Array, Array]:
