@@ -164,6 +164,8 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
     finish = not (spent or settled)
     modes = modes if finish else rough
     searched = modes[0].pose
+    # takes a pose to where the depth image, as it is, shows the object
+    seen_from = np.eye(4)
     with trace.stage("solve together", finish, why_not) as stage:
         if finish:
             worth = worth_solving(found, settings.plan, settings.joint.modes)
@@ -175,6 +177,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
             modes, first_of = led(modes, solved.results)
             searched = worth[first_of]
             best, seen = parted(solved.results[first_of]), solved.shown[first_of]
+            seen_from = best.as_seen @ se3.inverse(best.pose)
             rows = tables.stack(seen, felt.rows)
             felt = felt.corrected(best.correct())
             off = f"calibration off by {best.millimetres:.1f} mm, depth scale by {100 * best.scale:+.2f} %"
@@ -188,7 +191,6 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
     unasked = why_not_asked(predictor)
     with trace.stage("picture", finish and not unasked, why_not if not finish else unasked) as stage:
         if finish and not unasked:
-            seen_from = best.as_seen @ se3.inverse(best.pose)
             first, gained = with_picture(model, modes[0], seen_from, predictor, asked.seed, settings.picture_mean)
             modes = (first, *modes[1:])
             stage.note(len(rows), f"likelier by {gained:.1f} nats" if gained else "nothing near is likelier")
@@ -214,7 +216,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         pose = modes[0].pose
         residuals = posterior.contact_residuals(model, felt.contacts, pose, settings.verdict)
         share, rms = posterior.pixel_agreement(model, seen, pose)
-        seeing = visibility(viewed, model, pose, beliefs.depth)
+        seeing = visibility(viewed, model, seen_from @ pose, beliefs.depth)
         picture = predictor.predict(pose[None]) if predictor.sees else None
         first = as_shown(modes[0], picture, believed, settings.confidence, beside)
         modes = (with_shift(model, first, viewed, beliefs.depth), *modes[1:])

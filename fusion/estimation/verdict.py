@@ -46,6 +46,8 @@ class VerdictSettings:
     outlier_distance: float = 0.004
     # Least share of contacts, and of the pixels taken for the object, that an answer must explain.
     least_contacts: float = 0.5
+    # So few contacts may all be false: what an image shows is not lost for them.
+    few_contacts: int = 2
     # Nats a contact, on average, from which what is felt contradicts the answer: a false contact costs about eight, by
     # a gate of so many sigmas, and one beside an edge of the mesh, where normals are either face's, up to six. One of
     # unknown worth pulls without a gate, but counts no more here: one normal the wrong way round among five contacts is
@@ -215,7 +217,11 @@ def verdict(
     if residuals:
         good = float(np.mean([not r.outlier for r in residuals]))
         if good < settings.least_contacts:
-            return "lost", f"{good:.0%} of the contacts explained: they, or their normals, contradict the pose"
+            why = f"{good:.0%} of the contacts explained: they, or their normals, contradict the pose"
+            # a finger or two may have touched something else, where the image shows the object all the same
+            shown = np.isfinite(seeing.visible) and seeing.visible >= settings.least_visible
+            agrees = shown and pixel_share >= settings.least_pixels and not seeing.violated > settings.most_violated
+            return "ambiguous" if agrees and len(residuals) <= settings.few_contacts else "lost", why
     if np.isfinite(pixel_share) and pixel_share < settings.least_pixels and not residuals:
         return "lost", f"{pixel_share:.0%} of the pixels explained"
     if np.isfinite(seeing.violated) and seeing.violated > settings.most_violated:
