@@ -1,0 +1,68 @@
+"""Depth that is off and a robot that is off show the same picture: an answer must say that it does not know which."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fusion.estimation.estimate import estimate
+from fusion.estimation.verdict import VerdictSettings, contact_residuals, verdict
+from scenes.evidence.modes import Mode
+from scenes.geometry import poses
+from touch.contacts import Contacts
+from vision.visibility import Visibility
+
+# how far depth, or the robot, is off (m): one standard deviation of either, as they are believed at half a metre
+OFF = 0.003
+
+
+@pytest.fixture(scope="module")
+def both(exact_frame, drill):
+    """Frames with 1.2 mm of noise in which depth is 3 mm too far, and in which the robot says 3 mm too near; answers by
+    vision with a start.
+    """
+    rng = np.random.default_rng(3)
+    seen = exact_frame.depth > 0
+    noisy = np.where(seen, exact_frame.depth + 0.0012 * rng.normal(size=seen.shape), 0.0).astype(np.float32)
+    start = poses.perturb(exact_frame.camera_from_object_truth, 0.01 * np.ones(6), drill.centroid)
+    frame = replace(exact_frame, depth=noisy, rgb=None, prior=start)
+    far = replace(frame, depth=np.where(seen, noisy + OFF, 0.0).astype(np.float32))
+    nearer = poses.make_pose(None, [0.0, 0.0, -OFF])
+    near = replace(frame, camera_from_world=nearer @ frame.camera_from_world)
+    return [(one, estimate(one, drill, use=("vision",))) for one in (far, near)]
+
+
+def along(pose, model):
+    """Distance (m) of the object's middle along the camera's axis."""
+    return float((pose[:3, :3] @ model.centroid + pose[:3, 3])[2])
+
+
+def test_the_same_picture_has_the_same_answer(both, drill):
+    """The second is the first, all of it 3 mm nearer, but for how much wider depth's errors are farther away."""
+    (_, far), (_, near) = both
+    assert along(far.pose, drill) - along(near.pose, drill) == pytest.approx(OFF, abs=0.0005)
+
+
+def test_it_is_as_unsure_as_both_may_be_off(both, drill):
+    """Of 3 mm between depth and robot nobody knows whose they are: neither answer is surer than a third of them."""
+    for frame, answer in both:
+        sigma = float(np.sqrt(answer.covariance[5, 5]))
+        assert 0.001 < sigma < 0.004
+        assert abs(along(answer.pose, drill) - along(frame.camera_from_object_truth, drill)) < 2.0 * sigma
+
+
+def test_a_false_contact_or_two_lose_nothing_that_the_image_shows(drill):
+    """Contacts that no pose explains leave what the image shows in doubt; three of them, or an object that it does not
+    show, are lost.
+    """
+    mode = Mode(np.eye(4), 1.0, 0.0, 1e-8 * np.eye(6))
+    points, normals = drill.sample_surface(3, 0)
+    away = Contacts(points + 0.05 * normals, normals, 0.001, 0.1)
+    residuals = contact_residuals(drill, away, np.eye(4))
+    assert all(one.outlier for one in residuals)
+    shown, unseen = Visibility(0.6, 0.4, 0.0, 0.0), Visibility(0.0, 1.0, 0.0, 0.0)
+    few = VerdictSettings().few_contacts
+    assert verdict(drill, (mode,), residuals[:few], 0.95, shown)[0] == "ambiguous"
+    assert verdict(drill, (mode,), residuals, 0.95, shown)[0] == "lost"
+    assert verdict(drill, (mode,), residuals[:1], 0.95, unseen)[0] == "lost"
+    assert verdict(drill, (mode,), residuals[:1], float("nan"), shown)[0] == "lost"
