@@ -190,7 +190,8 @@ def rigs_beside(after: Settled, levels: list[float]) -> list[tuple[Array, float]
     whole = after.normal + np.diag(after.system.width)
     ties = whole[:FIXED, FIXED:]
     kept = whole[:FIXED, :FIXED] - ties @ np.linalg.solve(whole[FIXED:, FIXED:], ties.T)
-    before, out = float(np.linalg.slogdet(kept)[1]), []
+    before = float(np.linalg.slogdet(kept)[1])
+    out: list[tuple[Array, float]] = []
     for level in levels:
         ratio, prior = level / after.level.rig, np.zeros(FIXED)
         prior[6:] = ratio**-2.0 - 1.0

@@ -83,8 +83,8 @@ def _tried(problem: JointProblem, start: Array) -> list[list[Settled | Expected]
         level = Level(rigs[usual].level, bias.level)
         if last is not None and n >= solved:
             guess = expected(last, level)
-            usualness = [one.share for one in biases[: n + 1]]
-            if _shares([*(one.log_evidence for one in tried), guess.log_evidence], usualness, settings)[-1] < settings.counting:
+            evidence = [*(one.log_evidence for one in tried), guess.log_evidence]
+            if _shares(evidence, [one.share for one in biases[: n + 1]], settings)[-1] < settings.counting:
                 tried.append(guess)
                 continue
         # from the second on they end so near to each other that pixels face the surface alike

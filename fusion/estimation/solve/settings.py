@@ -37,19 +37,19 @@ class JointSettings:
     # Steps that may be refused because they made it worse: by a nat or so a cost is rough, and no shorter step helps.
     refused: int = 1
     # Sizes of calibration and depth's scale that are tried, and of depth's smooth bias: factors on what is believed,
-    # and how usual each is before anything is seen. None, a usual one, a poor one, a bad one; with one between the first
-    # two, at 0.2 or 0.4, frames that show little of the hand took it too often, and were too sure. A camera may be flat
-    # and its scale be off, or the robot's calibration: while one factor was all three's, pixels near by, which tell of
-    # the bias alone, made 18 % of the regions too narrow along the ray where another generator's hands and cameras are
-    # in view (91 right answers with a start; 4 % since). Of 0.1 and 0.2 for a rig without errors the second leaves
-    # `clean`, which has none, nearer to what it was, and these regions and other families as they are.
+    # and how usual each is before anything is seen. None, a usual one, a poor one, a bad one; with one between the
+    # first two, at 0.2 or 0.4, frames that show little of the hand took it too often, and were too sure. A camera may
+    # be flat and its scale be off, or the robot's calibration: while one factor was all three's, pixels near by, which
+    # tell of the bias alone, made 18 % of the regions too narrow along the ray where another generator's hands and
+    # cameras are in view (91 right answers with a start; 4 % since). Of 0.1 and 0.2 for a rig without errors the second
+    # leaves `clean`, which has none, nearer to what it was, and these regions and other families as they are.
     rigs: tuple[Rig, ...] = (Rig(0.25, 0.2), Rig(1.0, 0.62), Rig(2.0, 0.13), Rig(4.0, 0.05))
     biases: tuple[Rig, ...] = (Rig(0.25, 0.1), Rig(1.0, 0.7), Rig(2.0, 0.15), Rig(4.0, 0.05))
-    # Near a prior so many biases are solved, with the usual rig; the others end where the last one's Gauss-Newton matrix
-    # says, but for those that have at least this share of the mixture. So told, the log evidence of the third was right
-    # to 1.2 nats in nine of ten of 335 answers of tuning families, of which a quarter counts; the share of the third was
-    # 3 % on average. Without a prior a bias may end elsewhere, and tells how wide an answer is: there all are solved.
-    # Other rigs always end where these say, and the likeliest of all is solved.
+    # Near a prior so many biases are solved, with the usual rig; the others end where the last one's Gauss-Newton
+    # matrix says, but for those that have at least this share of the mixture. So told, the log evidence of the third
+    # was right to 1.2 nats in nine of ten of 335 answers of tuning families, of which a quarter counts; the share of
+    # the third was 3 % on average. Without a prior a bias may end elsewhere, and tells how wide an answer is: there all
+    # are solved. Other rigs always end where these say, and the likeliest of all is solved.
     solved: int = 2
     counting: float = 0.1
     # Weight of a pixel. Neighbours share what nothing here describes: fingers whose joints are off, flying pixels, the
