@@ -285,20 +285,18 @@ def chances(
 
 
 def within_of(model: ObjectModel, same: Alike, tolerance: float, nearest: float) -> float:
-    """Probability that ADD-S is below tolerance (m) if the first mode is the right one, or one of the same as it or
-    near it. What a mode is off by itself comes beside how far it is from the first: in full where all of the surface is
-    as far, by its square where most of it is where the first has it and a part, as a handle, is elsewhere.
-
-    nearest: see `Regression`.
+    """Probability that ADD-S is below tolerance (m) if the right one is the first mode, the same as it or near it. What
+    a mode is off by itself comes beside how far it is from the first: in full where all of the surface is as far, by
+    its square where a part of it alone, as a handle, is elsewhere. nearest: see `Regression`.
     """
-    chance, weight = 0.0, same.near_weight
-    if not weight > 0.0:
+    if not same.near_weight > 0.0:
         return within(model, same.modes[0].pose, same.modes[0].covariance, tolerance, nearest)
+    chance = 0.0
     for mode, mean in zip(same.near, same.near_means.tolist()):
-        is_same = any(mode is one for one in same.modes)
-        left = tolerance - mean if is_same else float(np.sqrt(max(tolerance**2 - mean**2, 0.0)))
+        everywhere = any(mode is one for one in same.modes)
+        left = tolerance - mean if everywhere else math.sqrt(max(tolerance**2 - mean**2, 0.0))
         chance += mode.weight * within(model, mode.pose, mode.covariance, left, nearest)
-    return chance / weight
+    return chance / same.near_weight
 
 
 def within(model: ObjectModel, pose: Array, covariance: Array, tolerance: float, nearest: float) -> float:
@@ -440,9 +438,8 @@ def told_covariance(
     same: Alike | None = None,
 ) -> Array:
     """(6, 6) covariance of an answer with that verdict: of an `ok` one that of its first mode, or of all that are near
-    it where the first does not hold what a region of 95 % must; else of all that may be the case.
-
-    same: the modes that are one answer within the settings' tolerance, None to find them. See `whole_covariance`.
+    it where the first does not hold what a region of 95 % must; else of all that may be the case. same: the modes that
+    are one answer within the settings' tolerance, None to find them. See `whole_covariance`.
     """
     s = settings or ConfidenceSettings()
     if word != "ok":

@@ -51,10 +51,10 @@ class JointResult:
     follows (6, 6): by how much xi is expected to be otherwise where the pose turns out to be otherwise.
     unsolved (6, 6): what else of the covariance pixels share, solved for by nothing: the mesh's own error, and by how
     much parts of the image disagree. biased (6, 6): what of `shared` comes of the depth bias. shares: of the mixture,
-    of each rig that was tried, and bias_shares of each bias; empty where none were. mesh_variance (m^2): of the mesh's own error, as blocks of the
-    image have it, 0 where nothing is seen; strain: squares of all shared errors, in units of what is believed of them,
-    and told: how many of them the frame tells; 0 where it was not asked for (`strained`). ended: where the solution
-    ended, while nobody has asked it for independent, shared, biased and follows (`parted`).
+    of each rig that was tried, and bias_shares, of each bias; empty where none were. mesh_variance (m^2): of the mesh's
+    own error, as blocks of the image have it, 0 where nothing is seen; strain: squares of all shared errors, in units
+    of what is believed of them, and told: how many of them the frame tells; 0 where it was not asked for (`strained`).
+    ended: where the solution ended, while nobody has asked it for independent, shared, biased and follows (`parted`).
     """
 
     pose: Array
@@ -183,8 +183,8 @@ def expected(after: Settled, level: Level) -> Expected:
 
 
 def rigs_beside(after: Settled, levels: list[float]) -> list[tuple[Array, float]]:
-    """How far (6,) the pose would be moved, and by how much more log evidence there would be, for each of other sizes of
-    calibration and scale than a solution's: as `expected`, its bias marginalised once.
+    """How far (6,) the pose would be moved, and by how much more log evidence there would be, for each of other sizes
+    of calibration and scale than a solution's: as `expected`, its bias marginalised once.
     """
     width, own = after.system.width[:FIXED], after.unknown[:FIXED]
     whole = after.normal + np.diag(after.system.width)
@@ -196,7 +196,7 @@ def rigs_beside(after: Settled, levels: list[float]) -> list[tuple[Array, float]
         ratio, prior = level / after.level.rig, np.zeros(FIXED)
         prior[6:] = ratio**-2.0 - 1.0
         there = kept + np.diag(prior)
-        step = np.linalg.solve(there, -prior * own)
+        step = np.asarray(np.linalg.solve(there, -prior * own), dtype=np.float64)
         costlier = 0.5 * float(step @ kept @ step - width @ step**2 + prior @ (own + step) ** 2)
         log_det = float(np.linalg.slogdet(there)[1]) + 2.0 * (FIXED - 6) * float(np.log(ratio)) - before
         out.append((step[POSE], -costlier - 0.5 * log_det))
