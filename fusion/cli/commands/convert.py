@@ -425,7 +425,6 @@ def _convert_file(source: Path, out: Path) -> Path:
 
 
 def _faces(path: Path) -> Any:
-    import trimesh
+    from scenes.files.meshes import loaded
 
-    mesh = trimesh.load(path, process=False)
-    return getattr(mesh, "faces", None)
+    return getattr(loaded(path), "faces", None)
