@@ -19,7 +19,7 @@ def loaded(path: Path, force: str | None = None) -> Any:
 
     try:
         return trimesh.load(path, force=force, process=False)
-    except Exception as error:  # noqa: BLE001  # a dozen readers check little and share no error
+    except Exception as error:  # a dozen readers check little and share no error
         said = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(f"a {_ending(path)} that cannot be read: {said}") from error
 

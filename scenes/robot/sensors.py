@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scenes.cache import Arrays, are_triangles, remembered_of_file
 from scenes.errors import InputError
 from scenes.files.inside import stays_inside
-from scenes.files.ply import write_ply
 from scenes.files.meshes import loaded
+from scenes.files.ply import write_ply
 from scenes.files.problems import UNREADABLE
 from scenes.geometry import poses
 from scenes.robot.gels import Gel, read_gel, write_gel

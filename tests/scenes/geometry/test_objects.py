@@ -140,8 +140,11 @@ def test_files_that_are_no_mesh(tmp_path, name, content, message):
     assert name in str(caught.value)
 
 
-# Formats that need a package which may be there or not, and those whose readers have errors of their own.
-@pytest.mark.parametrize("ending", ".stp .step .3mf .3dxml .ctm .dae .zip .tar.gz .tar.bz2 .xaml .glb .gltf".split())
+# Some need a package that may be there or not, others have readers with errors of their own.
+ENDINGS = (".stp", ".step", ".3mf", ".3dxml", ".ctm", ".dae", ".zip", ".tar.gz", ".tar.bz2", ".xaml", ".glb", ".gltf")
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
 @pytest.mark.parametrize("content", [b"nothing here\n", b"", bytes(range(256))])
 def test_a_format_that_cannot_be_read_here_is_one_line(tmp_path, ending, content):
     path = tmp_path / f"bad{ending}"
