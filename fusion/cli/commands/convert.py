@@ -7,10 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fusion.cli.options import (
-    add_beliefs,
     add_object,
     add_trust,
-    beliefs_told,
     check_folder,
     check_target,
     positive_number,
@@ -18,6 +16,7 @@ from fusion.cli.options import (
     whole,
     write_json,
 )
+from fusion.cli.telling import add_beliefs, beliefs_told
 from fusion.results.runs import load_object
 
 if TYPE_CHECKING:
