@@ -202,7 +202,8 @@ def _pose_problem(frame: Frame, pose: Array, model: ObjectModel, source: str) ->
     """What makes a pose (4, 4), by its source, of another unit than the contacts or the depth image."""
     centre, diameter = poses.apply(pose, model.centroid[None])[0], model.diameter
     if source == "prior" and frame.camera is not None and centre[2] <= 0:
-        return f"expected a prior of an object before the camera, got one {-centre[2]:.3g} m behind it"
+        said = f"expected a prior of an object before the camera, got one {-centre[2]:.3g} m behind it"
+        return f"{said}: is it inverted, or of a camera that looks along -z?"
     if len(frame.contacts):
         felt = poses.apply(frame.camera_from_world, frame.contacts.points)
         away = float(np.linalg.norm(felt - centre, axis=1).min())

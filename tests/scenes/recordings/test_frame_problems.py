@@ -106,7 +106,7 @@ def test_a_start_behind_the_camera():
     behind[2, 3] = -3.0
     told = scale_problem(replace(frame, prior=behind), make("box"))
     assert told.startswith("expected a prior of an object before the camera, got one ")
-    assert told.endswith(" m behind it")
+    assert told.endswith(" m behind it: is it inverted, or of a camera that looks along -z?")
     assert "behind" not in (scale_problem(replace(frame, prior=behind, camera=None, depth=None, rgb=None, mask=None),
                                           make("box")) or "")  # fmt: skip
 
