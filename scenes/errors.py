@@ -25,6 +25,16 @@ class SystemLibraryError(PalpateError):
     """A shared library that a dependency needs is not installed on this machine."""
 
 
+def was_interrupted(error: BaseException) -> bool:
+    """Whether Ctrl-C is behind an error: what is compiled makes another of it when it comes while it is loaded."""
+    at: BaseException | None = error
+    while at is not None:
+        if isinstance(at, KeyboardInterrupt):
+            return True
+        at = at.__cause__ or at.__context__
+    return False
+
+
 def unknown(what: str, got: object, choices: Iterable[str], expected: str = "one of") -> InputError:
     """The error for a name that is none of the choices: lists them, and says which is written alike."""
     from difflib import get_close_matches

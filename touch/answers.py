@@ -72,6 +72,10 @@ class LocalizeSettings:
     # Inferred noise beyond so many times what was claimed is no noise: two places of the object, another mesh, another
     # unit. Of contacts 5 times as noisy as they claim 4.9 is inferred at most, and their answers were right.
     misclaimed: float = 5.5
+    # Noise of a contact (m) that no finger exceeds, as when objects are told apart: contacts that are farther off any
+    # pose are of something else. Of random points in a hand's reach on a drill 12 mm is the least median, of true ones,
+    # a fifth of them false by centimetres, 7 the largest.
+    largest_noise: float = 0.015
     # Inferred noise has an unknown shape: residuals beyond this many sigmas count linearly.
     huber: float = 0.3
     # So many standard deviations above its usual, what contacts leave over contradicts the answer: 1 in 1000 by chance.

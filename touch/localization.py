@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib import import_module
+
+import numpy as np
 
 from scenes.errors import InputError, unknown
 from scenes.evidence.align import Prior
 from scenes.evidence.table import Evidence
+from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
 from touch.answers import Localization, LocalizeSettings
 from touch.multistart import multistart
 
+# The sigma of a Gaussian in medians of its sizes.
+GAUSSIAN = 1.48
 # Every method by name -> module:function(model, contacts, seed, prior, extra) -> Localization, imported when asked for.
 METHODS = {
     "multistart": "touch.multistart:multistart",
@@ -49,9 +55,28 @@ def localize(
     if len(contacts) == 0:
         raise InputError("localize: expected at least one contact, got none")
     if method == "multistart":
-        return multistart(model, contacts, seed, prior, extra, settings)
+        return _explained(model, contacts, multistart(model, contacts, seed, prior, extra, settings), settings)
     if settings is not None:
         raise InputError(f"settings: expected none with method {method!r}, they are the default method's")
     module, _, function = METHODS[method].partition(":")
     found: Localization = getattr(import_module(module), function)(model, contacts, seed, prior, extra)
-    return found
+    return _explained(model, contacts, found, None)
+
+
+def _explained(
+    model: ObjectModel, contacts: Contacts, found: Localization, settings: LocalizeSettings | None
+) -> Localization:
+    """The answer; lost where contacts lie off its surface as no finger is noisy: on average, as `identify` judges it,
+    and at their median, because a fifth of false ones moves an average by centimetres.
+    """
+    largest = (settings or LocalizeSettings()).largest_noise
+    if contacts.sigma_known:
+        largest = max(largest, float(np.sqrt(np.mean(contacts.sigma_point**2))))
+    if found.index <= largest:
+        return found
+    away, _, _ = model.surface.closest(se3.apply(se3.inverse(found.pose), contacts.points))
+    median = float(np.median(np.abs(away)))
+    if GAUSSIAN * median <= largest:
+        return found
+    why = f"no pose explains the contacts: half of them are {1e3 * median:.1f} mm and more off the surface"
+    return replace(found, verdict="lost", notes=(*found.notes, why))

@@ -89,6 +89,18 @@ class Place:
     finger: str | None = None
     finger_distance: float | None = None
 
+    @property
+    def told(self) -> str:
+        """What the finger would do to the grasp, for a person. Without closure epsilon is 0, and the gain is of the
+        margin, which is below 0 then: how far it is from closing.
+        """
+        before = self.margin - self.gain
+        if before > 0.0:
+            return f"ε {self.margin:.3f} ({self.gain:+.3f})"
+        if self.margin > 0.0:
+            return f"closes the grasp: ε {self.margin:.3f} (margin {before:.3f} without it)"
+        return f"does not close the grasp: margin {self.margin:.3f} ({before:.3f} without it)"
+
     def to_json(self) -> dict[str, Any]:
         """Its entry of grasp.json."""
         return {

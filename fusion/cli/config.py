@@ -1,6 +1,6 @@
 """`--config FILE`: settings from TOML, one table for each nested dataclass; `--show-config` prints them as such a file.
 
-Beliefs are told by flags, too (`add_beliefs` in options); the printed ones have all that was told. Light at import:
+Beliefs are told by flags, too (`fusion.cli.telling`); the printed ones have all that was told. Light at import:
 settings are loaded where they are read.
 """
 
@@ -77,7 +77,7 @@ def told(args: argparse.Namespace) -> list[Told]:
 
     Raises InputError for what has no place or is no size, before the work and not in it.
     """
-    from fusion.cli.options import beliefs_told
+    from fusion.cli.telling import beliefs_told
     from scenes.recordings.beliefs import Beliefs
     from scenes.recordings.telling import believed
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import atexit
 import gc
-import os
 import sys
 from collections.abc import Sequence
 
-from scenes.errors import PalpateError
+from fusion.cli.streams import patient_streams
+from scenes.errors import PalpateError, was_interrupted
 
 BAD_INPUT = 2
 INTERRUPTED = 130
@@ -31,6 +31,11 @@ def start() -> int:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line; returns the exit code. No traceback for anything a user can cause."""
+    with patient_streams():
+        return _run(argv)
+
+
+def _run(argv: Sequence[str] | None) -> int:
     try:
         from fusion.cli.options import check_target, set_volume
         from fusion.cli.parser import build_parser
@@ -44,18 +49,22 @@ def main(argv: Sequence[str] | None = None) -> int:
         return code
     except PalpateError as error:
         return _complain(str(error))
-    except BrokenPipeError:
-        # whoever reads our output has enough; keep the interpreter from complaining when it closes stdout
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except UnicodeDecodeError as error:
         return _complain(f"expected UTF-8 text, got other bytes: {error.reason}")
     except OSError as error:
         where = f"{error.filename}: " if error.filename is not None else ""
         return _complain(f"{where}{error.strerror or error}")
     except KeyboardInterrupt:
-        sys.stderr.write("palpate: interrupted\n")
-        return INTERRUPTED
+        return _interrupted()
+    except Exception as error:
+        if was_interrupted(error):
+            return _interrupted()
+        raise
+
+
+def _interrupted() -> int:
+    sys.stderr.write("palpate: interrupted\n")
+    return INTERRUPTED
 
 
 def _complain(message: str) -> int:

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from fusion.estimation.settings import EstimateSettings
-    from scenes.recordings.telling import Told
 
 
 T = TypeVar("T")
@@ -51,7 +50,7 @@ def add_object(parser: argparse.ArgumentParser, required: bool = False, what: st
     parser.add_argument(
         "--object", metavar="NAME|MESH", required=required, help=f"{what}: a mesh file, or the name of a generated one"
     )
-    parser.add_argument("--unit", default="m", help="unit of the mesh file: m (default), cm, mm, inch")
+    parser.add_argument("--unit", type=length_unit, default="m", help="of the mesh file: m (default), cm, mm, inch")
 
 
 def add_trust(parser: argparse.ArgumentParser) -> None:
@@ -69,25 +68,6 @@ def add_prior(parser: argparse.ArgumentParser) -> None:
         help="coarse start: none, ground truth plus noise like gt+33mm,16deg, or a prior.json;"
         " default: the capture's own",
     )
-
-
-def add_beliefs(parser: argparse.ArgumentParser) -> None:
-    """--camera, --calibration, --joints, --mesh: over --config, and that over what a capture says."""
-    group = parser.add_argument_group("what is believed of the recording", "instead of what its capture.json says")
-    group.add_argument(
-        "--camera",
-        metavar="NAME|FILE",
-        help="the depth camera: kinect-v1, xtion, d435, d455, azure-kinect, l515, clean (simulated), or a TOML file"
-        " with fields of [beliefs.depth], `like` one of these",
-    )
-    group.add_argument(
-        "--calibration",
-        metavar="MM,DEG",
-        type=length_and_angle,
-        help="sigma per axis of where the camera has the robot",
-    )
-    group.add_argument("--joints", metavar="DEG", type=positive_number, help="sigma of a finger's joint")
-    group.add_argument("--mesh", metavar="MM", type=positive_number, help="sigma of what the mesh leaves out")
 
 
 def add_sure(parser: argparse.ArgumentParser) -> None:
@@ -127,35 +107,14 @@ def with_sure(settings: EstimateSettings, args: argparse.Namespace) -> EstimateS
     return sure_to_be_within(settings, None if args.sure_within is None else 1e-3 * args.sure_within)
 
 
-def beliefs_told(args: argparse.Namespace) -> list[Told]:
-    """The tables of beliefs that the flags of `add_beliefs` make; none for a command without them."""
-    from scenes.recordings.telling import of_joints
+def length_unit(text: str) -> str:
+    """A unit of lengths that meshes may have, for argparse."""
+    if text != "m":
+        from scenes.geometry.objects import METRES_PER_UNIT
 
-    found: list[Told] = []
-    if getattr(args, "camera", None) is not None:
-        found.append(_camera_told(args.camera))
-    if getattr(args, "calibration", None) is not None:
-        sizes = dict(zip(("translation_sigma", "rotation_sigma"), args.calibration))
-        found.append(("--calibration", {"calibration": sizes}))
-    if getattr(args, "joints", None) is not None:
-        found.append(("--joints", of_joints(math.radians(args.joints))))
-    if getattr(args, "mesh", None) is not None:
-        found.append(("--mesh", {"mesh_sigma": 1e-3 * args.mesh}))
-    return found
-
-
-def _camera_told(text: str) -> Told:
-    """--camera's name, or the fields of its file: whatever the file leaves out is as of the camera it is `like`."""
-    from scenes.files.merged import read_toml
-    from scenes.recordings.depth_cameras import DEPTH_CAMERAS
-
-    path = Path(text)
-    if text in DEPTH_CAMERAS:
-        return "--camera", {"camera": text}
-    if not path.is_file():
-        raise unknown("--camera", text, DEPTH_CAMERAS, "a TOML file or one of")
-    content = read_toml(path)
-    return f"--camera {path}", {"camera": content.pop("like", "kinect-v1"), "depth": content}
+        if text not in METRES_PER_UNIT:
+            raise unknown("unit", text, METRES_PER_UNIT)
+    return text
 
 
 def whole(text: str) -> int:
@@ -217,6 +176,14 @@ def length_and_angle(text: str) -> tuple[float, float]:
         return runs.length_and_angle(text)
     except InputError as error:
         raise argparse.ArgumentTypeError(str(error)) from error
+
+
+def tolerance(text: str) -> tuple[float, float]:
+    """As `length_and_angle`, both above 0, for argparse."""
+    found = length_and_angle(text)
+    if min(found) <= 0:
+        raise argparse.ArgumentTypeError(f"expected a length and an angle above 0 like 1mm,2deg, got {text!r}")
+    return found
 
 
 def console() -> Console:

@@ -7,7 +7,7 @@ import re
 import sys
 from collections.abc import Sequence
 from types import ModuleType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from fusion.cli.commands import (
     batch,
@@ -40,7 +40,14 @@ COMMANDS = (
 
 
 class Parser(argparse.ArgumentParser):
-    """argparse that raises instead of printing its usage: a mistake costs one line."""
+    """argparse that raises instead of printing its usage: a mistake costs one line. What begins with a minus and a
+    digit is a value, which its option judges, and no option.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        """As argparse's."""
+        super().__init__(*args, **kwargs)
+        self._negative_number_matcher = re.compile(r"-\.?\d")
 
     def error(self, message: str) -> NoReturn:
         """Raise InputError with the command's name and the complaint."""

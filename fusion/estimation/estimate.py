@@ -124,7 +124,8 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         nothing = posterior.no_answer(frame, model, believed, trace.stages, settings.modes, settings.verdict)
         first, how_sure = nothing.modes[0], settings.confidence
         near = within(model, first.pose, first.covariance, how_sure.tolerance, how_sure.felt.nearest)
-        return replace(nothing, confidence=first.weight * near, sure_within=how_sure.tolerance)
+        notes = *nothing.notes, *_of_the_hand(frame)
+        return replace(nothing, confidence=first.weight * near, sure_within=how_sure.tolerance, notes=notes)
 
     how, blur, might_be = settings.proposals, settings.proposals.blur(model), looked.pixels.points
     with trace.stage("search", True, "") as stage:
@@ -265,6 +266,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
             *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility),
             *useless,
             *felt.untold,
+            *_of_the_hand(frame),
         ),
         dropped=looked.dropped,
         start=start.pose if start is not None else None,
@@ -275,3 +277,8 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         print_share=facing.share,
         searched=searched,
     )
+
+
+def _of_the_hand(frame: Frame) -> tuple[str, ...]:
+    """Why a hand that the frame has is not used, in words."""
+    return (f"the hand is left out: no {frame.hand_lacks} known",) if frame.hand_lacks else ()

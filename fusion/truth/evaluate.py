@@ -144,6 +144,8 @@ def read_covariances(path: str | Path) -> dict[int, Array]:
     try:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
         found = {int(f["frame"]): np.array(f["covariance"], dtype=np.float64) for f in content["frames"]}
+    except OSError as error:
+        raise CaptureError(f"{path}: expected a result.json, it cannot be opened: {error.strerror}") from error
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise CaptureError(f"{path}: expected a result.json with frames and covariances: {error}") from error
     return {frame: covariance for frame, covariance in found.items() if covariance.shape == (6, 6)}

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scenes.errors import MeshError
-from scenes.files.problems import UNREADABLE
+from scenes.files.meshes import loaded
 from scenes.files.whole import named
 
 Array = NDArray[np.float64]
@@ -83,14 +83,12 @@ def read_cloud(path: str | Path) -> tuple[Array, NDArray[np.uint8] | None]:
 
 
 def _read_with_trimesh(path: Path) -> tuple[Array, NDArray[np.uint8] | None]:
-    import trimesh
-
     if not path.is_file():
         raise MeshError(f"{path}: expected a point cloud, found no file")
     try:
-        cloud = trimesh.load(path, process=False)
-    except UNREADABLE as error:
-        raise MeshError(f"{path}: expected a point cloud, got a file that cannot be read: {error}") from error
+        cloud = loaded(path)
+    except ValueError as error:
+        raise MeshError(f"{path}: expected a point cloud, got {error}") from error
     vertices = getattr(cloud, "vertices", None)
     if vertices is None or np.ndim(vertices) != 2:
         raise MeshError(f"{path}: expected a point cloud, got a file without points")

@@ -14,7 +14,7 @@ from typing import NoReturn
 
 from scenes.errors import CaptureError
 
-# What trimesh's readers raise on files that are none: they check little, so nearly anything a wrong value leads to.
+# What readers that check little raise on files that are none, and what is made of their arrays.
 UNREADABLE = (
     ArithmeticError,
     AssertionError,

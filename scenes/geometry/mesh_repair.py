@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scenes.errors import MeshError
+from scenes.words import counted
 
 if TYPE_CHECKING:
     import trimesh
@@ -94,15 +95,15 @@ def close(
     elif not mesh.is_watertight:
         vertices, faces, patched, lids, holes = _close_holes(vertices, faces, settings.flat_share)
         area = max(float(mesh.area), 1e-300)
-        share = (patched + lids) / area
+        share = (patched + lids) / (area + patched + lids)
         mesh = trimesh.Trimesh(vertices, faces, process=False)
         if patched > settings.max_patch_share * area or lids > settings.max_lid_share * area or not mesh.is_watertight:
             left = _boundary_edges(faces)
             raise MeshError(
-                f"{name}: expected a closed mesh, got {holes} holes of {share:.0%} of its surface"
+                f"{name}: expected a closed mesh, got {counted(holes, 'hole')}, {share:.0%} of its surface once closed"
                 f" ({len(left)} edges still open after filling): close it in a mesh editor"
             )
-        mended.append(f"{holes} holes filled ({share:.1%} of the surface)")
+        mended.append(f"{counted(holes, 'hole')} filled ({share:.1%} of the surface)")
     bodies = mesh.split(only_watertight=False) if mesh.body_count > 1 else [mesh]
     if mesh.volume < 0 or any(b.volume < 0 and _outermost(b, bodies) for b in bodies):
         if len(bodies) > 1:

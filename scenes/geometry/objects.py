@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import hashlib
+import logging
 from functools import cached_property
 from pathlib import Path
 
@@ -12,16 +13,20 @@ from numpy.typing import NDArray
 
 from scenes.cache import Arrays, are_triangles, remembered_of_file
 from scenes.errors import MeshError, unknown
-from scenes.files.problems import UNREADABLE
+from scenes.files.meshes import loaded
 from scenes.geometry import distance_field, mesh_repair, poses
 from scenes.geometry.distance_field import DistanceField
 from scenes.geometry.surface import Surface, hull_of
 from scenes.geometry.symmetries import Symmetries
 from scenes.geometry.texture import Texture, files_beside, sampled
 
+_log = logging.getLogger(__name__)
+
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
+# Those of the formats that need no package beyond what is installed with this one.
+MESHES = ".ply .obj .stl .off .glb"
 METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 
 # What a hand can meet. Outside, the unit is almost surely wrong.
@@ -36,7 +41,7 @@ SLIPPING_POINTS = 4000
 # Sides from which an outline is looked at, and vertices that it is drawn of: their mean is within 2 % of that of all.
 SIDES, DRAWN = 16, 2000
 # Raised whenever reading, repairing or measuring a mesh changes, so that old cache entries are not read.
-MESH_VERSION = 2
+MESH_VERSION = 3
 
 
 class ObjectModel:
@@ -96,6 +101,8 @@ class ObjectModel:
             name or path.stem, known["vertices"], known["faces"], mended=tuple(map(str, known["mended"]))
         )
         vars(model)["diameter"] = float(known["diameter"])
+        if model.mended:
+            _log.info("%s is not closed as it is: %s", path, "; ".join(model.mended))
         return model.with_texture(Texture(known["points"], known["colours"])) if len(known["points"]) else model
 
     def with_symmetries(self, symmetries: Symmetries) -> ObjectModel:
@@ -336,12 +343,10 @@ def _read_mesh(path: Path) -> tuple[Array, Faces, tuple[Array, NDArray[np.uint8]
 
         coloured = trimesh.Trimesh(data.points, data.faces, vertex_colors=data.colours, process=False)
         return data.points, data.faces, sampled(coloured) or plain
-    import trimesh
-
     try:
-        mesh = trimesh.load(path, force="mesh", process=False)
-    except UNREADABLE as error:
-        raise MeshError(f"{path}: expected a mesh file, got one that cannot be read: {error}") from error
+        mesh = loaded(path, force="mesh")
+    except ValueError as error:
+        raise MeshError(f"{path}: expected a mesh ({MESHES} …), got {error}") from error
     vertices = getattr(mesh, "vertices", None)
     faces = getattr(mesh, "faces", None)
     if vertices is None or faces is None or len(faces) == 0:

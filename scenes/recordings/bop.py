@@ -29,6 +29,8 @@ from scenes.geometry.symmetries import Axis, Symmetries
 
 Array = NDArray[np.float64]
 
+# Millimetres per count of a depth image: with less its 65535 counts reach no hand, with more the first is a metre off.
+DEPTH_SCALES = (1e-4, 1e3)
 POSES_HEADER = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
 
 
@@ -188,8 +190,12 @@ def numbers(value: Any, count: int, what: str) -> Array:
         array = np.array(value, dtype=np.float64).ravel()
     except (TypeError, ValueError) as error:
         raise InputError(f"{what}: expected {count} numbers, got {str(value)[:60]}") from error
-    if len(array) != count or not np.isfinite(array).all():
-        raise InputError(f"{what}: expected {count} finite numbers, got {str(value)[:60]}")
+    if len(array) != count:
+        raise InputError(f"{what}: expected {count} finite numbers, got {len(array)}: {str(value)[:60]}")
+    if not np.isfinite(array).all():
+        place = int(np.argmin(np.isfinite(array)))
+        which = f" as number {place + 1} of them" if count > 1 else ""
+        raise InputError(f"{what}: expected {count} finite numbers, got {array[place]:g}{which}")
     return array
 
 
@@ -211,8 +217,9 @@ def camera_entry(entry: Any) -> SceneCamera:
     if abs(matrix[0, 1]) > 1e-6 * matrix[0, 0]:
         raise InputError(f"cam_K: expected no skew, got {matrix[0, 1]:.3g}")
     scale = float(numbers(entry.get("depth_scale", 1.0), 1, "depth_scale")[0])
-    if scale <= 0:
-        raise InputError(f"depth_scale: expected millimetres per count above 0, got {scale}")
+    if not DEPTH_SCALES[0] <= scale <= DEPTH_SCALES[1]:
+        low, high = DEPTH_SCALES
+        raise InputError(f"depth_scale: expected millimetres per count from {low:g} to {high:g}, got {scale:g}")
     world = None
     if "cam_R_w2c" in entry or "cam_t_w2c" in entry:
         world = _rigid(entry, "cam_R_w2c", "cam_t_w2c")

@@ -316,6 +316,14 @@ class Frame:
         for wrench in self.wrenches:
             checks.instance(wrench, Wrench, where, "wrenches", "sensor, force, torque")
 
+    @property
+    def hand_lacks(self) -> str:
+        """What is not known of the hand, "pose", "joints" or both, so that it is left out; "" for all, or no hand."""
+        if self.hand is None:
+            return ""
+        pose, joints = self.world_from_hand is None, self.joints is None and len(self.hand.joint_names) > 0
+        return " and ".join(name for name, lacks in (("pose", pose), ("joints", joints)) if lacks)
+
     def without_vision(self) -> Frame:
         """The frame without what a camera gave."""
         return self._with(depth=None, rgb=None, mask=None, cloud=None, cloud_colours=None)

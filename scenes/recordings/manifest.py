@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +123,30 @@ def read_manifest(folder: Path, report: Report) -> Manifest:
         notes if isinstance(notes, dict) else {},
         _beliefs(content, path, report),
     )
+
+
+def frame_stamps(notes: Mapping[str, Any], frame_ids: Sequence[int]) -> dict[int, int] | None:
+    """The notes' `stamps_ns`, the time (ns) of every frame by its number; None where there are none.
+
+    Raises InputError for those that are no whole numbers, not one of each frame, or run backwards.
+    """
+    noted = notes.get("stamps_ns")
+    if noted is None:
+        return None
+    if not isinstance(noted, dict):
+        raise InputError(f"stamps_ns: expected nanoseconds by frame number, got {str(noted)[:60]}")
+    for number, stamp in noted.items():
+        if not isinstance(stamp, int) or isinstance(stamp, bool):
+            raise InputError(f"stamps_ns: expected whole nanoseconds, got {str(stamp)[:60]!r} of frame {number}")
+    unstamped = [number for number in frame_ids if str(number) not in noted]
+    if unstamped or len(noted) != len(frame_ids):
+        which = f", none of frame {unstamped[0]}" if unstamped else ""
+        raise InputError(f"stamps_ns: expected one of each of {len(frame_ids)} frames, got {len(noted)}{which}")
+    stamps = {number: int(noted[str(number)]) for number in frame_ids}
+    for before, after in pairwise(frame_ids):
+        if stamps[after] < stamps[before]:
+            raise InputError(f"stamps_ns: expected times that run forwards, got frame {after} before frame {before}")
+    return stamps
 
 
 def _beliefs(content: dict[str, Any], path: Path, report: Report) -> Beliefs | None:

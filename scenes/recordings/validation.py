@@ -11,14 +11,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.errors import CaptureError, PalpateError
+from scenes.errors import CaptureError, InputError, PalpateError
 from scenes.files.problems import Problem
 from scenes.files.schema import complaints
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings import bop
 from scenes.recordings.captures import Capture
+from scenes.recordings.frame_problems import NOWHERE, frame_problems
 from scenes.recordings.frames import Frame
+from scenes.recordings.manifest import frame_stamps
 
 __all__ = ["Problem", "check_scale", "check_usable", "scale_problem", "usable", "validate"]
 
@@ -38,8 +40,6 @@ LARGEST_SCENE_RATIO = 50.0
 FOCAL_LENGTHS = (0.1, 50.0)
 # A joint that is farther than this (rad) beyond its limits was given in degrees.
 FULL_TURN = 2.0 * np.pi
-# No sensor reaches farther (m) from its own origin; one that does is elsewhere than the hand's pose says.
-FARTHEST_CONTACT = 0.2
 # A median depth (m) that no room has, and an image of millimetres has from 10 cm on; beyond are no readings at all.
 MILLIMETRES = (1e2, 1e6)
 # Of a depth image every so manieth pixel a side tells its unit as well.
@@ -63,14 +63,20 @@ def validate(folder: str | Path, trust_paths: bool = False) -> list[Problem]:
     except CaptureError as error:
         return [*problems, Problem(str(folder), None, str(error))]
     problems += _by_schema(capture, problems)
+    problems += _stamp_problems(capture)
     model = _attempt(capture, problems)
+    nowhere = True
     for number in capture.frame_ids:
         frame = capture.frame(number)
+        nowhere = nowhere and frame.hand_lacks == NOWHERE
         if not any(problem.frame == number for problem in problems):  # what follows from the broken is not news
-            problems += _frame_problems(capture, frame)
+            problems += frame_problems(capture.path, frame)
         message = None if model is None else scale_problem(frame, model)
         if message is not None:
             problems.append(Problem(str(capture.path), number, message))
+    if nowhere and capture.frame_ids:
+        message = f"expected the hand's {NOWHERE} in a frame at least, found none: the hand is left out"
+        problems.append(Problem(str(capture.path / "hand_poses.csv"), None, message))
     return list(dict.fromkeys(problems))
 
 
@@ -89,45 +95,22 @@ def _by_schema(capture: Capture, known: list[Problem]) -> list[Problem]:
     return found
 
 
+def _stamp_problems(capture: Capture) -> list[Problem]:
+    """What is wrong with the notes' times of the frames."""
+    try:
+        frame_stamps(capture.manifest.notes, capture.frame_ids)
+    except InputError as error:
+        return [Problem(str(capture.path / "capture.json"), None, str(error))]
+    return []
+
+
 def _attempt(capture: Capture, problems: list[Problem]) -> ObjectModel | None:
     try:
         return capture.model
     except PalpateError as error:
-        problems.append(Problem(str(capture.path / capture.manifest.model), None, str(error)))
+        manifest, model = str(capture.path / "capture.json"), str(capture.path / capture.manifest.model)
+        problems.append(Problem(manifest if str(error).startswith(manifest) else model, None, str(error)))
         return None
-
-
-def _frame_problems(capture: Capture, frame: Frame) -> list[Problem]:
-    """What is well formed and still useless: nothing sensed, a depth image without a reading, joints out of range."""
-    found = []
-    depth_file = str(capture.path / f"depth/{frame.index:06d}.png")
-    if frame.depth is not None and not (frame.depth > 0).any():
-        found.append(Problem(depth_file, frame.index, "expected depth readings, got an image of zeros"))
-    sensed = (frame.depth is not None, frame.cloud is not None, len(frame.contacts) > 0, len(frame.wrenches) > 0)
-    if not any(sensed) and not frame.tactile and not frame.gels:
-        expected = "expected a depth image, a cloud, contacts, wrenches, tactile arrays or gels' images, found none"
-        found.append(Problem(str(capture.path), frame.index, expected))
-    if frame.hand is not None and frame.joints is not None:
-        for joint, excess in frame.hand.limit_excess(frame.joints).items():
-            message = f"expected {joint} within its limits, got {excess:.3g} beyond"
-            found.append(Problem(str(capture.path / "joints.csv"), frame.index, message))
-    if frame.hand is not None and frame.joints is not None and frame.world_from_hand is None:
-        message = "expected the hand's pose for its joints, found none"
-        found.append(Problem(str(capture.path / "hand_poses.csv"), frame.index, message))
-    away = _from_sensors(frame)
-    if len(away) and np.median(away) > FARTHEST_CONTACT:
-        message = f"expected contacts at the hand's sensors, got {np.median(away):.2g} m off: is its pose inverted?"
-        found.append(Problem(str(capture.path / "hand_poses.csv"), frame.index, message))
-    return found
-
-
-def _from_sensors(frame: Frame) -> Array:
-    """(k,) distances (m) of the contacts from the sensors they are named after, of those that the hand has."""
-    if frame.hand is None or frame.joints is None or frame.world_from_hand is None:
-        return np.zeros(0)
-    contacts, places = frame.contacts, frame.hand.hand_from_sensor(frame.joints)
-    known = [(point, places[name]) for point, name in zip(contacts.points, contacts.sensors) if name in places]
-    return np.array([np.linalg.norm(point - (frame.world_from_hand @ pose)[:3, 3]) for point, pose in known])
 
 
 def check_usable(frame: Frame, model: ObjectModel, vision: bool = True) -> None:
@@ -166,8 +149,8 @@ def scale_problem(frame: Frame, model: ObjectModel) -> str | None:
     """What makes one suspect a wrong unit in this frame, with both sizes; None when all agree.
 
     Compared with the image: the focal lengths. With the hand's limits: the joints. With the object's diameter: the
-    extents of most contacts and of the cloud. With the poses known from ground truth and prior: the nearest depths
-    around the object's projection and the contacts' distance from it.
+    extents of most contacts and of the cloud, and the noise of most contacts. With the poses known from ground truth
+    and prior: the nearest depths around the object's projection and the contacts' distance from it.
     """
     camera = frame.camera
     if camera is not None and frame.depth is not None:
@@ -187,6 +170,10 @@ def scale_problem(frame: Frame, model: ObjectModel) -> str | None:
         extent = 2.0 * _quantile(np.linalg.norm(points - middle, axis=1), 0.5)
         if extent > SUSPICIOUS_RATIO * diameter:
             return _says("contacts spread over", extent, "an object of", diameter)
+    if len(points) and frame.contacts.sigma_known:
+        sigma = _quantile(frame.contacts.sigma_point, 0.5)
+        if sigma > diameter:
+            return _says("a sigma_point of", sigma, "an object of", diameter, "mm read as m?")
     if frame.cloud is not None and len(frame.cloud) > 1:
         extent, few = _extent(frame.cloud), len(frame.cloud) < FEWEST_POINTS
         if extent > LARGEST_SCENE_RATIO * diameter or (extent < diameter / SUSPICIOUS_RATIO and not few):
@@ -214,6 +201,9 @@ def _depth_problem(frame: Frame) -> str | None:
 def _pose_problem(frame: Frame, pose: Array, model: ObjectModel, source: str) -> str | None:
     """What makes a pose (4, 4), by its source, of another unit than the contacts or the depth image."""
     centre, diameter = poses.apply(pose, model.centroid[None])[0], model.diameter
+    if source == "prior" and frame.camera is not None and centre[2] <= 0:
+        said = f"expected a prior of an object before the camera, got one {-centre[2]:.3g} m behind it"
+        return f"{said}: is it inverted, or of a camera that looks along -z?"
     if len(frame.contacts):
         felt = poses.apply(frame.camera_from_world, frame.contacts.points)
         away = float(np.linalg.norm(felt - centre, axis=1).min())

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scenes.cache import Arrays, are_triangles, remembered_of_file
 from scenes.errors import InputError
 from scenes.files.inside import stays_inside
+from scenes.files.meshes import loaded
 from scenes.files.ply import write_ply
 from scenes.files.problems import UNREADABLE
 from scenes.geometry import poses
@@ -122,11 +123,10 @@ def _hull_of(path: Path, changed: int, where: str) -> tuple[Array, NDArray[np.in
     """Read once for every state of the file."""
 
     def make() -> Arrays:
-        import trimesh
         from scipy.spatial import QhullError
 
         try:
-            mesh: Any = trimesh.load(path, force="mesh", process=False)
+            mesh: Any = loaded(path, force="mesh")
             hull = mesh.convex_hull
         except QhullError as error:
             raise ValueError(str(error)) from error

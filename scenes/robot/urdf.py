@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scenes.cache import Arrays, are_triangles, remembered, remembered_of_file
 from scenes.errors import InputError
 from scenes.files.inside import stays_inside
+from scenes.files.meshes import loaded
 from scenes.files.problems import UNREADABLE
 from scenes.geometry import poses
 
@@ -243,9 +244,7 @@ def _read_mesh(filename: str, path: Path, where: str, within: Path | None) -> tu
     stays_inside(file, within, where)
 
     def make() -> Arrays:
-        import trimesh
-
-        mesh = trimesh.load_mesh(file, process=False)
+        mesh = loaded(file, force="mesh")
         # STL repeats the corners of each triangle
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
         return {
@@ -256,10 +255,9 @@ def _read_mesh(filename: str, path: Path, where: str, within: Path | None) -> tu
     try:
         made = remembered_of_file("link", MESH_VERSION, file, make, are_triangles)
         vertices, faces = made["vertices"], made["faces"]
-    except ImportError as error:
-        raise InputError(f"{file}: reading this format needs a missing package ({error}): convert to STL") from error
     except UNREADABLE as error:
-        raise InputError(f"{file}: expected a mesh, got a file that cannot be read: {error}") from error
+        hint = ": convert it to STL" if isinstance(error.__cause__, ImportError) else ""
+        raise InputError(f"{file}: expected a mesh, got {error}{hint}") from error
     if len(faces) == 0 or not np.isfinite(vertices).all():
         raise InputError(f"{file}: expected a mesh of triangles with finite vertices, got {len(faces)} triangles")
     return vertices, faces

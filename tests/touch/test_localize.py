@@ -419,3 +419,19 @@ def test_a_few_contacts_that_claim_to_be_exact_and_contradict_every_pose_are_no_
     wrong = localize(box, Contacts(points, -normals, sigma_point=1e-6))
     assert wrong.verdict == "ambiguous"
     assert "contradict every pose" in " ".join(wrong.notes)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_points_of_nothing_are_lost(seed):
+    """And not where a fifth of them are false, or all say that they are worse than any finger."""
+    model = library.make("drill")
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-0.075, 0.075, (40, 3))
+    found = localize(model, Contacts(points), seed)
+    assert found.verdict == "lost"
+    assert found.notes[-1].startswith("no pose explains the contacts: half of them are ")
+    assert localize(model, Contacts(points, None, 0.05), seed).verdict != "lost"
+    _, true = felt(model, 40, seed, normals=False)
+    wild = true.points.copy()
+    wild[::5] += rng.normal(0, 0.08, (8, 3))
+    assert localize(model, Contacts(wild), seed).verdict != "lost"

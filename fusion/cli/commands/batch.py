@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from fusion.cli.compiling import announce_compiling
 from fusion.cli.config import add_config, estimate_settings, told
 from fusion.cli.options import (
-    add_beliefs,
     add_object,
     add_prior,
     add_sure,
@@ -26,6 +25,7 @@ from fusion.cli.options import (
     with_sure,
     write_json,
 )
+from fusion.cli.telling import add_beliefs
 from scenes.words import counted
 
 if TYPE_CHECKING:

@@ -79,6 +79,7 @@ def run(args: argparse.Namespace) -> int:
     from dataclasses import replace
 
     from fusion import benchmarks
+    from fusion.benchmarks.asked import check
     from fusion.benchmarks.printing.tables import BenchSettings, Table, show_report, show_table, write_report
     from scenes.errors import unknown
 
@@ -95,10 +96,7 @@ def run(args: argparse.Namespace) -> int:
     settings = BenchSettings(args.trials, args.seed, args.quick, progress, args.objects, args.out, show, args.family)
     settings = replace(settings, motions=args.motions, frames=args.frames, methods=args.methods)
     settings = replace(settings, data=args.data, bop=args.bop, told=args.told)
-    if args.family is not None:
-        from fusion.benchmarks.families.table import chosen
-
-        chosen(args.family)  # an unknown one is refused before minutes of work
+    check(args.name, settings)  # before minutes of work
     if args.name == "all":
         return _run_all(args, names, settings)
     report = benchmarks.load(args.name).run(settings)

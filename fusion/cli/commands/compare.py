@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from fusion.cli.compiling import announce_compiling
 from fusion.cli.config import add_config, estimate_settings, told
 from fusion.cli.options import (
-    add_beliefs,
     add_object,
     add_prior,
     add_trust,
@@ -22,6 +21,7 @@ from fusion.cli.options import (
     warn_of,
     write_json,
 )
+from fusion.cli.telling import add_beliefs
 from fusion.results.runs import frame_setter, load_object
 
 if TYPE_CHECKING:

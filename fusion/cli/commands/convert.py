@@ -7,17 +7,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fusion.cli.options import (
-    add_beliefs,
     add_object,
     add_trust,
-    beliefs_told,
     check_folder,
     check_target,
     positive_number,
     say,
+    warn,
     whole,
     write_json,
 )
+from fusion.cli.telling import add_beliefs, beliefs_told
 from fusion.results.runs import load_object
 
 if TYPE_CHECKING:
@@ -83,9 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--result", metavar="FILE", type=Path, help="glb, tum: poses.csv, result.json or their folder; else the truth"
     )
     parser.add_argument("--frame", metavar="N", type=whole, help="glb: whose cloud and hand (default the first)")
-    parser.add_argument(
-        "--fps", metavar="F", type=positive_number, default=STAMP_RATE, help="tum: where no stamps are known (30)"
-    )
+    parser.add_argument("--fps", metavar="F", type=positive_number, help="tum: where no stamps are known (30)")
     add_beliefs(parser)
 
 
@@ -361,13 +359,20 @@ def _result_poses(path: Path) -> dict[int, Any]:
     return {row.im_id: row.pose for row in sorted(read_poses(path), key=lambda row: row.score)}
 
 
-def _stamps(capture: Capture, fps: float) -> dict[int, int]:
-    """Nanoseconds by frame: what the recording said, else frames at `fps` from 0."""
-    noted = capture.manifest.notes.get("stamps_ns")
-    noted = noted if isinstance(noted, dict) else {}
-    said = {int(key): value for key, value in noted.items() if key.isdecimal() and isinstance(value, int)}
-    if set(capture.frame_ids) <= set(said):
+def _stamps(capture: Capture, fps: float | None) -> dict[int, int]:
+    """Nanoseconds by frame: what the recording said, else frames at `fps` from 0, which is said unless asked for."""
+    from scenes.errors import InputError
+    from scenes.recordings.manifest import frame_stamps
+
+    try:
+        said = frame_stamps(capture.manifest.notes, capture.frame_ids)
+    except InputError as error:
+        raise InputError(f"{capture.path / 'capture.json'}: {error}") from error
+    if said is not None:
         return said
+    if fps is None:
+        fps = STAMP_RATE
+        warn(f"the recording has no times (stamps_ns): frames are written as if {fps:g} came in a second (--fps)")
     return {number: round(1e9 * number / fps) for number in capture.frame_ids}
 
 
@@ -425,7 +430,6 @@ def _convert_file(source: Path, out: Path) -> Path:
 
 
 def _faces(path: Path) -> Any:
-    import trimesh
+    from scenes.files.meshes import loaded
 
-    mesh = trimesh.load(path, process=False)
-    return getattr(mesh, "faces", None)
+    return getattr(loaded(path), "faces", None)

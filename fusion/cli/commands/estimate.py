@@ -7,10 +7,8 @@ import argparse
 from fusion.cli.compiling import announce_compiling
 from fusion.cli.config import add_config, estimate_settings, told
 from fusion.cli.options import (
-    add_beliefs,
     add_run,
     add_sure,
-    length_and_angle,
     number,
     out_folder,
     percent,
@@ -19,10 +17,12 @@ from fusion.cli.options import (
     progress,
     say,
     show_table,
+    tolerance,
     warn_of,
     with_sure,
     write_run,
 )
+from fusion.cli.telling import add_beliefs
 from fusion.results.runs import estimates, frame_setter, load_object
 
 HEADS = (
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_beliefs(parser)
     add_config(parser)
     parser.add_argument(
-        "--tolerance", metavar="MM,DEG", type=length_and_angle, help="good enough, like 1,2: work beyond is skipped"
+        "--tolerance", metavar="MM,DEG", type=tolerance, help="good enough, like 1,2: work beyond is skipped"
     )
     parser.add_argument("--budget-ms", metavar="N", type=positive_number, help="milliseconds a frame may take")
 

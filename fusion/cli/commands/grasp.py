@@ -149,5 +149,5 @@ def _show(grasps: list[GraspAnswer]) -> None:
         for place in g.places:
             x, y, z = (1e3 * place.point).round()
             finger = "" if place.finger is None else f"; nearest is {place.finger}"
-            gain = f"ε {max(0.0, place.margin):.3f} ({place.gain:+.3f}), {place.information:.1f} nats about the pose"
+            gain = f"{place.told}, {place.information:.1f} nats about the pose"
             say(f"frame {g.frame}: a finger at ({x:.0f}, {y:.0f}, {z:.0f}) mm of the object: {gain}{finger}")

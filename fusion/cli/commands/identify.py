@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fusion.cli.commands.localize import read_contacts
-from fusion.cli.options import number, progress, say, show_table, write_json
+from fusion.cli.options import length_unit, number, progress, say, show_table, write_json
 
 if TYPE_CHECKING:
     from scenes.geometry.objects import ObjectModel
@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--objects", metavar="DIR", type=Path, required=True, help=f"folder of candidate meshes ({' '.join(MESHES)})"
     )
-    parser.add_argument("--unit", default="m", help="unit of the mesh files: m (default), cm, mm, inch")
+    parser.add_argument("--unit", type=length_unit, default="m", help="of the mesh files: m (default), cm, mm, inch")
     parser.add_argument("--frame", metavar="N", type=int, help="of a contacts.csv with several frames, this one")
 
 

@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from fusion.cli.compiling import announce_compiling
 from fusion.cli.options import (
-    add_beliefs,
     add_object,
     add_trust,
-    beliefs_told,
     number,
     pose_lines,
     positive,
@@ -19,6 +17,7 @@ from fusion.cli.options import (
     show_table,
     write_json,
 )
+from fusion.cli.telling import add_beliefs, beliefs_told
 from fusion.results.runs import load_object
 
 if TYPE_CHECKING:

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 from fusion.cli.compiling import announce_compiling
 from fusion.cli.config import add_config, read_config, told
 from fusion.cli.options import (
-    add_beliefs,
     add_run,
     add_sure,
     is_quiet,
@@ -29,6 +28,7 @@ from fusion.cli.options import (
     warn,
     with_sure,
 )
+from fusion.cli.telling import add_beliefs
 from fusion.results.runs import load_object, prior_setter
 from scenes.words import counted
 

@@ -67,7 +67,7 @@ def _entry(grasp: GraspAnswer, model: ObjectModel, estimate: Estimate, vertices:
 
 def _place(place: Place, model: ObjectModel, pose: Array) -> dict[str, Any]:
     x, y, z = (f"{1e3 * float(v):.0f}" for v in place.point)
-    text = f"at ({x}, {y}, {z}) mm of the object: ε {max(0.0, place.margin):.3f} ({place.gain:+.3f})"
+    text = f"at ({x}, {y}, {z}) mm of the object: {place.told}"
     text += f", {place.information:.1f} nats about the pose"
     if place.finger is not None and place.finger_distance is not None:
         text += f"; nearest is {place.finger.replace('_', ' ')}, {1e2 * place.finger_distance:.0f} cm away"

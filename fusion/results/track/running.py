@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import logging
+import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ from typing import Any
 from fusion.advice.next_touch import next_touches
 from fusion.results.files import answer_of, frame_errors
 from fusion.results.track.checkpoints import CHECKPOINT, Checkpoint
-from fusion.results.track.files import FRAMES, REPORT_FOLDER, GrowingFiles, lines
+from fusion.results.track.files import FRAMES, REPORT_FOLDER, TIMES, GrowingFiles, lines
 from fusion.results.track.pictures import Photographer
 from fusion.results.track.replay import InTurn, Next, RealTime
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
@@ -24,7 +25,8 @@ from fusion.tracking.checkpoint import plain_state, restore_tracker, save_tracke
 from fusion.tracking.rehearsal import rehearse
 from fusion.tracking.tracker import Tracker
 from fusion.truth.errors import Judge
-from scenes.errors import PalpateError
+from scenes.errors import InputError, PalpateError
+from scenes.files.claimed import claimed
 from scenes.files.problems import Problem, refuse
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
@@ -84,7 +86,7 @@ class TrackRun:
         """prepare: what is done to the first frame (its coarse start); asked: as for a Checkpoint.
 
         resume: go on where the folder's checkpoint is; without one, begin. Raises InputError when it is of a track
-        that was asked something else.
+        that was asked something else, and for a folder that another track is being written to.
         """
         self.capture, self.model, self.out = capture, model, out
         self.options = options or RunOptions()
@@ -93,6 +95,16 @@ class TrackRun:
         self._judge = Judge(model)
         self.done = self.answered = 0
         self._last = -1
+        self._claim = _claim(out)
+        try:
+            self._begin(resume)
+        except BaseException:
+            os.close(self._claim)
+            raise
+
+    def _begin(self, resume: bool) -> None:
+        """From the folder's checkpoint, or from the start in a folder without an earlier track's files."""
+        capture, model, out, asked = self.capture, self.model, self.out, self._asked
         found = Checkpoint.read(out) if resume else None
         if found is not None:
             found.check(out, asked, capture.frame_ids)
@@ -115,6 +127,7 @@ class TrackRun:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._files.close()
+        os.close(self._claim)
 
     def steps(self) -> Iterator[Step]:
         """Track what is left of the recording; each step is on disk when it is yielded."""
@@ -252,6 +265,15 @@ def _reporting(capture: Capture, report: Callable[[Problem], None]) -> Iterator[
         yield
     finally:
         capture.report = before
+
+
+def _claim(out: Path) -> int:
+    """The handle that keeps other tracks out of the folder as long as it is open."""
+    out.mkdir(parents=True, exist_ok=True)
+    handle = claimed(out / TIMES)
+    if handle is None:
+        raise InputError(f"{out}: expected a folder for one track, found one at work: wait for it, or name another")
+    return handle
 
 
 def _clear(out: Path) -> None:

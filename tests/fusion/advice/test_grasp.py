@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fusion.advice.grasp import GraspAdviceSettings, GraspMap, assess, sample_poses
+from fusion.advice.grasp import GraspAdviceSettings, GraspMap, Place, assess, sample_poses
 from fusion.cli.main import main
 from fusion.estimation.answer import ContactResidual, Estimate, Mode
 from fusion.results.files import capture_of, find_result, read_result
@@ -153,6 +153,19 @@ def test_the_report_shows_it(box):
     assert len(entry["places"]) == len(grasp.places)
     json.dumps(page, allow_nan=False)
     assert report_data("name", [frame], box, [answer])["frames"][0]["grasp"] is None
+
+
+@pytest.mark.parametrize(
+    ("gain", "margin", "told"),
+    [
+        (0.065, 0.086, "ε 0.086 (+0.065)"),
+        (0.641, 0.05, "closes the grasp: ε 0.050 (margin -0.591 without it)"),
+        (0.1, -0.2, "does not close the grasp: margin -0.200 (-0.300 without it)"),
+    ],
+)
+def test_a_gain_is_of_what_was_there_before(gain, margin, told):
+    """Epsilon cannot gain more than it is: where the grasp was not closed, it is the margin that gains."""
+    assert Place(np.zeros(3), np.zeros(3), gain, margin, 0.0).told == told
 
 
 # ---- the command

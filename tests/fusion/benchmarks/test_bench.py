@@ -2,13 +2,17 @@
 
 import json
 import math
+import re
+from dataclasses import fields, replace
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 import trimesh
+from commands import refused
 
 from fusion import benchmarks
+from fusion.benchmarks.asked import HEEDED, OPTIONS, check
 from fusion.benchmarks.contacts import trials as contact_trials
 from fusion.benchmarks.printing.charts import Chart, draw
 from fusion.benchmarks.printing.tables import (
@@ -110,6 +114,34 @@ def test_unknown_benchmarks_are_named(capsys):
     assert main(["bench", "speed"]) == 2
     assert "local" in capsys.readouterr().err
     assert {"local", "global"} <= set(benchmarks.available())
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("local --objects foo", "bench local: expected no --objects, which is of vision, search, .*, got it"),
+        ("arrays --family lab", "bench arrays: expected no --family, which is of vision, "),
+        ("search --methods icp", "bench search: expected no --methods, which is of occlusion, tracking, got it"),
+        ("real --told", "bench real: expected no --told, which is of vision, calibration, got it"),
+        ("skipping --objects dril", "--objects: expected some of .*, got 'dril': did you mean drill"),
+        ("tracking --objects foo", "--objects: expected some of .*, got 'foo'"),
+        ("occlusion --family lab --objects kettle", "--objects: expected some of .*, got 'kettle'"),
+        ("all --objects foo", "--objects: expected some of .*, got 'foo'"),
+    ],
+)
+def test_what_a_benchmark_would_pass_over_is_refused(capsys, words, message):
+    assert re.search(message, refused(capsys, "bench", *words.split()))
+
+
+def test_what_pages_ask_benchmarks_for_is_heeded():
+    """And every name of an option is one of the settings."""
+    settings = BenchSettings(objects=("kettle",), family="report")
+    check("occlusion", settings)
+    check("tracking", replace(settings, family="stranger,borrowed", objects=("drill", "mug", "kettle")))
+    check("calibration", replace(settings, objects=None, told=True))
+    assert set(OPTIONS) <= {one.name for one in fields(BenchSettings)}
+    assert {option for has in HEEDED.values() for option in has} == set(OPTIONS)
+    assert set(HEEDED) <= set(benchmarks.BENCHMARKS)
 
 
 def test_the_bound_is_that_of_many_trials():

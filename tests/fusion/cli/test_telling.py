@@ -80,10 +80,13 @@ def test_a_camera_of_one_s_own(capsys, tmp_path):
         (("--camera", "d436"), "--camera: expected a TOML file or one of kinect-v1, .* got 'd436': did you mean d435"),
         (("--camera", "bad.toml"), "bad.toml: depth: expected a setting of .* did you mean bias_sigma"),
         (("--camera", "text.toml"), "expected TOML, got malformed text"),
-        (("--mesh", "80"), "--mesh: mesh_sigma: expected a number above 0 and up to 0.05, got 0.08"),
-        (("--calibration", "0,0.3"), "--calibration: calibration: translation_sigma: expected a number above 0"),
-        (("--calibration", "2000,0.3"), "translation_sigma: expected a number above 0 and up to 0.5, got 2"),
-        (("--joints", "90"), "--joints: touch: fingertip_sigma: expected"),
+        (("--mesh", "80"), "--mesh: expected a number above 0 and up to 50 mm, got '80'"),
+        (("--calibration", "0,0.3"), "--calibration: expected a length and an angle above 0 and up to 500 mm and 45.8"),
+        (
+            ("--calibration", "2000,0.3"),
+            "an angle above 0 and up to 500 mm and 45.8 degrees, got '2000,0.3'",
+        ),
+        (("--joints", "90"), "--joints: expected a number above 0 and up to 38.2 degrees, got '90'"),
     ],
 )
 @pytest.mark.parametrize("command", ["estimate", "track", "batch", "compare"])

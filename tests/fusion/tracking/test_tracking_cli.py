@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from commands import refused
 
 from fusion.benchmarks.tracking.methods import Said
 from fusion.benchmarks.tracking.tally import Tally, count_slips, losses
@@ -44,6 +45,26 @@ def test_track_refuses_what_is_no_capture_and_unknown_senses(capture, tmp_path, 
     errors = capsys.readouterr().err.strip().splitlines()
     assert len(errors) == 2
     assert all(line.startswith("palpate: ") for line in errors)
+
+
+def test_two_tracks_into_one_folder_are_refused(capture, tmp_path, capsys):
+    """The second at once, and the first ends as if it had been alone."""
+    from fusion.results.track.running import TrackRun
+    from fusion.tracking.tracker import Tracker
+    from scenes.recordings.captures import read_capture
+
+    out, read = tmp_path / "out", read_capture(capture)
+    model = read.model
+    with TrackRun(read, model, out, lambda: Tracker(model), lambda frame, model: frame, {}) as first:
+        steps = first.steps()
+        next(steps)
+        for more in ([], ["--resume"]):
+            assert "expected a folder for one track, found one at work" in refused(
+                capsys, "track", capture, "--out", out, *more
+            )
+        assert len(list(steps)) == 2
+    assert [json.loads(line)["frame"] for line in (out / "times.jsonl").read_text().splitlines()] == [0, 1, 2]
+    assert main(["track", str(capture), "--out", str(out), "--no-report", "-q"]) == 0
 
 
 def test_slips_are_counted_once_and_alarms_by_their_beginning():

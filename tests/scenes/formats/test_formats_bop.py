@@ -176,7 +176,7 @@ def test_malformed_scenes(data, tmp_path, capsys):
     says("expected obj_000007.ply in a folder models", "--object-id", 7, "--instance", 0)
     one = ("--object-id", 2)
     data.edit("scene_camera.json", lambda c: c["3"].update(depth_scale=0))
-    says("scene_camera.json, frame 3: depth_scale: expected millimetres per count above 0", *one)
+    says("scene_camera.json, frame 3: depth_scale: expected millimetres per count from 0.0001 to 1000, got 0", *one)
     data.edit("scene_camera.json", lambda c: c["3"].update(depth_scale=1))
     good = (data.scene / "scene_gt.json").read_text()
     data.edit("scene_gt.json", lambda gt: gt["3"][10].update(cam_R_m2c=[2, 0, 0, 0, 2, 0, 0, 0, 2]))

@@ -1,5 +1,7 @@
 """Meshes as found: what is mended, and what is refused with its reason."""
 
+import re
+
 import igl
 import numpy as np
 import pytest
@@ -98,7 +100,7 @@ def test_two_bodies_one_of_them_inverted():
 def test_one_missing_triangle_is_filled():
     vertices, faces = ball()
     mesh, mended = closed(vertices, faces[1:])
-    assert any("1 holes filled" in m for m in mended)
+    assert any("1 hole filled" in m for m in mended)
     assert mesh.volume == pytest.approx(trimesh.Trimesh(vertices, faces).volume, rel=1e-6)
 
 
@@ -168,8 +170,17 @@ def test_a_flat_mesh_that_lies_askew_is_refused():
 def test_half_a_ball_names_how_much_is_missing():
     vertices, faces = ball(3)
     half = faces[vertices[faces][:, :, 2].mean(axis=1) > -0.02]
-    with pytest.raises(MeshError, match=r"1 holes of \d+% of its surface"):
+    with pytest.raises(MeshError, match=r"1 hole, \d+% of its surface once closed"):
         mesh_repair.close(vertices, half, "bowl", mesh_repair.RepairSettings(max_lid_share=0.1))
+
+
+def test_holes_are_a_share_of_the_closed_surface():
+    """Of what a mesh has left, they can be many times as much."""
+    vertices, faces = ball(2)
+    with pytest.raises(MeshError) as told:
+        mesh_repair.close(vertices, faces[::9], "splinters")
+    share = int(re.search(r"(\d+)% of its surface", str(told.value))[1])
+    assert share <= 100
 
 
 def test_winding_numbers_agree_with_the_reference(rng):

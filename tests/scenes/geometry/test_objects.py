@@ -140,6 +140,24 @@ def test_files_that_are_no_mesh(tmp_path, name, content, message):
     assert name in str(caught.value)
 
 
+# Some need a package that may be there or not, others have readers with errors of their own.
+ENDINGS = (".stp", ".step", ".3mf", ".3dxml", ".ctm", ".dae", ".zip", ".tar.gz", ".tar.bz2", ".xaml", ".glb", ".gltf")
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+@pytest.mark.parametrize("content", [b"nothing here\n", b"", bytes(range(256))])
+def test_a_format_that_cannot_be_read_here_is_one_line(tmp_path, ending, content):
+    path = tmp_path / f"bad{ending}"
+    path.write_bytes(content)
+    with pytest.raises(MeshError) as caught:
+        ObjectModel.load(path)
+    said = str(caught.value)
+    assert said.startswith(
+        f"{path}: expected a mesh (.ply .obj .stl .off .glb …), got a {ending} that cannot be read: "
+    )
+    assert "\n" not in said
+
+
 def test_an_unknown_unit():
     with pytest.raises(InputError, match="unit: expected one of m, cm, mm, inch, got 'feet'"):
         ObjectModel.load("cup.ply", unit="feet")
@@ -149,6 +167,14 @@ def test_what_was_mended_is_told():
     mesh = trimesh.creation.icosphere(radius=0.05)
     model = ObjectModel.from_mesh(np.array(mesh.vertices), np.array(mesh.faces)[1:, ::-1])
     assert len(model.mended) == 2
+
+
+def test_a_mesh_that_had_to_be_mended_is_logged(tmp_path, caplog):
+    mesh = trimesh.creation.icosphere(radius=0.05)
+    trimesh.Trimesh(mesh.vertices, mesh.faces[1:]).export(tmp_path / "ball.stl")
+    with caplog.at_level("INFO", "scenes"):
+        ObjectModel.load(tmp_path / "ball.stl")
+    assert "ball.stl is not closed as it is: 1 hole filled (" in caplog.text
 
 
 def test_objects_travel_to_other_processes():

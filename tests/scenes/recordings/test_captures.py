@@ -161,7 +161,7 @@ DAMAGES = {
     ),
     "depth_scale zero": (
         lambda c: edit(c / "scene_camera.json", lambda d: put("depth_scale", 0)(d["0"])),
-        "depth_scale: expected millimetres per count above 0",
+        "depth_scale: expected millimetres per count from 0.0001 to 1000, got 0",
     ),
     "camera missing": (
         lambda c: edit(c / "scene_camera.json", lambda d: d.pop("1") and None),

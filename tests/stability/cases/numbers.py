@@ -177,8 +177,8 @@ NOISES = {
     "none": (TouchNoise(point=0.0, normal=0.0), "ok"),
     "0.1 mm": (TouchNoise(point=1e-4, normal=0.01), "ok"),
     "5 mm, 20 degrees": (TouchNoise(point=5e-3, normal=0.35), None),
-    "10 cm, half a turn": (TouchNoise(point=0.1, normal=np.pi), "ambiguous"),
-    "1 m": (TouchNoise(point=1.0, normal=np.pi), "ambiguous"),
+    "10 cm, half a turn": (TouchNoise(point=0.1, normal=np.pi), "lost"),
+    "1 m": (TouchNoise(point=1.0, normal=np.pi), "lost"),
 }
 
 

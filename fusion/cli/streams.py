@@ -1,0 +1,76 @@
+"""Standard output and error of a command, whatever whoever started it has made of them."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, TextIO, cast
+
+# Standard input, output and error.
+STANDARD = (0, 1, 2)
+
+
+class Patient:
+    """A stream that goes on when its reader has enough: what is left to say is dropped, and the command's exit code
+    is that of its result.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        """stream: where it goes as long as somebody reads."""
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        """Everything else is the stream's."""
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """As the stream's."""
+        try:
+            return self._stream.write(text)
+        except BrokenPipeError:
+            self._drop()
+            return len(text)
+
+    def flush(self) -> None:
+        """As the stream's."""
+        try:
+            self._stream.flush()
+        except BrokenPipeError:
+            self._drop()
+
+    def _drop(self) -> None:
+        """From now on into nothing, with what is still in its buffer."""
+        nothing = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nothing, self._stream.fileno())
+        os.close(nothing)
+
+
+@contextmanager
+def patient_streams() -> Iterator[None]:
+    """Standard output and error that may be closed, or be closed while it runs."""
+    before = sys.stdout, sys.stderr
+    if None in before:
+        _occupy()
+    sys.stdout, sys.stderr = (cast(TextIO, Patient(stream or _nothing())) for stream in before)
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # a full disk was told of
+            sys.stdout.flush()
+            sys.stderr.flush()
+        sys.stdout, sys.stderr = before
+
+
+def _nothing() -> TextIO:
+    return open(os.devnull, "w", encoding="utf-8")
+
+
+def _occupy() -> None:
+    """Give the numbers of closed streams to nothing: the next file that is opened would get them, and with them
+    whatever a library prints.
+    """
+    while (number := os.open(os.devnull, os.O_RDWR)) in STANDARD:  # the lowest one that is free
+        continue
+    os.close(number)

@@ -1,0 +1,87 @@
+"""What is well formed in a frame and still useless or doubtful: found when a capture is validated."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.files.problems import Problem
+from scenes.recordings.frames import Frame
+
+Array = NDArray[np.float64]
+
+# No sensor reaches farther (m) from its own origin; one that does is elsewhere than the hand's pose says.
+FARTHEST_CONTACT = 0.2
+# An image cut out of a larger one may have its principal point outside; not so many of its own sides away.
+FARTHEST_CENTRE = 1.0
+# What a frame lacks of a hand that is not known in it at all.
+NOWHERE = "pose and joints"
+
+
+def frame_problems(folder: Path, frame: Frame) -> list[Problem]:
+    """Nothing sensed, a depth image without a reading, a hand that is nowhere, joints out of range, contacts far from
+    their sensors or written again and again, a lens beside its image. folder: of the capture.
+    """
+
+    def problem(file: str, message: str) -> Problem:
+        return Problem(str(folder / file) if file else str(folder), frame.index, message)
+
+    found = []
+    if frame.depth is not None and not (frame.depth > 0).any():
+        found.append(problem(f"depth/{frame.index:06d}.png", "expected depth readings, got an image of zeros"))
+    sensed = (frame.depth is not None, frame.cloud is not None, len(frame.contacts) > 0, len(frame.wrenches) > 0)
+    if not any(sensed) and not frame.tactile and not frame.gels:
+        expected = "expected a depth image, a cloud, contacts, wrenches, tactile arrays or gels' images, found none"
+        found.append(problem("", expected))
+    found += [problem("scene_camera.json", message) for message in _centre(frame)]
+    if frame.hand is not None and frame.joints is not None:
+        for joint, excess in frame.hand.limit_excess(frame.joints).items():
+            found.append(problem("joints.csv", f"expected {joint} within its limits, got {excess:.3g} beyond"))
+    missing = frame.hand_lacks
+    if missing and missing != NOWHERE:  # of single frames of a sequence the hand may not be known
+        file = "hand_poses.csv" if missing == "pose" else "joints.csv"
+        found.append(problem(file, f"expected the hand's {missing}, found none: the hand is left out"))
+    away = _from_sensors(frame)
+    if len(away) and np.median(away) > FARTHEST_CONTACT:
+        message = f"expected contacts at the hand's sensors, got {np.median(away):.2g} m off: is its pose inverted?"
+        found.append(problem("hand_poses.csv", message))
+    again = _repeated(frame)
+    if again:
+        message = f"expected contacts that were each felt once, got {again} of {len(frame.contacts)} rows repeated"
+        found.append(problem("contacts.csv", message))
+    return found
+
+
+def _centre(frame: Frame) -> list[str]:
+    """A principal point that no cut-out of a camera's image has."""
+    camera = frame.camera
+    if camera is None:
+        return []
+    places = (("cx", camera.cx, camera.width), ("cy", camera.cy, camera.height))
+    return [
+        f"expected a principal point near the image, got {name} {at:g} for {size} pixels"
+        for name, at, size in places
+        if not -FARTHEST_CENTRE * size <= at <= (1 + FARTHEST_CENTRE) * size
+    ]
+
+
+def _from_sensors(frame: Frame) -> Array:
+    """(k,) distances (m) of the contacts from the sensors they are named after, of those that the hand has."""
+    if frame.hand is None or frame.joints is None or frame.world_from_hand is None:
+        return np.zeros(0)
+    contacts, places = frame.contacts, frame.hand.hand_from_sensor(frame.joints)
+    known = [(point, places[name]) for point, name in zip(contacts.points, contacts.sensors) if name in places]
+    return np.array([np.linalg.norm(point - (frame.world_from_hand @ pose)[:3, 3]) for point, pose in known])
+
+
+def _repeated(frame: Frame) -> int:
+    """How many contacts are another one over again, in every field: a row that was written twice is no second touch."""
+    felt = frame.contacts
+    if len(felt) < 2:
+        return 0
+    sigmas = felt.sigma_point[:, None], felt.sigma_normal[:, None]
+    numbers = np.nan_to_num(np.concatenate([felt.points, felt.normals, felt.forces, *sigmas], axis=1), nan=np.inf)
+    rows = {(name, row.tobytes()) for name, row in zip(felt.sensors, numbers)}
+    return len(felt) - len(rows)

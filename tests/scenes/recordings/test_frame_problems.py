@@ -1,0 +1,152 @@
+"""What is well formed and still useless or doubtful is said by `validate`, and what no estimate should be made of."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_frames import some_frame
+
+from scenes.errors import CaptureError, InputError
+from scenes.recordings import bop
+from scenes.recordings.captures import read_capture, write_capture
+from scenes.recordings.frames import Contacts, Frame
+from scenes.recordings.manifest import frame_stamps
+from scenes.recordings.validation import check_usable, scale_problem, validate
+from scenes.synthesis.library import make
+
+
+@pytest.fixture
+def capture(tmp_path, hand):
+    return write_capture(tmp_path / "c", [some_frame(0, hand)], make("box"), hand=hand)
+
+
+def said(folder) -> list[str]:
+    return [str(problem) for problem in validate(folder)]
+
+
+def edited(folder, name, change):
+    content = json.loads((folder / name).read_text())
+    change(content)
+    (folder / name).write_text(json.dumps(content))
+    return said(folder)
+
+
+def test_what_is_as_it_must_be_has_none(capture):
+    assert said(capture) == []
+
+
+@pytest.mark.parametrize("scale", [1e308, 1e4, 1e-5, 0.0, -1.0])
+def test_a_depth_scale_that_makes_no_metres(capture, scale, recwarn):
+    told = edited(capture, "scene_camera.json", lambda content: content["0"].update(depth_scale=scale))
+    assert any(
+        f"depth_scale: expected millimetres per count from 0.0001 to 1000, got {scale:g}" in line for line in told
+    )
+    assert not [warning for warning in recwarn if issubclass(warning.category, RuntimeWarning)]
+    with pytest.raises(CaptureError, match="depth_scale"):
+        read_capture(capture)[0]
+
+
+@pytest.mark.parametrize(("at", "name", "value"), [(2, "cx", 5000.0), (5, "cy", -300.0)])
+def test_a_principal_point_far_from_the_image(capture, at, name, value):
+    told = edited(capture, "scene_camera.json", lambda content: content["0"]["cam_K"].__setitem__(at, value))
+    size = 64 if name == "cx" else 48
+    assert any(f"got {name} {value:g} for {size} pixels" in line for line in told)
+
+
+def test_a_principal_point_beside_a_cut_out_is_none(capture):
+    assert edited(capture, "scene_camera.json", lambda content: content["0"]["cam_K"].__setitem__(2, 80.0)) == []
+
+
+@pytest.mark.parametrize(
+    ("files", "lacks", "where"),
+    [
+        (["hand_poses.csv"], "pose", ", frame 0: expected the hand's pose, found none"),
+        (["joints.csv"], "joints", ", frame 0: expected the hand's joints, found none"),
+        (
+            ["hand_poses.csv", "joints.csv"],
+            "pose and joints",
+            ": expected the hand's pose and joints in a frame at least, found none",
+        ),
+    ],
+)
+def test_a_hand_that_is_nowhere(capture, files, lacks, where):
+    for name in files:
+        (capture / name).unlink()
+    assert [line for line in said(capture) if "the hand is left out" in line] == [
+        f"{capture / files[0]}{where}: the hand is left out"
+    ]
+    assert read_capture(capture)[0].hand_lacks == lacks
+
+
+def test_rows_that_are_written_again_and_again(capture):
+    lines = (capture / "contacts.csv").read_text().splitlines()
+    (capture / "contacts.csv").write_text("\n".join([*lines, *[lines[1]] * 200, ""]))
+    expected = "expected contacts that were each felt once, got 200 of 203 rows repeated"
+    assert said(capture) == [f"{capture / 'contacts.csv'}, frame 0: {expected}"]
+
+
+def test_a_sigma_of_another_unit():
+    model = make("box")
+    points = np.array([[0.0, 0.0, 0.5], [0.03, 0.0, 0.5], [0.0, 0.04, 0.52]])
+    frame = Frame(0, contacts=Contacts(points, sigma_point=[1.0, 1.0, 0.001]))
+    expected = f"got a sigma_point of 1 m and an object of {model.diameter:.4g} m: mm read as m?"
+    assert expected in (scale_problem(frame, model) or "")
+    with pytest.raises(CaptureError, match="a sigma_point of 1 m"):
+        check_usable(frame, model)
+    assert scale_problem(Frame(0, contacts=Contacts(points, sigma_point=[1.0, 0.001, 0.001])), model) is None
+    assert scale_problem(Frame(0, contacts=Contacts(points)), model) is None
+
+
+def test_a_start_behind_the_camera():
+    frame = replace(some_frame(0), camera_from_object_truth=None)
+    behind = frame.prior.copy()
+    behind[2, 3] = -3.0
+    told = scale_problem(replace(frame, prior=behind), make("box"))
+    assert told.startswith("expected a prior of an object before the camera, got one ")
+    assert told.endswith(" m behind it: is it inverted, or of a camera that looks along -z?")
+    assert "behind" not in (scale_problem(replace(frame, prior=behind, camera=None, depth=None, rgb=None, mask=None),
+                                          make("box")) or "")  # fmt: skip
+
+
+def test_a_number_that_is_none_is_named_by_its_place():
+    pose = np.eye(4).ravel().tolist()
+    pose[7] = float("nan")
+    with pytest.raises(InputError, match="prior: expected 16 finite numbers, got nan as number 8 of them"):
+        bop.prior_entry(pose)
+    with pytest.raises(InputError, match="prior: expected 16 finite numbers, got 15: "):
+        bop.prior_entry(pose[:-1])
+
+
+@pytest.mark.parametrize(
+    ("stamps", "message"),
+    [
+        ([1, 2, 3], r"expected nanoseconds by frame number, got \[1, 2, 3\]"),
+        ({"0": 10, "1": 20}, "expected one of each of 3 frames, got 2, none of frame 2"),
+        ({"0": 10, "1": 20, "2": 30, "3": 40}, "expected one of each of 3 frames, got 4"),
+        ({"0": 10, "1": "soon", "2": 30}, "expected whole nanoseconds, got 'soon' of frame 1"),
+        ({"0": 10, "1": True, "2": 30}, "expected whole nanoseconds, got 'True' of frame 1"),
+        ({"0": 10, "1": 30, "2": 20}, "expected times that run forwards, got frame 2 before frame 1"),
+    ],
+)
+def test_times_that_are_none(tmp_path, stamps, message):
+    with pytest.raises(InputError, match=f"stamps_ns: {message}"):
+        frame_stamps({"stamps_ns": stamps}, (0, 1, 2))
+    folder = write_capture(tmp_path / "c", [some_frame(i) for i in range(3)], make("box"))
+    assert said(folder) == []
+    (line,) = edited(folder, "capture.json", lambda content: content.update(notes={"stamps_ns": stamps}))
+    assert line.startswith(f"{folder / 'capture.json'}: stamps_ns: expected ")
+
+
+def test_times_that_are_some():
+    assert frame_stamps({}, (0, 1)) is None
+    assert frame_stamps({"stamps_ns": {"3": 5, "4": 5}}, (3, 4)) == {3: 5, 4: 5}
+
+
+def test_a_missing_model_is_named_once(capture):
+    (model,) = (capture / "models").glob("*.ply")
+    model.unlink()
+    (line,) = said(capture)
+    assert line.count(str(model)) == 1
