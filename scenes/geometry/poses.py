@@ -151,6 +151,8 @@ def exp_rotation(vector: ArrayLike) -> Array:
 def _one_rotation(x: float, y: float, z: float) -> Array:
     """`exp_rotation` of one vector: arrays of so few numbers take NumPy twenty times as long."""
     square = x * x + y * y + z * z
+    if not square < math.inf:
+        return np.full((3, 3), np.nan)  # no number of turns
     if square < 1e-8:
         a, b = 1.0 - square / 6.0, 0.5 - square / 24.0
     else:

@@ -80,6 +80,10 @@ def write_json(path: str | Path, content: Any) -> None:
     replace_file(Path(path), (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
 
 
+# Frames are counted in 64 bits.
+LARGEST_FRAME = 2**63 - 1
+
+
 class FrameEntries(Mapping[int, Any]):
     """Entries of a JSON file by frame number, read again when they are asked for: an hour of recording has a hundred
     thousand. Raises CaptureError for a file that has changed meanwhile.
@@ -88,6 +92,8 @@ class FrameEntries(Mapping[int, Any]):
     def __init__(self, path: Path, places: Mapping[int, tuple[int, int]]) -> None:
         """places: first byte of each frame's entry, and the byte after it."""
         self._path = path
+        if max(places, default=0) > LARGEST_FRAME:
+            raise CaptureError(f"{path}: expected frame numbers below 2^63, got {str(max(places))[:30]}")
         self._places = np.array([(frame, *place) for frame, place in places.items()], dtype=np.int64).reshape(-1, 3)
         self._order = np.argsort(self._places[:, 0], kind="stable")
 

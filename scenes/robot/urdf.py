@@ -25,6 +25,8 @@ Faces = NDArray[np.int64]
 MOVING = ("revolute", "continuous", "prismatic")
 # Corners around a cylinder or sphere read from a URDF: 24 keeps the chord within 1 % of the radius.
 ROUND_SECTIONS = 24
+# Radians beyond which an angle is none: of a million a double knows the turn to ten digits.
+MOST_TURNED = 1e6
 # Raised whenever reading or making a shape's triangles changes, so that old cache entries are not read.
 MESH_VERSION = 1
 
@@ -207,7 +209,9 @@ def _origin(element: ET.Element, where: str) -> Array:
     if origin is None:
         return np.eye(4)
     xyz = _vector(origin.get("xyz"), 3, (0.0, 0.0, 0.0), f"{where}: origin xyz")
-    roll, pitch, yaw = _vector(origin.get("rpy"), 3, (0.0, 0.0, 0.0), f"{where}: origin rpy")
+    roll, pitch, yaw = angles = _vector(origin.get("rpy"), 3, (0.0, 0.0, 0.0), f"{where}: origin rpy")
+    if np.abs(angles).max() > MOST_TURNED:
+        raise InputError(f"{where}: origin rpy: expected radians, got {float(np.abs(angles).max()):.3g}")
     x, y, z = np.eye(3)
     turn = poses.exp_rotation(z * yaw) @ poses.exp_rotation(y * pitch) @ poses.exp_rotation(x * roll)
     return poses.make_pose(turn, xyz)

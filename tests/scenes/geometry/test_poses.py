@@ -87,6 +87,14 @@ def test_log_inverts_exp(twist):
     assert np.allclose(poses.exp(back), poses.exp(twist), atol=1e-11)
 
 
+def test_a_turn_by_more_than_numbers_hold_is_none():
+    """One vector as many of them: no error from deep inside."""
+    with np.errstate(all="ignore"):
+        many = poses.exp_rotation(np.full((1, 3), 1e200))[0]
+    assert np.isnan(poses.exp_rotation([1e200, 1e200, 1e200])).all()
+    assert np.isnan(many).all()
+
+
 @given(rotation_vectors())
 def test_log_keeps_relative_digits_near_the_identity(vector):
     back = poses.log_rotation(poses.exp_rotation(vector))

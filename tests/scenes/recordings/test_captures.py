@@ -150,6 +150,10 @@ DAMAGES = {
         lambda c: edit(c / "scene_camera.json", lambda d: d["0"].pop("cam_K") and None),
         "scene_camera.json, frame 0: expected an object with cam_K",
     ),
+    "a frame beyond counting": (
+        lambda c: edit(c / "scene_camera.json", lambda d: d.update({"9" * 25: d["0"]})),
+        "expected frame numbers below 2",
+    ),
     "short K": (lambda c: edit(c / "scene_camera.json", lambda d: put("cam_K", [1, 2])(d["0"])), "cam_K: expected 9"),
     "negative focal length": (
         lambda c: edit(c / "scene_camera.json", lambda d: put("cam_K", [-1, 0, 0, 0, 1, 0, 0, 0, 1])(d["0"])),

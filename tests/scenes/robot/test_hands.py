@@ -283,6 +283,7 @@ LIMIT = '<limit lower="0" upper="1"/>'
         (BASE.format(LINK + JOINT.format("revolute", "a", "b", '<limit lower="1" upper="0"/>')), "below upper"),
         (BASE.format(LINK + JOINT.format("revolute", "a", "b", LIMIT + '<axis xyz="0 0 0"/>')), "direction"),
         (BASE.format(LINK + JOINT.format("revolute", "a", "b", LIMIT + '<axis xyz="0 0"/>')), "3 numbers, got '0 0'"),
+        (BASE.format(LINK + JOINT.format("fixed", "a", "b", '<origin rpy="1e200 0 0"/>')), "expected radians, got 1e"),
         (BASE.format(LINK + JOINT.format("revolute", "a", "b", LIMIT + '<mimic joint="x"/>')), "got 'x'"),
         (BASE.format(LINK + JOINT.format("revolute", "a", "b", LIMIT + '<mimic joint="j"/>')), "circle"),
         (BASE.format(LINK + JOINT.format("fixed", "a", "b", "") + JOINT.format("fixed", "b", "a", "")), "two"),
