@@ -49,7 +49,8 @@ def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[Joint
     bias, rig = np.unravel_index(int(np.argmax(weights)), weights.shape)
     usual = tried[bias][rig]
     if not isinstance(usual, Settled):
-        near = next(one for one in tried[bias] if isinstance(one, Settled))
+        # of a bias that was not solved nothing is, and the last that was is the nearest
+        near = next(one for row in (tried[bias], *reversed(tried)) for one in row if isinstance(one, Settled))
         level = Level(settings.rigs[rig].level, settings.biases[bias].level)
         usual = tried[bias][rig] = settle(problem, near.pose, level, near, near.system)
     likely = [(n, k) for n, k in np.ndindex(weights.shape) if weights[n, k] >= settings.negligible]

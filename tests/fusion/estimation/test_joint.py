@@ -316,6 +316,17 @@ def test_rigs_beside_one_that_was_solved_are_told_with_its_bias_marginalised_onc
         assert solved.log_evidence + gained == pytest.approx(whole.log_evidence, abs=1e-3)
 
 
+def test_the_likeliest_of_all_sizes_is_solved_whichever_bias_it_is_of(drill, monkeypatch):
+    """Also where it is of a bias that seemed not to count: with that, and a rig far from the usual one."""
+    problem, pose = made_problem(drill, np.random.default_rng(0), prior=True, noise=1e-5)
+    weights = np.zeros((4, 4))
+    weights[3, 2] = 1.0
+    monkeypatch.setattr(rigs, "_weights", lambda tried, settings: weights)
+    found = solve_modes([replace(problem, settings=replace(problem.settings, counting=2.0))], [pose])[0]
+    assert found.level == Level(problem.settings.rigs[2].level, problem.settings.biases[3].level)
+    assert np.linalg.eigvalsh(found.covariance).min() > 0
+
+
 @pytest.mark.parametrize("prior", [True, False])
 def test_a_bias_that_counts_is_solved(drill, monkeypatch, prior):
     """The answer is the same where all biases are solved and where those are that count; all are without a prior."""
