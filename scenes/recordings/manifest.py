@@ -126,9 +126,10 @@ def read_manifest(folder: Path, report: Report) -> Manifest:
 
 
 def frame_stamps(notes: Mapping[str, Any], frame_ids: Sequence[int]) -> dict[int, int] | None:
-    """The notes' `stamps_ns`, the time (ns) of every frame by its number; None where there are none.
+    """The notes' `stamps_ns`, the time (ns) of every frame by its number; None where there are none. Those of frames
+    that were taken out of a recording are passed over.
 
-    Raises InputError for those that are no whole numbers, not one of each frame, or run backwards.
+    Raises InputError for those that are no whole numbers, leave out a frame, or run backwards.
     """
     noted = notes.get("stamps_ns")
     if noted is None:
@@ -139,9 +140,9 @@ def frame_stamps(notes: Mapping[str, Any], frame_ids: Sequence[int]) -> dict[int
         if not isinstance(stamp, int) or isinstance(stamp, bool):
             raise InputError(f"stamps_ns: expected whole nanoseconds, got {str(stamp)[:60]!r} of frame {number}")
     unstamped = [number for number in frame_ids if str(number) not in noted]
-    if unstamped or len(noted) != len(frame_ids):
-        which = f", none of frame {unstamped[0]}" if unstamped else ""
-        raise InputError(f"stamps_ns: expected one of each of {len(frame_ids)} frames, got {len(noted)}{which}")
+    if unstamped:
+        expected = f"expected one of each of {len(frame_ids)} frames"
+        raise InputError(f"stamps_ns: {expected}, got {len(noted)}, none of frame {unstamped[0]}")
     stamps = {number: int(noted[str(number)]) for number in frame_ids}
     for before, after in pairwise(frame_ids):
         if stamps[after] < stamps[before]:

@@ -92,6 +92,8 @@ def _tried(problem: JointProblem, start: Array) -> list[list[Settled | Expected]
         facing = last.system if last is not None and n > 1 else None
         last = settle(problem, start if last is None else last.pose, level, last, facing)
         tried.append(last)
+    if len(rigs) == 1:
+        return [[one] for one in tried]
     levels, centroid = [rig.level for rig in rigs], problem.model.centroid
     out: list[list[Settled | Expected]] = []
     for one in tried:
