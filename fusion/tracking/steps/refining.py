@@ -22,6 +22,7 @@ from fusion.estimation.verdict import contact_residuals, nats_of_contacts
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Measurement
 from fusion.tracking.hypotheses import Hypotheses, weighed
+from fusion.tracking.steps.by_picture import meant, walked
 from fusion.tracking.steps.sensing import Sensed
 from fusion.tracking.untold import Untold
 from scenes.evidence import table as tables
@@ -58,15 +59,19 @@ def refine(
 ) -> Refined:
     """The hypotheses, the leader first and with its own prior, fitted to the frame and weighed by it."""
     priors = [leading, *(loose(h.pose, h.covariance, settings) for h in hypotheses[1:])]
-    found, shown, hessians, by_rows = [], [], [], []
+    found, shown, widths, by_rows = [], [], [], []
     for k, prior in enumerate(priors):
         pose, rows, hessian, cost = _fitted(model, prior, sensed, k == 0, settings)
+        width = covariance_of(model, hessian)
+        likelier = walked(model, prior, pose, sensed, settings) if k == 0 else None
+        if likelier is not None:
+            pose, width = likelier.pose, likelier.covariance
+            rows = sensed.rows_at(pose, settings.side)
         found.append(pose)
         shown.append(rows)
-        hessians.append(hessian)
+        widths.append(width)
         by_rows.append(cost)
     poses = np.array(found)
-    widths = [covariance_of(model, hessian) for hessian in hessians]
     nats = np.zeros(len(poses))
     if len(poses) > 1:
         nats = np.array(by_rows) if sensed.pool is None else frame_nats(poses, widths, sensed, settings)
@@ -168,7 +173,7 @@ def _solved(
         return solved
     after, before = sensed.pool.predictor.costs(np.array([solved.as_seen, start]))
     if after - before <= most_worse:
-        return solved
+        return meant(model, solved, sensed, settings)
     apart = se3.difference(solved.pose, start, model.centroid)
     scatter = np.outer(apart, apart)
     xi = se3.difference(sensed.felt.correction, np.eye(4), solved.centre) if hand is None else hand.xi
