@@ -37,6 +37,7 @@ from fusion.tracking.steps.aside import ANEW, AROUND, Aside
 from fusion.tracking.steps.glancing import as_judged, glance, known_of, may_glance, steadied
 from fusion.tracking.steps.judging import as_believed, as_followed, as_learned, judge
 from fusion.tracking.steps.lens import through_one_lens
+from fusion.tracking.steps.outlining import with_outline
 from fusion.tracking.steps.predicting import predict
 from fusion.tracking.steps.printed import as_before, as_printed
 from fusion.tracking.steps.refining import loose, measurement_of, refine, shift, solve_leader
@@ -296,6 +297,7 @@ class Tracker:
                 prior = replace(prior, pose=leader)
             learned = len(state.levels)
             solved = solve_leader(model, frame, leader, prior, found, sensed, state.levels, beliefs, s)
+            solved = with_outline(solved, sensed, beliefs, s, trace)
             blind = state.hand is not None and not len(looked.pixels)
             told = self._looker.correction is not None or state.correction is not None
             shown = replace(sensed, seen=found.seen)

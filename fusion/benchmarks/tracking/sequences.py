@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,7 +39,7 @@ def recorded(
     from scenes.recordings.captures import read_capture
     from scenes.synthesis.recording import synthesize
 
-    settings = settings or replace(settings_of(family), rgb=False)
+    settings = settings or settings_of(family)
     model = judge_of(name, family.mesh_error).model
     for attempt in range(3):
         with tempfile.TemporaryDirectory() as scratch:

@@ -17,10 +17,9 @@ from fusion.estimation.steps.facing import as_seen_printed
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
 from fusion.tracking.slip import SlipWatch
 from fusion.tracking.state import TrackState
-from fusion.tracking.steps.sensing import Sensed, cropped
+from fusion.tracking.steps.sensing import Sensed, part_with_colours
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
-from scenes.recordings.frames import Frame
 from vision.tracking.by_vision import ConstantVelocity
 
 
@@ -44,7 +43,7 @@ def as_printed(
         return answer
     if not sensed.pool.predictor.sees:
         return answer
-    told, facing = as_seen_printed(_part(sensed), model, sensed.pool.predictor, answer.pose, how)
+    told, facing = as_seen_printed(part_with_colours(sensed), model, sensed.pool.predictor, answer.pose, how)
     if not facing.decides(how):
         return replace(answer, print_share=facing.share)
     off = float(se3.rotation_angle(answer.pose[:3, :3].T @ told[:3, :3]))
@@ -67,15 +66,3 @@ def as_before(model: ObjectModel, found: Estimate, lost: Estimate, settings: Est
     if found.print_share >= settings.texture.decides:
         return found
     return replace(found, pose=model.symmetries.nearest(found.pose, lost.pose))
-
-
-def _part(sensed: Sensed) -> Frame:
-    """The part of the frame that the picture of its poses is of, with its colours."""
-    assert sensed.pool is not None
-    frame, own = sensed.viewed, sensed.pool.predictor.camera
-    assert frame.camera is not None
-    assert frame.rgb is not None
-    assert own is not None
-    u, v = round(frame.camera.cx - own.cx), round(frame.camera.cy - own.cy)
-    part = cropped(frame, (u, v, u + own.width, v + own.height))
-    return replace(part, rgb=np.ascontiguousarray(frame.rgb[v : v + own.height, u : u + own.width]))

@@ -89,6 +89,18 @@ def cropped(frame: Frame, box: tuple[int, int, int, int]) -> Frame:
     return replace(frame, camera=camera, depth=depth, mask=mask, rgb=None)
 
 
+def part_with_colours(sensed: Sensed) -> Frame:
+    """The part of the frame that the picture of its poses is of, with its colours."""
+    assert sensed.pool is not None
+    frame, own = sensed.viewed, sensed.pool.predictor.camera
+    assert frame.camera is not None
+    assert frame.rgb is not None
+    assert own is not None
+    u, v = round(frame.camera.cx - own.cx), round(frame.camera.cy - own.cy)
+    part = cropped(frame, (u, v, u + own.width, v + own.height))
+    return replace(part, rgb=np.ascontiguousarray(frame.rgb[v : v + own.height, u : u + own.width]))
+
+
 def pool_near(
     frame: Frame,
     model: ObjectModel,

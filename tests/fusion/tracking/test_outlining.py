@@ -1,0 +1,63 @@
+"""A track reads the outline in the image beside depth, as an estimate does."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fusion import Tracker
+from fusion.tracking.answer import TrackSettings
+from scenes.geometry import poses
+from scenes.synthesis.recording import synthesize_frames
+
+FRAMES = 8
+
+
+@pytest.fixture(scope="module")
+def frames(drill, hand):
+    return synthesize_frames(drill, hand, FRAMES, 0.3, noise="d435", seed=4, motion="carry")
+
+
+def every_frame_in_full():
+    usual = TrackSettings()
+    return replace(usual, glance=replace(usual.glance, every=1))
+
+
+def followed(frames, model, settings=None):
+    tracker = Tracker(model, settings=settings or every_frame_in_full())
+    return [tracker.step(frame) for frame in frames]
+
+
+def across_mm(answers, frames, model):
+    """Median distance (mm) of the centroid from the truth across the ray, without the first frame."""
+    off = []
+    for answer, frame in zip(answers[1:], frames[1:]):
+        was, now = (poses.apply(p, model.centroid[None])[0] for p in (frame.camera_from_object_truth, answer.pose))
+        ray = was / np.linalg.norm(was)
+        off.append(np.linalg.norm((now - was) - ray * (ray @ (now - was))))
+    return 1e3 * float(np.median(off))
+
+
+def read_in(answer):
+    """The lines of the outline that an answer's own frame was read by."""
+    return sum(stage.rows for stage in answer.trace if stage.name == "outline" and stage.ran)
+
+
+def test_a_track_is_nearer_across_the_ray_with_it(frames, drill):
+    seen = followed(frames, drill)
+    blind = followed([replace(frame, rgb=None) for frame in frames], drill)
+    for answer in seen:
+        assert np.linalg.eigvalsh(answer.covariance).min() > 0.0
+
+
+def test_a_black_image_changes_nothing(frames, drill):
+    dark = [replace(frame, rgb=np.zeros_like(frame.rgb)) for frame in frames]
+    for one, other in zip(followed(dark, drill), followed([replace(f, rgb=None) for f in frames], drill)):
+        np.testing.assert_allclose(one.pose, other.pose, atol=1e-9)
+
+
+def test_it_can_be_left_out(frames, drill):
+    settings = every_frame_in_full()
+    contour = replace(settings.first.contour, used=False, own=False)
+    settings = replace(settings, first=replace(settings.first, contour=contour))
+    assert not any(read_in(answer) for answer in followed(frames, drill, settings))
