@@ -307,6 +307,7 @@ class Tracker:
                 felt = felt.corrected(solved.correct())
             now = replace(shown, felt=felt)
             common = steadied(model, prior, now, measured, None if found.switched else state.known, s)
+            self._sensed = replace(sensed, seen_from=common.seen_from(model))
             off = 1e3 * shift(felt.correction, self._middle(solved.pose))
             stage.note(len(found.seen) + felt_rows, f"calibration off by {off:.1f} mm")
         with trace.stage("judge", True, "") as stage:

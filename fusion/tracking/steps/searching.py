@@ -95,7 +95,7 @@ def renew(
     modes = tuple(replace(m, pose=model.symmetries.nearest(m.pose, answer.pose)) for m in alone.modes)
     leader = leader_at(answer, state)
     same = several.alike(model, leader, modes[0], s.hypotheses)
-    better = prefers(answer, modes[0], sensed, s)
+    better = prefers(answer, alone, sensed, s)
     if better > s.hypotheses.missed:  # it has not even found the best that is near it
         vote = 0.0
     carried = (leader, *state.hypotheses[1:])
@@ -147,7 +147,7 @@ def look_closer(
     if looked is None:
         return answer
     found, mode = looked
-    sure, better = several.sure_of(found), -prefers(answer, mode, sensed, s)
+    sure, better = several.sure_of(found), -prefers(answer, found, sensed, s)
     why = f"{sure:.0%} sure, {state.right:.0%} before; {better:.0f} nats better"
     if found.verdict != "lost" and sure > state.right and better > 0.0:
         anchor(replace(found, pose=mode.pose), answer.pose)
@@ -175,7 +175,7 @@ def search_around(
     if looked is None:
         return ""
     found, mode = looked
-    better, sure = prefers(answer, mode, sensed, s), several.sure_of(found)
+    better, sure = prefers(answer, found, sensed, s), several.sure_of(found)
     vote = several.vote_of(found.verdict, sure, s.hypotheses)
     vote = min(vote, s.hypotheses.most_repeated) if better <= 0.0 else 0.0
     leader = leader_at(answer, state)
