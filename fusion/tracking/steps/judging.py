@@ -85,7 +85,10 @@ def judge(
     seeing = visibility(sensed.viewed, model, pose, beliefs.depth) if picture is None else as_seen(picture)
     nats = posterior.nats_of_contacts(model, sensed.felt.rows, len(contacts), pose)
     agreed, same = (residuals, nats, share, seeing, picture), alike(model, modes, first.confidence.tolerance)
-    against = posterior.contradiction(model, sensed.felt.rows, len(contacts), pose, first.verdict)
+    # contacts are where this frame's solution has the hand, the belief is where all frames have the object: it is
+    # contradicted where the frame's own answer is, too
+    every = pose, solved.pose
+    against = min(posterior.contradiction(model, sensed.felt.rows, len(contacts), one, first.verdict) for one in every)
     rules = first.verdict, settings.confident if sensed.told_apart else first.confidence
     right, sure, word, why = posterior.judged(model, modes, *agreed, *rules, same=same, contradicted=against)
     if word != "lost" and strays(share, state.usual, len(sensed.looked.pixels), settings):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from made_frames import recording
 
+import fusion.tracking.steps.judging as judging
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.state import GlanceSettings
 from fusion.tracking.steps.refining import prefers
@@ -33,3 +34,26 @@ def test_a_search_is_held_against_the_track_where_the_image_shows_both(mug):
     assert prefers(answer, replace(found, as_seen=None), seen, s) > s.hypotheses.missed
     same = replace(answer, pose=back @ answer.pose)
     assert abs(prefers(same, found, replace(seen, seen_from=poses.inverse(back)), s)) < 1e-6
+
+
+def test_contacts_contradict_a_track_only_where_they_contradict_the_frames_own_answer(mug, monkeypatch):
+    for own, lost in ((0.0, False), (1e6, True)):
+        tracker = Tracker(mug, settings=TrackSettings(glance=GlanceSettings(every=1)))
+        frames, words = recording(mug, 6), []
+        for frame in frames[:5]:
+            tracker.step(frame)
+
+        def judge(model, found, solved, belief, *more, own=own, words=words, plain=judging.judge):
+            def contradiction(model, felt, count, pose, settings=None):
+                return own if np.array_equal(pose, solved.pose) else 1e6
+
+            with monkeypatch.context() as patched:
+                patched.setattr(judging.posterior, "contradiction", contradiction)
+                said = plain(model, found, solved, belief, *more)
+            words.append(said.verdict)
+            return said
+
+        with monkeypatch.context() as patched:
+            patched.setattr("fusion.tracking.tracker.judge", judge)
+            tracker.step(frames[5])
+        assert (words == ["lost"]) == lost
