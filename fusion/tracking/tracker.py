@@ -42,6 +42,7 @@ from fusion.tracking.steps.printed import as_before, as_printed
 from fusion.tracking.steps.refining import loose, measurement_of, refine, shift, solve_leader
 from fusion.tracking.steps.searching import leader_at, look_closer, recover, renew, search_around
 from fusion.tracking.steps.sensing import Sensed, pool_near
+from fusion.tracking.touched import Touched
 from scenes.errors import CaptureError
 from scenes.evidence.align import Prior
 from scenes.evidence.point_pairs import built_pair_table
@@ -417,6 +418,9 @@ class Tracker:
             self._watch.carry(motion)
             return
         state.belief, state.hypotheses, state.index, state.hand = belief, kept, frame.index, hand
+        if hand is not None and len(felt.reported_contacts):
+            at = felt.correction @ hand.camera_from_hand
+            state.touched = Touched.of(self.model, felt.contacts, at, belief.pose, self.settings.first.verdict)
         if np.isfinite(share):
             state.seen_at = None if hand is None else hand.camera_from_hand
         self._velocity.update(frame.index, belief.pose, belief.covariance)
