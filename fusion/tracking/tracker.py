@@ -313,7 +313,8 @@ class Tracker:
             stage.note(len(found.seen) + felt_rows, f"calibration off by {off:.1f} mm")
         with trace.stage("judge", True, "") as stage:
             belief, watched = self._updated(frame, predicted, common.measured, found.switched, felt)
-            leap = (not found.switched) * se3.difference(measured.pose, predicted.pose, model.centroid)
+            step = se3.difference(measured.pose, predicted.pose, model.centroid)
+            leap = step * (not found.switched and s.leaps(step, predicted.own + measured.own))
             said = judge(model, found, solved, belief, now, state, leap, beliefs, s)
             stage.note(len(found.seen) + felt_rows, said.why)
         if said.verdict == "lost" and blind:  # touch alone does not prove that a hand has lost what it held

@@ -66,7 +66,8 @@ def judge(
     settings: TrackSettings,
 ) -> Judged:
     """Judge the belief of the leading hypothesis, told as wide as looks until this one have shown. solved: the frame's
-    own solution; state: what was remembered before; leap (6,): of the frame's own answer from the prediction.
+    own solution; state: what was remembered before; leap (6,): of the frame's own answer from the prediction, 0 where
+    there is none.
     """
     first, pose, hypotheses, sizes = settings.first, belief.pose, found.hypotheses, state.sizes
     contacts = sensed.felt.contacts
@@ -94,7 +95,8 @@ def judge(
     if word != "lost" and strays(share, state.usual, len(sensed.looked.pixels), settings):
         word, why = "lost", f"{share:.0%} of the pixels explained, {state.usual:.0%} before"
     if word != "lost" and settings.leaps(leap):
-        word, why = "lost", f"{1e3 * np.linalg.norm(leap[3:]):.0f} mm from the prediction"
+        turn, move = np.rad2deg(np.linalg.norm(leap[:3])), 1e3 * np.linalg.norm(leap[3:])
+        word, why = "lost", f"{turn:.0f} degrees and {move:.0f} mm from the prediction"
     covariance = as_open(model, modes, word, right, settings)
     unknown = posterior.unobservable(model, pose, belief.covariance, first.verdict)
     # what is lost is not to be trusted at all

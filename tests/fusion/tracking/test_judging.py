@@ -57,3 +57,11 @@ def test_contacts_contradict_a_track_only_where_they_contradict_the_frames_own_a
             patched.setattr("fusion.tracking.tracker.judge", judge)
             tracker.step(frames[5])
         assert (words == ["lost"]) == lost
+
+
+def test_a_step_that_prediction_and_frame_leave_open_is_no_leap():
+    s, step = TrackSettings(), np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert s.leaps(step)
+    assert s.leaps(step, np.diag(np.repeat([0.03, 0.003], 3) ** 2))
+    assert not s.leaps(step, np.diag(np.repeat([0.15, 0.003], 3) ** 2))
+    assert not s.leaps(0.1 * step, np.diag(np.repeat([1e-3, 1e-4], 3) ** 2))
