@@ -79,7 +79,8 @@ class Estimate:
     see fusion.estimation.confidence; observed: what it was read from, empty when nothing was sensed. print_share: of
     all ways round that the shape allows, the share that what is printed on the object gives this one; NaN where no
     print was read. searched: where the search ended, from which the pose was solved with all that the senses share;
-    None where nothing was searched.
+    None where nothing was searched. as_seen (4, 4): where the depth image, uncorrected, shows the object if it is at
+    `pose`; None where no image was solved for.
     """
 
     frame: int
@@ -102,6 +103,7 @@ class Estimate:
     observed: dict[str, float] = field(default_factory=dict)
     print_share: float = float("nan")
     searched: Array | None = None
+    as_seen: Array | None = None
 
     @property
     def time_ms(self) -> float:

@@ -276,6 +276,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         observed=observed,
         print_share=facing.share,
         searched=searched,
+        as_seen=seen_from @ pose,
     )
 
 

@@ -137,8 +137,12 @@ class TrackSettings:
         seen, felt = (replace(one, nearest=self.nearest) for one in (how.seen, how.felt))
         return replace(how, seen=seen, felt=felt)
 
-    def leaps(self, step: Array) -> bool:
-        """Farther from the prediction (6,) than few steps are to be trusted: another place was found by chance."""
+    def leaps(self, step: Array, room: Array | None = None) -> bool:
+        """Farther from the prediction (6,) than few steps are to be trusted: another place was found by chance. room
+        (6, 6): covariance of what prediction and frame leave open; a step within that is none.
+        """
+        if room is not None and float(step @ np.linalg.solve(room, step)) <= self.glance.surprise:
+            return False
         turn, move = np.linalg.norm(step[:3]), np.linalg.norm(step[3:])
         return bool(turn > self.leap * self.loose_angle or move > self.leap * self.loose_distance)
 

@@ -19,6 +19,7 @@ from fusion.tracking.hypotheses import Hypotheses
 from fusion.tracking.motion import HandState
 from fusion.tracking.occluders import Occluders
 from fusion.tracking.sizes import Jumps, Sizes, SizeSettings
+from fusion.tracking.touched import Touched
 from fusion.tracking.untold import Untold
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -165,7 +166,8 @@ class TrackState:
     one, as last judged; sure: whether the last answer was ok; known: from the last look in full, None when the next
     frame must be looked at so; correction (4, 4) camera_from_camera of what the robot reports, as the last joint
     solution has it where no pixels of the hand tell: a calibration stays; None before; lens (4,): focal lengths (px,
-    and shares of the image) of the last image looked at, and lens_for: images since, which had others.
+    and shares of the image) of the last image looked at, and lens_for: images since, which had others; touched: what
+    the fingers have felt of it last, None where there is no hand or they have not.
     """
 
     belief: Belief | None = None
@@ -189,10 +191,12 @@ class TrackState:
     correction: Array | None = None
     lens: Array | None = None
     lens_for: int = 0
+    touched: Touched | None = None
 
     def forget(self, settings: SizeSettings) -> None:
         """What looks at an object have taught, whose place is begun anew."""
         self.things, self.untold, self.jumps = Occluders(), Untold(), Jumps()
+        self.touched = None
         self.sizes = self.sizes.faded(settings)
 
     def corrected(self, seen: Array | None) -> Array | None:

@@ -43,6 +43,7 @@ from fusion.tracking.steps.printed import as_before, as_printed
 from fusion.tracking.steps.refining import loose, measurement_of, refine, shift, solve_leader
 from fusion.tracking.steps.searching import leader_at, look_closer, recover, renew, search_around
 from fusion.tracking.steps.sensing import Sensed, pool_near
+from fusion.tracking.touched import Touched
 from scenes.errors import CaptureError
 from scenes.evidence.align import Prior
 from scenes.evidence.point_pairs import built_pair_table
@@ -309,11 +310,13 @@ class Tracker:
                 felt = felt.corrected(solved.correct())
             now = replace(shown, felt=felt)
             common = steadied(model, prior, now, measured, None if found.switched else state.known, s)
+            self._sensed = replace(sensed, seen_from=common.seen_from(model))
             off = 1e3 * shift(felt.correction, self._middle(solved.pose))
             stage.note(len(found.seen) + felt_rows, f"calibration off by {off:.1f} mm")
         with trace.stage("judge", True, "") as stage:
             belief, watched = self._updated(frame, predicted, common.measured, found.switched, felt)
-            leap = (not found.switched) * se3.difference(measured.pose, predicted.pose, model.centroid)
+            step = se3.difference(measured.pose, predicted.pose, model.centroid)
+            leap = step * (not found.switched and s.leaps(step, predicted.own + measured.own))
             said = judge(model, found, solved, belief, now, state, leap, beliefs, s)
             stage.note(len(found.seen) + felt_rows, said.why)
         if said.verdict == "lost" and blind:  # touch alone does not prove that a hand has lost what it held
@@ -418,6 +421,9 @@ class Tracker:
             self._watch.carry(motion)
             return
         state.belief, state.hypotheses, state.index, state.hand = belief, kept, frame.index, hand
+        if hand is not None and len(felt.reported_contacts):
+            at = felt.correction @ hand.camera_from_hand
+            state.touched = Touched.of(self.model, felt.contacts, at, belief.pose, self.settings.first.verdict)
         if np.isfinite(share):
             state.seen_at = None if hand is None else hand.camera_from_hand
         self._velocity.update(frame.index, belief.pose, belief.covariance)

@@ -128,4 +128,5 @@ def _moved(found: Estimate, motion: Array) -> Estimate:
     return replace(
         found, pose=motion @ found.pose, covariance=turn @ found.covariance @ turn.T,
         modes=moved_modes(found.modes, motion), hand_from_object=None,
+        as_seen=None if found.as_seen is None else motion @ found.as_seen,
     )  # fmt: skip

@@ -76,6 +76,15 @@ class Steadied:
     weight: float
     measured: Measurement
 
+    def seen_from(self, model: ObjectModel) -> Array:
+        """(4, 4) takes a pose to where the image, uncorrected, shows the object: along its ray by what the whole
+        solutions of looks have added to their rows.
+        """
+        middle = se3.apply(self.measured.pose, model.centroid[None])[0]
+        back = np.eye(4)
+        back[:3, 3] = -float(self.offset[3:] @ middle) / max(float(middle @ middle), 1e-9) * middle
+        return back
+
 
 def may_glance(frame: Frame, state: TrackState, carried: Hypotheses, settings: TrackSettings) -> bool:
     """Whether a frame whose hypotheses were carried to it need not be looked at in full."""

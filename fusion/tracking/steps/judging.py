@@ -66,7 +66,8 @@ def judge(
     settings: TrackSettings,
 ) -> Judged:
     """Judge the belief of the leading hypothesis, told as wide as looks until this one have shown. solved: the frame's
-    own solution; state: what was remembered before; leap (6,): of the frame's own answer from the prediction.
+    own solution; state: what was remembered before; leap (6,): of the frame's own answer from the prediction, 0 where
+    there is none.
     """
     first, pose, hypotheses, sizes = settings.first, belief.pose, found.hypotheses, state.sizes
     contacts = sensed.felt.contacts
@@ -85,13 +86,17 @@ def judge(
     seeing = visibility(sensed.viewed, model, pose, beliefs.depth) if picture is None else as_seen(picture)
     nats = posterior.nats_of_contacts(model, sensed.felt.rows, len(contacts), pose)
     agreed, same = (residuals, nats, share, seeing, picture), alike(model, modes, first.confidence.tolerance)
-    against = posterior.contradiction(model, sensed.felt.rows, len(contacts), pose, first.verdict)
+    # contacts are where this frame's solution has the hand, the belief is where all frames have the object: it is
+    # contradicted where the frame's own answer is, too
+    every = pose, solved.pose
+    against = min(posterior.contradiction(model, sensed.felt.rows, len(contacts), one, first.verdict) for one in every)
     rules = first.verdict, settings.confident if sensed.told_apart else first.confidence
     right, sure, word, why = posterior.judged(model, modes, *agreed, *rules, same=same, contradicted=against)
     if word != "lost" and strays(share, state.usual, len(sensed.looked.pixels), settings):
         word, why = "lost", f"{share:.0%} of the pixels explained, {state.usual:.0%} before"
     if word != "lost" and settings.leaps(leap):
-        word, why = "lost", f"{1e3 * np.linalg.norm(leap[3:]):.0f} mm from the prediction"
+        turn, move = np.rad2deg(np.linalg.norm(leap[:3])), 1e3 * np.linalg.norm(leap[3:])
+        word, why = "lost", f"{turn:.0f} degrees and {move:.0f} mm from the prediction"
     covariance = as_open(model, modes, word, right, settings)
     unknown = posterior.unobservable(model, pose, belief.covariance, first.verdict)
     # what is lost is not to be trusted at all

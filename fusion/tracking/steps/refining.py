@@ -101,12 +101,15 @@ def frame_nats(poses: Array, widths: Sequence[Array], sensed: Sensed, settings: 
     return out
 
 
-def prefers(answer: Estimate, other: Mode, sensed: Sensed | None, settings: TrackSettings) -> float:
-    """Nats by which a frame prefers an answer's pose to another; 0 without an image."""
+def prefers(answer: Estimate, found: Estimate, sensed: Sensed | None, settings: TrackSettings) -> float:
+    """Nats by which a frame prefers a track's answer to what it has itself found when searched; 0 without an image. An
+    image whose scale is off shows neither where it is: they are compared where it shows them.
+    """
     if sensed is None or sensed.pool is None:
         return 0.0
-    widths = answer.modes[0].covariance, other.covariance
-    mine, its = frame_nats(np.array([answer.pose, other.pose]), widths, sensed, settings)
+    widths = answer.modes[0].covariance, found.modes[0].covariance
+    there = found.pose if found.as_seen is None else found.as_seen
+    mine, its = frame_nats(np.array([sensed.seen_from @ answer.pose, there]), widths, sensed, settings)
     return float(its - mine)
 
 

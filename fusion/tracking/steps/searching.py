@@ -27,11 +27,13 @@ from scenes.evidence.align import Prior
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
 
+Array = NDArray[float64]
+
 # A frame by itself, with a prior or without. Searched: by what it is for, and None while it is not known.
 Estimated = Callable[[Frame, Prior | None], Estimate]
 Searched = Callable[[str, Frame, Prior | None], Estimate | None]
 # Believe an estimate of a frame that was tracked to a pose (4, 4).
-Anchor = Callable[[Estimate, NDArray[float64]], None]
+Anchor = Callable[[Estimate, Array], None]
 
 
 def leader_at(answer: TrackedEstimate, state: TrackState) -> Hypothesis:
@@ -72,6 +74,16 @@ def recover(
     return None
 
 
+def lets_go(
+    model: ObjectModel, pose: Array, answer: TrackedEstimate, sensed: Sensed | None, state: TrackState, s: TrackSettings
+) -> bool:
+    """Whether an object at `pose` (4, 4) would not be what the fingers hold, as the track's answer is."""
+    if state.touched is None or state.hand is None or sensed is None:
+        return False
+    at = sensed.felt.correction @ state.hand.camera_from_hand
+    return state.touched.is_let_go(model, pose, answer.pose, at, s.first.verdict)
+
+
 def renew(
     model: ObjectModel,
     frame: Frame,
@@ -95,13 +107,20 @@ def renew(
     modes = tuple(replace(m, pose=model.symmetries.nearest(m.pose, answer.pose)) for m in alone.modes)
     leader = leader_at(answer, state)
     same = several.alike(model, leader, modes[0], s.hypotheses)
-    better = prefers(answer, modes[0], sensed, s)
+    better = prefers(answer, alone, sensed, s)
     if better > s.hypotheses.missed:  # it has not even found the best that is near it
         vote = 0.0
     carried = (leader, *state.hypotheses[1:])
     # what speaks for it is its vote
     odds = several.log_odds(several.sure_of(alone), s.hypotheses)
-    state.hypotheses, agrees = several.voted(model, carried, modes, vote, against, s.hypotheses, odds)
+    # what a frame is not sure of undoes nothing that fingers have felt before it
+    surely = modes[: alone.verdict == "ok"]
+    held = *surely, *(m for m in modes[len(surely) :] if not lets_go(model, m.pose, answer, sensed, state, s))
+    agrees = False
+    if held and held[0] is modes[0]:
+        state.hypotheses, agrees = several.voted(model, carried, held, vote, against, s.hypotheses, odds)
+    else:
+        state.hypotheses, vote = carried, 0.0
     as_gladly = better <= (s.hypotheses.missed if not vote else -s.hypotheses.missed)
     doubtful = not agrees and as_gladly  # of two that look alike the one that is not found is none the worse for it
     told_apart = sensed is None or sensed.told_apart
@@ -147,7 +166,7 @@ def look_closer(
     if looked is None:
         return answer
     found, mode = looked
-    sure, better = several.sure_of(found), -prefers(answer, mode, sensed, s)
+    sure, better = several.sure_of(found), -prefers(answer, found, sensed, s)
     why = f"{sure:.0%} sure, {state.right:.0%} before; {better:.0f} nats better"
     if found.verdict != "lost" and sure > state.right and better > 0.0:
         anchor(replace(found, pose=mode.pose), answer.pose)
@@ -175,10 +194,12 @@ def search_around(
     if looked is None:
         return ""
     found, mode = looked
-    better, sure = prefers(answer, mode, sensed, s), several.sure_of(found)
+    better, sure = prefers(answer, found, sensed, s), several.sure_of(found)
     vote = several.vote_of(found.verdict, sure, s.hypotheses)
     vote = min(vote, s.hypotheses.most_repeated) if better <= 0.0 else 0.0
     leader = leader_at(answer, state)
+    if found.verdict != "ok" and lets_go(model, mode.pose, answer, sensed, state, s):
+        return "; around it what fingers do not hold"
     if not (vote or sure > state.right) or several.alike(model, leader, mode, s.hypotheses):
         return f"; nothing surer around it ({sure:.0%})"
     carried, odds = (leader, *state.hypotheses[1:]), several.log_odds(sure, s.hypotheses)

@@ -38,7 +38,8 @@ class Sensed:
     """One frame. viewed: with what the camera may tell; looked, seen: its pixels near the predicted pose, and their
     rows; felt: what the fingers say; pool: what the predicted picture and touch say of poses, None without an image;
     things: what was learned to go with the object without being it, and how; placed: what the fingers report is where
-    an earlier frame's hand has put it, or nothing in this one could put it better.
+    an earlier frame's hand has put it, or nothing in this one could put it better; seen_from (4, 4): takes a pose to
+    where the image, uncorrected, shows the object, as looks have found its scale and bias to be.
     """
 
     viewed: Frame
@@ -49,6 +50,7 @@ class Sensed:
     things: Occluders = field(default_factory=Occluders)
     how: OccluderSettings = field(default_factory=OccluderSettings)
     placed: bool = False
+    seen_from: Array = field(default_factory=lambda: np.eye(4))
 
     @property
     def told_apart(self) -> bool:

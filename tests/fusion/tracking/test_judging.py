@@ -1,0 +1,67 @@
+"""A frame is held against a track as the frame has it: where it shows it, by its own answer, as wide as that is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_frames import recording
+
+import fusion.tracking.steps.judging as judging
+from fusion.tracking.answer import TrackSettings
+from fusion.tracking.state import GlanceSettings
+from fusion.tracking.steps.refining import prefers
+from fusion.tracking.tracker import Tracker
+from scenes.geometry import poses
+from scenes.synthesis import library
+
+
+@pytest.fixture(scope="module")
+def mug():
+    return library.make("mug")
+
+
+def test_a_search_is_held_against_the_track_where_the_image_shows_both(mug):
+    """A camera whose scale is off shows the object nearer than it is; what solves for that has not missed it."""
+    tracker = Tracker(mug, settings=TrackSettings(glance=GlanceSettings(every=1)))
+    answer = [tracker.step(frame) for frame in recording(mug, 5)][-1]
+    seen, s = replace(tracker._sensed, seen_from=np.eye(4)), tracker.settings
+    alone = tracker.estimated(replace(seen.viewed, prior=None), None)
+    back = np.eye(4)
+    back[:3, 3] = 0.02 * answer.pose[:3, 3]
+    shown = answer.pose  # by a depth image two hundredths too short
+    found = replace(alone, pose=back @ answer.pose, as_seen=shown)
+    assert abs(prefers(answer, found, seen, s)) < 1e-6
+    assert prefers(answer, replace(found, as_seen=None), seen, s) > s.hypotheses.missed
+    same = replace(answer, pose=back @ answer.pose)
+    assert abs(prefers(same, found, replace(seen, seen_from=poses.inverse(back)), s)) < 1e-6
+
+
+def test_contacts_contradict_a_track_only_where_they_contradict_the_frames_own_answer(mug, monkeypatch):
+    for own, lost in ((0.0, False), (1e6, True)):
+        tracker = Tracker(mug, settings=TrackSettings(glance=GlanceSettings(every=1)))
+        frames, words = recording(mug, 6), []
+        for frame in frames[:5]:
+            tracker.step(frame)
+
+        def judge(model, found, solved, belief, *more, own=own, words=words, plain=judging.judge):
+            def contradiction(model, felt, count, pose, settings=None):
+                return own if np.array_equal(pose, solved.pose) else 1e6
+
+            with monkeypatch.context() as patched:
+                patched.setattr(judging.posterior, "contradiction", contradiction)
+                said = plain(model, found, solved, belief, *more)
+            words.append(said.verdict)
+            return said
+
+        with monkeypatch.context() as patched:
+            patched.setattr("fusion.tracking.tracker.judge", judge)
+            tracker.step(frames[5])
+        assert (words == ["lost"]) == lost
+
+
+def test_a_step_that_prediction_and_frame_leave_open_is_no_leap():
+    s, step = TrackSettings(), np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert s.leaps(step)
+    assert s.leaps(step, np.diag(np.repeat([0.03, 0.003], 3) ** 2))
+    assert not s.leaps(step, np.diag(np.repeat([0.15, 0.003], 3) ** 2))
+    assert not s.leaps(0.1 * step, np.diag(np.repeat([1e-3, 1e-4], 3) ** 2))
