@@ -30,7 +30,6 @@ from fusion.tracking.answer import NOTHING_SENSED, OUT_OF_SIGHT, TrackedEstimate
 from fusion.tracking.filter import Belief, Measurement, update
 from fusion.tracking.hypotheses import Hypotheses
 from fusion.tracking.motion import HandMotion, HandState, palm_motion
-from fusion.tracking.occluders import Occluders
 from fusion.tracking.slip import SlipWatch, Watched
 from fusion.tracking.state import TrackState
 from fusion.tracking.steps.aside import ANEW, AROUND, Aside
@@ -42,7 +41,7 @@ from fusion.tracking.steps.predicting import predict
 from fusion.tracking.steps.printed import as_before, as_printed
 from fusion.tracking.steps.refining import loose, measurement_of, refine, shift, solve_leader
 from fusion.tracking.steps.searching import leader_at, look_closer, recover, renew, search_around
-from fusion.tracking.steps.sensing import Sensed, pool_near
+from fusion.tracking.steps.sensing import Sensed, learn_things, pool_near
 from fusion.tracking.touched import Touched
 from scenes.errors import CaptureError
 from scenes.evidence.align import Prior
@@ -329,7 +328,7 @@ class Tracker:
                 state.correction = felt.correction
             settled = not found.switched and frame.index == state.index
             state.known = known_of(model, common, now, said, beliefs, s) if settled else None
-            self._learn(sensed, belief.pose, found.switched)
+            learn_things(model, sensed, state, belief.pose, found.switched, s)
         answer = as_followed(frame, belief, predicted, said, watched, replace(sensed, felt=felt), trace.stages, s)
         return self._believed(answer) if answer.how == "tracked" else answer
 
@@ -427,15 +426,6 @@ class Tracker:
         if np.isfinite(share):
             state.seen_at = None if hand is None else hand.camera_from_hand
         self._velocity.update(frame.index, belief.pose, belief.covariance)
-
-    def _learn(self, sensed: Sensed, pose: Array, switched: bool) -> None:
-        """What goes with the object, where nothing tells it apart; of another pose all is learned anew."""
-        if switched:
-            self._state.things = Occluders()
-            self._state.leads += 1
-        if not sensed.told_apart:
-            things, how = self._state.things, self.settings.occluders
-            self._state.things = things.learned(self.model, pose, sensed.around(), how)
 
     def _carry(
         self, frame: Frame, predicted: Belief, carried: Hypotheses, trace: Trace, felt: Felt, because: str

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from fusion.estimation.search.pool import Pool
 from fusion.estimation.settings import EstimateSettings
+from fusion.tracking.answer import TrackSettings
 from fusion.tracking.occluders import Occluders, OccluderSettings
+from fusion.tracking.state import TrackState
 from scenes.evidence.table import GATE_ABOVE, Evidence
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
@@ -132,3 +134,14 @@ def pool_near(
     asks = settings.look.rows, settings.proposals, settings.modes, settings.pool
     rng = np.random.default_rng(0)  # nothing is drawn: starts come from the track
     return Pool(model, felt.rows, None, predictor, sight, looked, beliefs.depth, rng, *asks)
+
+
+def learn_things(
+    model: ObjectModel, sensed: Sensed, state: TrackState, pose: Array, switched: bool, settings: TrackSettings
+) -> None:
+    """What goes with the object at pose (4, 4), where nothing tells it apart; of another pose all is learned anew."""
+    if switched:
+        state.things = Occluders()
+        state.leads += 1
+    if not sensed.told_apart:
+        state.things = state.things.learned(model, pose, sensed.around(), settings.occluders)
