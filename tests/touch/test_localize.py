@@ -17,7 +17,7 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
 from scenes.synthesis import library
 from touch import multistart as multistart_module
-from touch.answers import contact_index, noise_of, verdict_of
+from touch.answers import LocalizeSettings, contact_index, noise_of, verdict_of
 from touch.localization import localize
 from touch.multistart import contact_starts, refine_contacts
 from touch.polish import polish
@@ -54,12 +54,16 @@ def test_thirty_exact_contacts_give_the_pose(name, seed):
 
 
 def test_the_modes_of_an_undeclared_symmetry_are_all_listed():
-    """A box that nobody called symmetric fits four ways; that is ambiguous, not an error."""
+    """A box that nobody called symmetric fits four ways: where its surface is, is known, and the answer says so."""
     declared = library.make("box")
     model = ObjectModel.from_mesh(declared.vertices, declared.faces, "plain box")
     truth, contacts = felt(model, 30, 3)
     found = localize(model, contacts, seed=0)
-    assert found.verdict == "ambiguous"
+    assert found.verdict == "ok"
+    assert found.confidence >= 0.95
+    assert any("which way round is not known: in 4 poses" in note for note in found.notes)
+    strict = localize(model, contacts, seed=0, settings=LocalizeSettings(way_round=True))
+    assert strict.verdict == "ambiguous"
     alike = truth @ declared.symmetry_poses(1)
     assert len(alike) == 4
     for member in alike:
@@ -99,12 +103,13 @@ def test_a_mode_as_wide_as_everything_is_no_answer():
     assert verdict_of((), model) == "ambiguous"
 
 
-def test_a_sphere_that_nobody_called_symmetric_is_ambiguous():
+def test_where_a_sphere_is_that_nobody_called_symmetric_is_known():
     ball = library.make("sphere")
     model = ObjectModel.from_mesh(ball.vertices, ball.faces, "plain ball")
     truth, contacts = felt(model, 12, 0)
     found = localize(model, contacts, seed=0)
-    assert found.verdict == "ambiguous"
+    assert found.verdict == "ok"
+    assert localize(model, contacts, seed=0, settings=LocalizeSettings(way_round=True)).verdict == "ambiguous"
     middle = poses.apply(np.array([found.pose, truth]), model.centroid[None])[:, 0]
     assert np.linalg.norm(middle[0] - middle[1]) < 1e-3
 
