@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from importlib import import_module
 
 import numpy as np
 
 from scenes.errors import InputError, unknown
-from scenes.evidence.align import Prior
+from scenes.evidence import table as tables
+from scenes.evidence.align import Prior, align
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
 from touch.answers import Localization, LocalizeSettings
-from touch.multistart import multistart
+from touch.confidence import asked, judged
+from touch.multistart import find_candidates, multistart
+from touch.posterior import posterior_of
+from touch.thinning import cells_of, informative
 
 # The sigma of a Gaussian in medians of its sizes.
 GAUSSIAN = 1.48
+# Beside the seed, so that what is drawn from the posterior is no part of the search's own stream.
+DRAWING = 1
 # Every method by name -> module:function(model, contacts, seed, prior, extra) -> Localization, imported when asked for.
 METHODS = {
     "multistart": "touch.multistart:multistart",
@@ -43,24 +50,56 @@ def localize(
     prior: Prior | None = None,
     extra: Evidence | None = None,
     settings: LocalizeSettings | None = None,
+    sure_within: float | None = None,
 ) -> Localization:
     """Find the object from contacts alone.
 
     contacts in any frame, metres; the answer is contacts_frame_from_object. extra: more rows of evidence in the same
     frame (regions felt to be empty, links). prior: a Gaussian on the pose; local methods start at its mean.
-    method: one of METHODS; settings are those of the default. Raises InputError for no contacts.
+    method: one of METHODS; settings are those of the default. sure_within (m): the answer's confidence is the
+    probability that its ADD-S is below; default 5 mm. Whatever the method, what is drawn from the posterior tells.
+    Raises InputError for no contacts, or a sure_within that is not above 0.
     """
     if method not in METHODS:
         raise unknown("method", method, METHODS)
     if len(contacts) == 0:
         raise InputError("localize: expected at least one contact, got none")
-    if method == "multistart":
-        return _explained(model, contacts, multistart(model, contacts, seed, prior, extra, settings), settings)
-    if settings is not None:
+    if settings is not None and method != "multistart":
         raise InputError(f"settings: expected none with method {method!r}, they are the default method's")
-    module, _, function = METHODS[method].partition(":")
-    found: Localization = getattr(import_module(module), function)(model, contacts, seed, prior, extra)
-    return _explained(model, contacts, found, None)
+    how = asked(settings or LocalizeSettings(), sure_within)
+    if method == "multistart":
+        found = multistart(model, contacts, seed, prior, extra, settings)
+    else:
+        module, _, function = METHODS[method].partition(":")
+        found = getattr(import_module(module), function)(model, contacts, seed, prior, extra)
+    return _sure(model, contacts, _explained(model, contacts, found, settings), seed, prior, extra, how)
+
+
+def _sure(
+    model: ObjectModel,
+    contacts: Contacts,
+    found: Localization,
+    seed: int,
+    prior: Prior | None,
+    extra: Evidence | None,
+    settings: LocalizeSettings,
+) -> Localization:
+    """The answer with its confidence, by draws from the posterior about all that a search finds: the method's own, or
+    of a published one, which may know a single minimum, that of the default method.
+    """
+    begin = time.perf_counter()
+    rng = np.random.default_rng([seed, DRAWING])
+    candidates, few = found.candidates, contacts
+    if len(contacts) > settings.most_contacts:
+        few = contacts.take(informative(contacts, cells_of(contacts, settings.most_contacts), settings.most_contacts))
+    if candidates is None:
+        rows = tables.from_contacts(few) if extra is None else tables.stack(tables.from_contacts(few), extra)
+        searched = find_candidates(model, few, rows, rng, prior, settings)
+        own = np.array([mode.pose for mode in found.modes])
+        candidates = np.concatenate([own, align(model, rows, searched.poses, prior).poses])
+    posterior = posterior_of(model, few, candidates, found.sigma, rng, prior, extra, settings.posterior)
+    spent = time.perf_counter() - begin if found.candidates is not None else 0.0
+    return replace(judged(model, found, posterior, settings), time_s=found.time_s + spent, candidates=None)
 
 
 def _explained(

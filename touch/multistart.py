@@ -195,19 +195,19 @@ def multistart(
     if not contacts.sigma_known and inferred is None:
         usual = f"{1e3 * sigma:.1f} mm and {np.rad2deg(contacts.sigma_normal[0]):.0f} degrees"
         notes += (f"the contacts say no sigma, and so few do not tell: {usual} believed of each",)
-    pose, verdict = modes[0].pose, verdict_of(modes, model, settings)
+    pose, verdict, contradicted = modes[0].pose, verdict_of(modes, model, settings), False
     # what is claimed to be finer than the lattice leaves over the lattice's own errors
     believed = inferred is None and some_false is None and few is contacts and not exact
     unlike = exact and inferred is None and some_false is None and _unlike(model, modes[0], contacts, settings)
     if unlike or (believed and _contradicted(model, modes[0], contacts, prior, settings)):
         # no noise was inferred that would explain it, and no contact was called false
-        verdict = "ambiguous"
+        verdict, contradicted = "ambiguous", True
         notes += ("the contacts contradict every pose: another mesh, or worse contacts than they say",)
     if some_false is not None and _rivalled(model, modes, few, rng, prior, settings):
-        verdict = "ambiguous"
+        verdict, contradicted = "ambiguous", True
         notes += ("some contacts speak for one place, others for another: has the object moved between them?",)
     if inferred is not None and contacts.sigma_known and inferred > settings.misclaimed * claimed:
-        verdict = "ambiguous"
+        verdict, contradicted = "ambiguous", True
         sizes = f"their noise would be {1e3 * inferred:.1f} mm, and they say {1e3 * claimed:.1f}"
         notes += (f"the contacts contradict every pose, {sizes}: another mesh, or has the object moved?",)
     return Localization(
@@ -218,6 +218,8 @@ def multistart(
         verdict,
         time.perf_counter() - begin,
         notes=notes,
+        contradicted=contradicted,
+        candidates=np.concatenate([np.array([mode.pose for mode in modes]), result.poses]),
     )
 
 

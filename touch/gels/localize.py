@@ -18,12 +18,14 @@ from scenes.evidence.search import SearchStage, search, starts_of_prior
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
-from touch.answers import Localization, contact_index, verdict_of
+from touch.answers import Localization, LocalizeSettings, contact_index, verdict_of
+from touch.confidence import asked, judged
 from touch.gels.patches import Patch
 from touch.gels.proposals import GelProposalSettings, bending_table, propose
 from touch.gels.rows import GelRowSettings, gel_contacts, patch_rows, silent_rows
 from touch.gels.shapes import Shapes, ShapeSettings, fit_shapes, hessians_at
 from touch.multistart import contact_starts
+from touch.posterior import draws_of
 
 Array = NDArray[np.float64]
 
@@ -57,6 +59,8 @@ class GelSearchSettings:
     # Several gels hold an object near its middle: standard deviation of their contacts' mean from the centroid, as a
     # share of its radius. Wide: it decides only between poses that the gels cannot tell apart, along a can or a handle.
     middle: float = 0.5
+    # When it is `ok`: the way round that looks alike is another mode, and covariances are as wide as they should be.
+    verdict: LocalizeSettings = field(default_factory=lambda: LocalizeSettings(way_round=True, widening=1.0))
 
 
 def gel_starts(
@@ -122,10 +126,13 @@ def localize_gels(
     prior: Prior | None = None,
     extra: Evidence | None = None,
     settings: GelSearchSettings | None = None,
+    sure_within: float | None = None,
 ) -> Localization:
     """The object from patches in one frame, anywhere; the answer is frame_from_object.
 
-    prior: a Gaussian on the pose; extra: more rows in the same frame. Raises InputError when no gel touches anything.
+    prior: a Gaussian on the pose; extra: more rows in the same frame. sure_within (m): the confidence, by the modes'
+    weights and covariances, is the probability that ADD-S is below; default 5 mm. Raises InputError when no gel touches
+    anything.
     """
     settings = settings or GelSearchSettings()
     contacts = gel_contacts(patches, settings.rows)
@@ -151,6 +158,7 @@ def localize_gels(
     pose = modes[0].pose
     sigma = float(np.sqrt(np.mean(contacts.sigma_point**2)))
     seconds = time.perf_counter() - begin
-    return Localization(
+    answer = Localization(
         pose, modes, contact_index(model, contacts, pose), sigma, verdict_of(modes, model), seconds, "gels"
     )
+    return judged(model, answer, draws_of(model, modes, rng), asked(settings.verdict, sure_within))

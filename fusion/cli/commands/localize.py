@@ -11,8 +11,10 @@ from fusion.cli.options import (
     add_object,
     add_trust,
     number,
+    percent,
     pose_lines,
     positive,
+    positive_number,
     say,
     show_table,
     write_json,
@@ -40,7 +42,7 @@ METHODS = (
     "icp",
 )
 SENSES = ("vision", "touch", "fused")
-HEADS = ("trial", "index mm", "modes", "verdict", "time s")
+HEADS = ("trial", "index mm", "modes", "verdict", "sure", "time s")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,6 +62,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--max-contacts", metavar="N", type=positive, help="contacts used, another choice each trial; all are judged"
     )
     parser.add_argument("--frame", metavar="N", type=int, help="of a contacts.csv with several frames, this one")
+    parser.add_argument(
+        "--sure-within",
+        metavar="MM",
+        type=positive_number,
+        help="`sure` is the probability that ADD-S is below this (default 5); from 95 %% on the verdict is ok",
+    )
     add_beliefs(parser)
 
 
@@ -82,6 +90,7 @@ def run(args: argparse.Namespace) -> int:
     if told and args.cloud is None:
         raise InputError(f"{told[0][0]}: expected --cloud FILE beside it: contacts alone tell their own noise")
     beliefs = believed(None, told)
+    within = None if args.sure_within is None else 1e-3 * args.sure_within
     contacts = read_contacts(args.contacts, args.frame)
     cloud = _read_cloud(args.cloud)
     model = load_object(args.object, args.unit)
@@ -91,16 +100,16 @@ def run(args: argparse.Namespace) -> int:
     # a few contacts once, so that no trial's time tells of the compiler
     few = _some(contacts, 8, args.seed)
     if cloud is None:
-        _by_touch(model, few, few, args.method, args.seed)
+        _by_touch(model, few, few, args.method, args.seed, within)
     else:
-        _by_both(model, few, few, cloud, args.seed, beliefs)
+        _by_both(model, few, few, cloud, args.seed, beliefs, within)
     trials, verdicts = [], []
     for trial in range(args.trials):
         used = _some(contacts, args.max_contacts, args.seed + trial)
         if cloud is None:
-            found = _by_touch(model, used, contacts, args.method, args.seed + trial)
+            found = _by_touch(model, used, contacts, args.method, args.seed + trial, within)
         else:
-            found = _by_both(model, used, contacts, cloud, args.seed + trial, beliefs)
+            found = _by_both(model, used, contacts, cloud, args.seed + trial, beliefs, within)
         trials.append(found)
         verdicts.append(found["verdict"])
     _show(trials, cloud is not None)
@@ -137,9 +146,10 @@ def _run_gels(args: argparse.Namespace) -> int:
     announce_compiling()
     localize_gels(model, patches, seed=args.seed)  # once, so that no trial's time tells of the compiler
     world_from_camera = poses.inverse(frame.camera_from_world)
+    within = None if args.sure_within is None else 1e-3 * args.sure_within
     trials = []
     for trial in range(args.trials):
-        found = localize_gels(model, patches, seed=args.seed + trial)
+        found = localize_gels(model, patches, seed=args.seed + trial, sure_within=within)
         modes = [
             {"pose": (world_from_camera @ m.pose).tolist(), "weight": m.weight, "cost": m.cost} for m in found.modes
         ]
@@ -150,6 +160,8 @@ def _run_gels(args: argparse.Namespace) -> int:
                 "time_s": found.time_s,
                 "modes": len(modes),
                 "verdict": found.verdict,
+                "confidence": found.confidence,
+                "sure_within_mm": 1e3 * found.sure_within,
                 "all_modes": modes,
             }
         )
@@ -219,23 +231,34 @@ def _some(contacts: Contacts, most: int | None, seed: int) -> Contacts:
     return contacts.take(np.sort(chosen))
 
 
-def _by_touch(model: ObjectModel, used: Contacts, every: Contacts, method: str, seed: int) -> dict[str, Any]:
+def _by_touch(
+    model: ObjectModel, used: Contacts, every: Contacts, method: str, seed: int, within: float | None
+) -> dict[str, Any]:
     from touch.answers import contact_index
     from touch.localization import localize
 
-    found = localize(model, used, seed=seed, method=method)
+    found = localize(model, used, seed=seed, method=method, sure_within=within)
     return {
         "pose": found.pose.tolist(),
         "index_mm": 1e3 * contact_index(model, every, found.pose),
         "time_s": found.time_s,
         "modes": len(found.modes),
         "verdict": found.verdict,
+        "confidence": found.confidence,
+        "sure_within_mm": 1e3 * found.sure_within,
+        "covariance": found.covariance.tolist(),
         "notes": list(found.notes),
     }
 
 
 def _by_both(
-    model: ObjectModel, used: Contacts, every: Contacts, cloud: Any, seed: int, beliefs: Beliefs
+    model: ObjectModel,
+    used: Contacts,
+    every: Contacts,
+    cloud: Any,
+    seed: int,
+    beliefs: Beliefs,
+    within: float | None,
 ) -> dict[str, Any]:
     """The fused answer, and what each sense alone makes of the same data."""
     from fusion.estimation.estimate import estimate
@@ -245,7 +268,7 @@ def _by_both(
     frame, judged, judge = Frame(0, contacts=used, cloud=cloud), Frame(0, contacts=every, cloud=cloud), Judge(model)
     senses: dict[str, Any] = {}
     for name, use in (("vision", ("vision",)), ("touch", ("touch",)), ("fused", ("vision", "touch"))):
-        answer = estimate(frame, model, use=use, seed=seed, beliefs=beliefs)
+        answer = estimate(frame, model, use=use, seed=seed, beliefs=beliefs, sure_within=within)
         agreement = judge.agreement(judged, answer.pose)
         senses[name] = {
             "pose": answer.pose.tolist(),
@@ -254,13 +277,15 @@ def _by_both(
             "time_s": answer.time_ms / 1e3,
             "modes": len(answer.modes),
             "verdict": answer.verdict,
+            "confidence": answer.confidence,
+            "sure_within_mm": 1e3 * answer.sure_within,
         }
     return {**senses["fused"], "senses": senses}
 
 
 def _show(trials: list[dict[str, Any]], with_cloud: bool) -> None:
     if with_cloud:
-        heads = ("trial", "sense", "cloud mm", "inliers", "contacts mm", "modes", "verdict", "time s")
+        heads = ("trial", "sense", "cloud mm", "inliers", "contacts mm", "modes", "verdict", "sure", "time s")
         rows = [
             [
                 str(trial),
@@ -270,6 +295,7 @@ def _show(trials: list[dict[str, Any]], with_cloud: bool) -> None:
                 number(found["contacts_mm"]),
                 str(found["modes"]),
                 found["verdict"],
+                percent(found["confidence"]),
                 number(found["time_s"], 3),
             ]
             for trial, result in enumerate(trials)
@@ -278,7 +304,10 @@ def _show(trials: list[dict[str, Any]], with_cloud: bool) -> None:
         show_table(heads, rows)
         return
     cells = [
-        [str(i), number(t["index_mm"], 3), str(t["modes"]), t["verdict"], number(t["time_s"], 3)]
+        [
+            *(str(i), number(t["index_mm"], 3), str(t["modes"]), t["verdict"], percent(t["confidence"])),
+            number(t["time_s"], 3),
+        ]
         for i, t in enumerate(trials)
     ]
     show_table(HEADS, cells)

@@ -137,9 +137,17 @@ def test_localize_by_touch(contacts, tmp_path, capsys):
     found = json.loads((tmp_path / "l.json").read_text())
     assert found["method"] == "multistart"
     assert len(found["trials"]) == 2
-    assert {"pose", "index_mm", "time_s", "modes", "verdict"} <= set(found["trials"][0])
+    assert {"pose", "index_mm", "time_s", "modes", "verdict", "confidence"} <= set(found["trials"][0])
     main(["localize", str(contacts), "--object", "drill", "--json", str(tmp_path / "l.json")])
-    assert json.loads((tmp_path / "l.json").read_text())["trials"][0]["index_mm"] < 1.0
+    trial = json.loads((tmp_path / "l.json").read_text())["trials"][0]
+    assert trial["index_mm"] < 1.0
+    assert trial["sure_within_mm"] == pytest.approx(5.0)
+    assert (trial["verdict"] == "ok") == (trial["confidence"] >= 0.95)
+    capsys.readouterr()
+    loose = ["localize", str(contacts), "--object", "drill", "--sure-within", "50", "--json", str(tmp_path / "l.json")]
+    assert main(loose) == 0
+    assert "sure" in capsys.readouterr().out
+    assert json.loads((tmp_path / "l.json").read_text())["trials"][0]["confidence"] >= trial["confidence"]
 
 
 def test_localize_with_a_cloud(contacts, tmp_path):
@@ -151,6 +159,7 @@ def test_localize_with_a_cloud(contacts, tmp_path):
     trial = json.loads((tmp_path / "l.json").read_text())["trials"][0]
     assert set(trial["senses"]) == {"vision", "touch", "fused"}
     assert trial["senses"]["fused"]["cloud_mm"] < 1.0
+    assert 0.0 <= trial["confidence"] <= 1.0
     assert trial["index_mm"] < 1.0
 
 
