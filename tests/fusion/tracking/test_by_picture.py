@@ -1,4 +1,4 @@
-"""Where nobody tells what hides the object, a track follows what must be seen, not rows that fingers have pulled away."""
+"""Where nobody tells what hides the object, a track follows what must be seen, not rows that fingers pull away."""
 
 from dataclasses import replace
 
