@@ -58,7 +58,7 @@ class PosteriorSettings:
     # Contacts count at most for this many independent ones, as where objects are told apart: errors of the mesh and of
     # the calibration are shared. So many are looked at.
     independent: float = 25.0
-    looked_at: int = 100
+    looked_at: int = 60
     # Sigma (m) below which the lattice, not the contact, says where the surface is: its RMS error.
     least_sigma: float = 1e-4
     # Minima that are drawn about at first (how many, and nats below the best), their weights to this power: what a

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from scenes.errors import InputError
-from scenes.evidence import table as tables
-from scenes.evidence.align import Alignment, Prior, align
+from scenes.evidence.align import Alignment, Prior
 from scenes.evidence.modes import distinct_modes
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
@@ -441,19 +440,3 @@ def test_points_of_nothing_are_lost(seed):
     wild = true.points.copy()
     wild[::5] += rng.normal(0, 0.08, (8, 3))
     assert localize(model, Contacts(wild), seed).verdict != "lost"
-
-
-@pytest.mark.parametrize("seed", [3, 8])
-def test_a_narrow_priors_minima_are_all_looked_at(seed):
-    """Of eight bare contacts on a bust one minimum costs 4 nats more than that of the truth: 60 draws ended there."""
-    model = library.make("bust")
-    rng = np.random.default_rng(seed)
-    truth = poses.make_poses(poses.random_rotations(1, rng), rng.normal(size=(1, 3)) * 0.3)[0]
-    points, _ = model.sample_surface(8, seed=seed)
-    contacts = Contacts(poses.apply(truth, points) + rng.normal(size=(8, 3)) * 5e-4, None, 5e-4)
-    start = poses.perturb(truth, np.repeat([0.3, 0.02], 3) * rng.normal(size=6), model.centroid)
-    prior = Prior.isotropic(start, 0.3, 0.02)
-    rows = tables.from_contacts(contacts)
-    least = align(model, rows, truth[None], prior).costs[0]
-    found = multistart_module.multistart(model, contacts, seed, prior)
-    assert align(model, rows, found.pose[None], prior).costs[0] < least + 1.0
