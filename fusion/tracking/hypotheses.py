@@ -228,7 +228,7 @@ def voted(
 
     vote: of this search, 0 when it tells nothing by itself; against: whether it also speaks against the others. Modes
     that nobody had thought of begin a little below the leader, and by odds (nats) above it, which they keep: from there
-    what is sensed decides. The odds are the first mode's; another is no likelier than it, nor than what it leaves.
+    what is sensed decides.
     """
     s, out = settings, list(hypotheses)
     base, first = out[0].score, 0
@@ -236,7 +236,7 @@ def voted(
         at = next((k for k, h in enumerate(out) if alike(model, mode, h, settings)), None)
         if at is None:
             below = settings.birth - float(np.log(max(mode.weight, 1e-9)))
-            out.append(Hypothesis(mode.pose, mode.covariance, base - below, odds=odds if rank == 0 else -abs(odds)))
+            out.append(Hypothesis(mode.pose, mode.covariance, base - below, odds=odds))
             at = len(out) - 1
         elif rank == 0 and at > 0:
             out[at] = replace(out[at], odds=max(out[at].odds, odds))

@@ -124,18 +124,6 @@ def test_how_sure_a_search_was_stays_with_what_it_has_found(mug):
     assert several.log_odds(1.0, S) == S.most_odds
 
 
-def test_a_mode_behind_another_is_not_as_likely_as_that(mug):
-    """A search 97 % sure of its first mode says of the others that they are unlikely."""
-    here = poses.make_pose(np.eye(3), [0.0, 0.0, 0.5])
-    there = poses.perturb(here, np.array([0.0, 0.0, 0.0, 0.2, 0.0, 0.1]), mug.centroid)
-    width, how = np.diag(np.repeat([0.01, 0.001], 3) ** 2), HypothesisSettings()
-    modes = Mode(here, 0.98, 0.0, width), Mode(there, 0.02, 4.0, width)
-    for odds in (3.0, -2.0):
-        after, agrees = several.voted(mug, (Hypothesis(here, width, 0.0, odds=1.0),), modes, 0.9, True, how, odds)
-        assert agrees
-        assert after[1].odds == pytest.approx(-abs(odds))
-
-
 def test_an_unsure_search_elsewhere_is_a_small_doubt():
     leader, other = pair()
     two = replace(leader, votes=1.0), other

@@ -6,16 +6,20 @@ import numpy as np
 import pytest
 
 from fusion import Tracker
+from fusion.benchmarks.families.making import settings_of
+from fusion.benchmarks.families.table import FAMILIES
 from fusion.tracking.answer import TrackSettings
 from scenes.geometry import poses
 from scenes.synthesis.recording import synthesize_frames
 
-FRAMES, SEEDS = 5, (4, 5, 6, 7)
+FRAMES, SEEDS = 4, range(4, 12)
 
 
 @pytest.fixture(scope="module")
 def sequences(drill, hand):
-    return [synthesize_frames(drill, hand, FRAMES, 0.3, noise="d435", seed=seed, motion="carry") for seed in SEEDS]
+    optics = FAMILIES["d435"]
+    how = {"noise": optics.preset(), "settings": settings_of(optics), "motion": "carry"}
+    return [synthesize_frames(drill, hand, FRAMES, 0.3, seed=seed, **how) for seed in SEEDS]
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +62,7 @@ def test_tracks_are_nearer_across_the_ray_with_it(sequences, drill):
         assert min(np.linalg.eigvalsh(answer.covariance).min() for answer in seen) > 0.0
         with_it.append(across_mm(seen, frames, drill))
         without.append(across_mm(blind, frames, drill))
-    assert np.mean(np.square(with_it)) < np.mean(np.square(without))
+    assert np.mean(with_it) < np.mean(without)  # half a millimetre, and 0.6
 
 
 def test_a_black_image_changes_nothing(frames, drill):
