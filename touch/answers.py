@@ -102,6 +102,9 @@ class LocalizeSettings:
     # the posterior (`verdict_of`): those as in the verdict on both senses.
     unknown_angle: float = float(np.deg2rad(20.0))
     unknown_distance: float = 0.015
+    # Whether the posterior is drawn from, which costs some 60 ms: without, an answer has no confidence, and a verdict
+    # by its modes alone.
+    drawn: bool = True
     # How the posterior is drawn from.
     posterior: PosteriorSettings = field(default_factory=PosteriorSettings)
     # More contacts than this are searched with by so many of them, and settled with all (see thinning): 400 spread over

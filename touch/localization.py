@@ -84,10 +84,12 @@ def _sure(
     extra: Evidence | None,
     settings: LocalizeSettings,
 ) -> Localization:
-    """The answer with its confidence, by draws from the posterior about all that a search finds: the method's own, or
-    of a published one, which may know a single minimum, that of the default method.
+    """The answer with its confidence, if that is asked for, by draws from the posterior about all that a search finds:
+    the method's own, or of a published one, which may know a single minimum, that of the default method.
     """
     begin = time.perf_counter()
+    if not settings.drawn:
+        return replace(found, candidates=None)
     rng = np.random.default_rng([seed, DRAWING])
     candidates, few = found.candidates, contacts
     if len(contacts) > settings.most_contacts:

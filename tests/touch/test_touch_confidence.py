@@ -202,3 +202,13 @@ def test_a_narrow_priors_minima_are_all_looked_at(seed):
     least = align(model, rows, truth[None], prior).costs[0]
     found = multistart(model, contacts, seed, prior)
     assert align(model, rows, found.pose[None], prior).costs[0] < least + 1.0
+
+
+def test_an_answer_that_is_not_asked_how_sure_it_is_is_the_same_pose():
+    model = library.make("hammer")
+    _, contacts = noisy(model, 12, 3)
+    usual, quick = localize(model, contacts), localize(model, contacts, settings=LocalizeSettings(drawn=False))
+    np.testing.assert_array_equal(usual.pose, quick.pose)
+    assert np.isnan(quick.confidence)
+    assert quick.posterior_covariance is None
+    assert np.isfinite(usual.confidence)

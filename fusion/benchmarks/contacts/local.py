@@ -68,12 +68,14 @@ def _analytic(model: ObjectModel, contacts: Contacts, start: Array, w_n: float, 
 
 
 def _default(model: ObjectModel, contacts: Contacts, start: Array, w_n: float, seed: int) -> tuple[Array, int]:
+    from touch.answers import LocalizeSettings
     from touch.localization import localize
 
     if w_n == 0:
         contacts = Contacts(contacts.points, None, contacts.sigma_point)
     prior = Prior.isotropic(start, np.deg2rad(15.0) / np.sqrt(3), 0.014 / np.sqrt(3))
-    return localize(model, contacts, seed, prior=prior).pose, 0
+    alone = LocalizeSettings(drawn=False)  # none of the others says how sure it is
+    return localize(model, contacts, seed, prior=prior, settings=alone).pose, 0
 
 
 REFINERS: dict[str, Refiner] = {

@@ -52,7 +52,7 @@ def _ours() -> Iterator[Peer]:
         )
 
     for draws in (1, 4, 15, 60, 240):
-        yield _peer("palpate", f"{draws} starts", refine(replace(LocalizeSettings(), draws=draws)))
+        yield _peer("palpate", f"{draws} starts", refine(replace(LocalizeSettings(), draws=draws, drawn=False)))
     yield _peer(
         "analytic LM, one start",
         "at most 62 steps",
