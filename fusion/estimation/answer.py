@@ -80,7 +80,7 @@ class Estimate:
     all ways round that the shape allows, the share that what is printed on the object gives this one; NaN where no
     print was read. searched: where the search ended, from which the pose was solved with all that the senses share;
     None where nothing was searched. as_seen (4, 4): where the depth image, uncorrected, shows the object if it is at
-    `pose`; None where no image was solved for.
+    `pose`, which is there where no image was solved for; None where nothing was searched.
     """
 
     frame: int

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate, Mode, Stage
 from fusion.estimation.confidence import ConfidenceSettings
-from fusion.estimation.search.walk import WalkSettings
 from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.solve.settings import JointSettings
 from fusion.tracking.filter import Belief
@@ -33,10 +32,6 @@ NOTHING_SENSED = "nothing sensed in this frame"
 OUT_OF_SIGHT = "out of sight, and what is felt contradicts every pose near where it was"
 
 
-def _as_wide_as_a_slip() -> WalkSettings:
-    return WalkSettings(((1, 48, 1.0), (6, 6, 0.4), (4, 6, 0.15)), float(np.deg2rad(6.0)), 0.006)
-
-
 @dataclass(frozen=True)
 class ByPictureSettings:
     """What competes with a fit of the rows where nothing tells what hides the object (`steps.by_picture`). By
@@ -44,11 +39,8 @@ class ByPictureSettings:
     before, 76.8 after.
     """
 
-    # Draws around the fit and the prediction: as many as around the answer of a single frame, as wide as a frame's own
-    # answer may be from its prediction (`TrackSettings.loose_angle`, `loose_distance`).
-    around: WalkSettings = field(default_factory=_as_wide_as_a_slip)
-    # How many of all these are fitted at most, and the nats by which one must be likelier than the fit of the rows:
-    # pictures of one pose by other rays differ by one.
+    # How many of the fit, the prediction and draws around both are fitted at most, and the nats by which one must be
+    # likelier than the fit of the rows: pictures of one pose by other rays differ by one.
     fitted: int = 4
     least: float = 2.0
 

@@ -34,8 +34,11 @@ def walked(model: ObjectModel, prior: Prior, fit: Array, sensed: Sensed, setting
     if sensed.pool is None or sensed.told_apart:
         return None
     pool, how = replace(sensed.pool, prior=prior), settings.by_picture
+    # as many draws as around the answer of a single frame, as wide as a frame's own may be from its prediction
+    around = settings.first.proposals.around
+    around = replace(around, angle=settings.loose_angle, distance=settings.loose_distance)
     tried = np.array([fit, prior.pose])
-    tried = np.concatenate([tried, walk(model, tried, pool.walking, np.random.default_rng(0), how.around)])
+    tried = np.concatenate([tried, walk(model, tried, pool.walking, np.random.default_rng(0), around)])
     best = pool.compete(tried, how.fitted)[0]
     before, after = pool.costs(np.array([fit, best.pose]), settings.side)
     return best if before - after >= how.least else None
