@@ -114,8 +114,12 @@ def renew(
     # what speaks for it is its vote
     odds = several.log_odds(several.sure_of(alone), s.hypotheses)
     # what a frame is not sure of undoes nothing that fingers have felt before it
-    surely = modes[: alone.verdict == "ok"]
-    held = *surely, *(m for m in modes[len(surely) :] if not lets_go(model, m.pose, answer, sensed, state, s))
+    sure_of_first = alone.verdict == "ok"
+    held = tuple(
+        mode
+        for rank, mode in enumerate(modes)
+        if (rank == 0 and sure_of_first) or not lets_go(model, mode.pose, answer, sensed, state, s)
+    )
     agrees = False
     if held and held[0] is modes[0]:
         state.hypotheses, agrees = several.voted(model, carried, held, vote, against, s.hypotheses, odds)
