@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import Asked, check_limits, sure_to_be_within
-from fusion.estimation.confidence import as_shown, observations, room_about, told_covariance, within
+from fusion.estimation.confidence import as_shown, observations, within
 from fusion.estimation.moments import moments
 from fusion.estimation.ranking import led, rejudged
 from fusion.estimation.search.modes import find_modes, not_solved, worth_solving
@@ -40,6 +40,7 @@ from fusion.estimation.steps.sense import look_once, sense, solve_together
 from fusion.estimation.steps.twins import with_twins
 from fusion.estimation.tolerance import good_enough, is_within, with_shared_errors, with_shift
 from fusion.estimation.trace import Trace
+from fusion.estimation.whole import room_about, told_covariance
 from scenes.evidence import table as tables
 from scenes.evidence.align import Prior
 from scenes.evidence.alike import alike

@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate, Mode
 from fusion.estimation.asked import as_prior, check_senses, sure_to_be_within
-from fusion.estimation.confidence import ConfidenceSettings, whole_covariance, within
+from fusion.estimation.confidence import ConfidenceSettings, within
 from fusion.estimation.estimate import estimate
 from fusion.estimation.trace import Trace
+from fusion.estimation.whole import whole_covariance
 from fusion.tracking import hypotheses as several
 from fusion.tracking.answer import NOTHING_SENSED, OUT_OF_SIGHT, TrackedEstimate, TrackSettings, as_carried, as_tracked
 from fusion.tracking.filter import Belief, Measurement, update
@@ -442,5 +443,5 @@ class Tracker:
         answer = as_carried(self.model, frame, told, trace.stages, held, state.hand is not None, because, s)
         how = s.confident
         sure = state.right * self._near(answer.modes[0], how) if held else 0.0
-        wide = whole_covariance(self.model, answer.modes, state.right if held else 0.0, None, how)
+        wide = whole_covariance(self.model, answer.modes, how.none_of(state.right if held else 0.0), None, how)
         return replace(answer, covariance=wide, confidence=sure, sure_within=how.tolerance)

@@ -18,7 +18,7 @@ from scenes.geometry.cameras import Camera
 from scenes.synthesis.noise.colour_camera import ColourCamera
 from scenes.synthesis.noise.depth import DepthNoise
 from scenes.synthesis.noise.presets import PRESETS, NoisePreset, RobotNoise, TouchNoise
-from scenes.synthesis.optics.settings import Imager, Matcher, Pattern, PatternCamera
+from scenes.synthesis.optics.settings import Imager, Matcher, Pattern, PatternCamera, StereoCamera
 
 TUNING, REPORT = "tuning", "report"
 RECORDED = "recorded"
@@ -152,7 +152,39 @@ _DOTS = PatternCamera(
 DOTS = NoisePreset("dots", _DOTS, PRESETS["lab"].touch, PRESETS["lab"].robot)
 # Active stereo with a colour camera beside it whose calibration is off, as in most recordings that are published.
 STUDIO = NoisePreset("studio", PRESETS["d435"].depth, PRESETS["lab"].touch, PRESETS["lab"].robot, colour=ColourCamera())
-OWN_PRESETS = {preset.name: preset for preset in (WORKSHOP, WORN, ROUGH, CRUDE, DOTS, STUDIO)}
+# Stereo of what things look like by themselves, with OpenCV's matcher as it is: a surface of little texture is not
+# read, or wrongly, and as its texture goes with a thing, so do its errors. One of a short baseline to be tuned on, and
+# one of a long one, with other windows and steps, whose image is sharper and darker.
+_DARK = Pattern(density=2500.0, radius=0.0012, power=0.0)
+PASSIVE = NoisePreset(
+    "passive",
+    StereoCamera(
+        "passive",
+        baseline=0.07,
+        projector=0.035,
+        pattern=_DARK,
+        imager=Imager(blur=0.7, ambient=0.6, lamp=0.6, speckle=0.0, exposure=(0.02, 4.0)),
+        matcher=Matcher(window=9, disparities=112, refinements=0, step=1 / 16, median=3, uniqueness=5),
+        farthest=5.0,
+    ),
+    PRESETS["lab"].touch,
+    PRESETS["lab"].robot,
+)
+DAYLIGHT = NoisePreset(
+    "daylight",
+    StereoCamera(
+        "daylight",
+        baseline=0.11,
+        projector=0.055,
+        pattern=_DARK,
+        imager=Imager(blur=0.5, aim=0.22, ambient=0.9, lamp=0.75, speckle=0.0, exposure=(0.01, 3.0)),
+        matcher=Matcher(window=5, disparities=160, refinements=1, step=1 / 32, median=5, uniqueness=12),
+        farthest=8.0,
+    ),
+    WORKSHOP.touch,
+    WORKSHOP.robot,
+)
+OWN_PRESETS = {one.name: one for one in (WORKSHOP, WORN, ROUGH, CRUDE, DOTS, STUDIO, PASSIVE, DAYLIGHT)}
 
 
 @dataclass(frozen=True)
@@ -220,6 +252,9 @@ FAMILIES: dict[str, Family] = {
         _tuned("d435", "d435", "active stereo from its optics, a robot hand", hand="five-finger", rig="lab"),
         _tuned("dots", "dots", "structured light from its optics, dots on every line", hand="five-finger", rig="lab"),
         _tuned(
+            "passive", "passive", "stereo without a projector, by a plain matcher, a robot hand", hand="five-finger"
+        ),
+        _tuned(
             "studio",
             "studio",
             "active stereo and a colour camera beside it that is out of calibration; the mesh has dents",
@@ -285,6 +320,7 @@ FAMILIES: dict[str, Family] = {
         _held("harsh", "worn", "a worn robot, a bad camera", hand="stout"),
         _held("workshop", "workshop", "a robot hand whose errors are none of the lab's", hand="stout"),
         _held("d455", "d455", "active stereo of a longer baseline", hand="stout"),
+        _held("daylight", "daylight", "stereo without a projector, of a longer baseline", hand="stout"),
         _held("xtion", "xtion", "structured light from its optics", hand="stout"),
         _held("azure-kinect", "azure-kinect", "time of flight from its optics", hand="stout"),
         _held("l515", "l515", "scanned time of flight from its optics", hand="stout"),

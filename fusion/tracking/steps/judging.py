@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import ContactResidual, Estimate, Mode, Stage
-from fusion.estimation.confidence import told_covariance, whole_covariance, within
+from fusion.estimation.confidence import within
 from fusion.estimation.solve.joint import JointResult
+from fusion.estimation.whole import told_covariance, whole_covariance
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
 from fusion.tracking.filter import Belief
 from fusion.tracking.hypotheses import Hypotheses, weights
@@ -108,7 +109,8 @@ def as_open(model: ObjectModel, modes: tuple[Mode, ...], word: str, right: float
     """(6, 6) covariance of an answer with that verdict. As long as another hypothesis is followed nothing is decided:
     that of an `ok` one holds all of them by their weights.
     """
-    return whole_covariance(model, modes, 1.0 if word == "ok" else right, None, settings.first.confidence)
+    how = settings.first.confidence
+    return whole_covariance(model, modes, 0.0 if word == "ok" else how.none_of(right), None, how)
 
 
 def as_believed(

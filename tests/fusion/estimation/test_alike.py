@@ -7,10 +7,11 @@ import pytest
 import trimesh
 
 from fusion.estimation import verdict as posterior
-from fusion.estimation.confidence import ConfidenceSettings, spread_of, told_covariance, within_of
+from fusion.estimation.confidence import ConfidenceSettings, spread_of, within_of
 from fusion.estimation.estimate import estimate
 from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.steps.twins import with_twins
+from fusion.estimation.whole import told_covariance
 from scenes.evidence.align import Prior
 from scenes.evidence.alike import alike, hardly_moves, moved
 from scenes.evidence.modes import Mode

@@ -5,7 +5,8 @@ import pytest
 from predicted_twin import picture
 
 from fusion import estimate
-from fusion.estimation.confidence import ConfidenceSettings, chances, spread_of, whole_covariance, within
+from fusion.estimation.confidence import ConfidenceSettings, chances, spread_of, within
+from fusion.estimation.whole import told_covariance, whole_covariance
 from scenes.evidence.align import Prior
 from scenes.evidence.modes import Mode
 from scenes.geometry import poses
@@ -71,15 +72,27 @@ def test_the_whole_covariance_holds_other_modes_and_none(drill):
     narrow = 1e-6 * np.eye(6)
     aside = poses.perturb(np.eye(4), np.array([0, 0, 0, 0.03, 0, 0]), drill.centroid)
     modes = (Mode(np.eye(4), 0.7, 0.0, narrow), Mode(aside, 0.3, 1.0, narrow))
-    both = whole_covariance(drill, modes, 1.0, None)
+    both = whole_covariance(drill, modes, 0.0, None)
     assert both[3, 3] == pytest.approx(1e-6 + 0.3 * 0.03**2)
     assert both[4, 4] == pytest.approx(1e-6)
     believed = Prior.isotropic(np.eye(4), 0.2, 0.02)
-    none = whole_covariance(drill, modes[:1], 0.0, believed)
+    none = whole_covariance(drill, modes[:1], 1.0, believed)
     assert 0.01 < np.sqrt(none[4, 4]) < 0.021
     assert np.linalg.eigvalsh(whole_covariance(drill, modes, 0.5, None)).min() > 0
-    left_out = 1.0 - ConfidenceSettings().left_out
-    assert np.allclose(whole_covariance(drill, modes[:1], left_out, None), narrow)
+    assert np.allclose(whole_covariance(drill, modes[:1], 0.0, None), narrow)
+
+
+def test_only_an_answer_that_is_as_right_as_can_be_is_its_first_mode_unless_it_is_ok(drill):
+    how, narrow = ConfidenceSettings(), 1e-6 * np.eye(6)
+    modes = (Mode(np.eye(4), 1.0, 0.0, narrow),)
+    believed = Prior.isotropic(np.eye(4), 0.2, 0.02)
+    assert np.allclose(told_covariance(drill, modes, "ambiguous", how.surest, believed), narrow)
+    assert np.allclose(told_covariance(drill, modes, "ok", 0.96, believed), narrow)
+    told = told_covariance(drill, modes, "ambiguous", 0.96, believed)
+    # four in a hundred are as wide as the prior
+    assert told[3, 3] == pytest.approx(1e-6 + 0.04 * 0.02**2, rel=0.1)
+    assert how.none_of(0.96) == 0.0
+    assert how.none_of(0.5) == pytest.approx(0.45)
 
 
 def test_turns_about_an_objects_own_axis_are_no_spread():
