@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.evidence import table as tables
-from scenes.evidence.table import TOUCH, Evidence
+from scenes.evidence.table import SIGMA, TOUCH, Evidence
 from scenes.recordings.beliefs import Beliefs, CalibrationModel
 from scenes.recordings.frames import Contacts, Frame
 from touch.arrays.readings import Reading, readings_of
@@ -123,7 +123,7 @@ def feel(
     # a contact of unknown worth cannot be told from a false one: it is never gated out
     rows = tables.from_contacts(reported, settings.contact_gate if known else tables.NO_GATE)
     if with_hand and len(reported):
-        rows = rows.widened(beliefs.touch.fingertip_sigma)
+        rows = _of_fingers(rows, reported.sensors, beliefs.touch.fingertip_sigma)
     parts = [rows, taxel_rows(readings, settings.arrays), patch_rows(patches, settings.gels)]
     if frame.no_contact is not None and len(frame.no_contact):
         centres = frame.no_contact.points @ frame.camera_from_world[:3, :3].T + frame.camera_from_world[:3, 3]
@@ -137,6 +137,19 @@ def feel(
     if correction is not None or frame.camera is None:
         return Felt(reported, table, np.eye(4) if correction is None else correction, 0.0, pressed)
     return Felt(reported, table, np.eye(4), _calibration_slack(table, beliefs.calibration), pressed)
+
+
+def _of_fingers(rows: Evidence, sensors: list[str], fingertip: float) -> Evidence:
+    """Rows of contacts with what a finger's joints add (m), one draw for all contacts of a sensor: with own variances v
+    and a shared s, they know where the finger is as well as sum(1/v) / (1 + s sum(1/v)) says, however many they are.
+
+    They are weighed down to that; a row's own sigma stays one finger's, from which what is false is told.
+    """
+    index = np.unique(np.array(sensors), return_inverse=True)[1]
+    precision = rows.rows[:, SIGMA] ** -2.0
+    of_sensor = np.bincount(index, precision)[index]
+    shared = fingertip**2
+    return rows.widened(fingertip).reweighted((1.0 + shared * precision) / (1.0 + shared * of_sensor))
 
 
 def _calibration_slack(rows: Evidence, calibration: CalibrationModel) -> float:

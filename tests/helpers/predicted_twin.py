@@ -184,6 +184,18 @@ def cost(found, candidates, picture):
     return as_far(found, candidates, np.where(p.count > 0, weight * (against - agreeing + border), score.hidden))
 
 
+def beside_the_mask(found, pose):
+    """Nats for the mask's inner pixels that are not the object's at pose (4, 4)."""
+    pixels, told = found._core
+    if not len(pixels):
+        return 0.0
+    camera = found.camera
+    rays = np.column_stack([(pixels - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones(len(pixels))])
+    back = se3.inverse(pose)
+    met = found.model.surface.cast(np.tile(back[:3, 3], (len(rays), 1)), rays @ back[:3, :3].T)
+    return found.settings.uncovered * told * np.mean(~np.isfinite(met))
+
+
 def as_far(found, candidates, nats):
     """Nats (n,) of poses (n, 4, 4) as far as their distance lets depth tell, and what is believed of that distance."""
     s, belief, out = found.settings, found.belief, []

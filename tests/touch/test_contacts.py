@@ -76,6 +76,20 @@ def test_joint_errors_widen_contacts_of_a_hand(exact_frame):
     assert (with_hand.rows.rows[on, evidence.SIGMA] > without.rows.rows[:, evidence.SIGMA]).all()
 
 
+def test_contacts_of_one_finger_share_what_its_joints_add(exact_frame, rng):
+    patch = Contacts(rng.normal(size=(30, 3)), sigma_point=np.full(30, 3e-4), sensors=["thumb"] * 30)
+    alone = Contacts(rng.normal(size=(2, 3)), sigma_point=[1e-3, 2e-3], sensors=["index", "ring"])
+    frame = replace(exact_frame, contacts=Contacts.concatenate([patch, alone]), wrenches=(), tactile={})
+    rows = feel(frame, np.eye(4)).rows
+    rows = rows.rows[~silent(rows)]
+    finger = Beliefs().touch.fingertip_sigma
+    told = rows[:, evidence.WEIGHT] / rows[:, evidence.SIGMA] ** 2
+    # what a mean of thirty knows of its finger, and no better; others as before
+    assert told[:30].sum() == pytest.approx(1.0 / (3e-4**2 / 30 + finger**2))
+    assert np.allclose(rows[:, evidence.SIGMA], np.hypot(frame.contacts.sigma_point, finger))
+    assert np.allclose(rows[30:, evidence.WEIGHT], 1.0)
+
+
 def test_an_uncorrected_calibration_widens_everything(exact_frame):
     beliefs = Beliefs(calibration=CalibrationModel(0.002, 0.005))
     told = feel(exact_frame, np.eye(4), beliefs)

@@ -26,6 +26,7 @@ from vision.picture import columns, kernels, scoring_kernels
 from vision.picture.aspects import aspects_of, finer, glimpsed, sums_of
 from vision.picture.glimpse_kernels import draw_small
 from vision.picture.hand import hand_depth, widened
+from vision.picture.masked import core_of, uncovered
 from vision.picture.settings import PictureScore, PredictionSettings
 from vision.picture.shown_kernels import shown_rays
 
@@ -174,6 +175,7 @@ class Predictor:
         if pieces is not None and parts:
             self._sizes = np.asarray(np.bincount(pieces[pieces >= 0])[:parts] * float(self.settings.piece_step**2))
         self._mask = None if frame.mask is None else widened(frame.mask, self.settings.mask_margin)
+        self._masked = frame.mask
         self.model = model
         self.camera: Camera | None = frame.camera
         seeing = frame.depth is not None and frame.camera is not None
@@ -225,7 +227,7 @@ class Predictor:
         """
         if not self.sees or not len(candidates):
             return np.zeros(len(candidates))
-        return self._cost_of(candidates, self.predict(candidates, side))
+        return self._cost_of(candidates, self.predict(candidates, side)) + self._uncovered_costs(candidates)
 
     def rough_costs(self, candidates: Array) -> Array:
         """As `costs`, by points that the object shows to cameras nearly there (see `aspects`): without a ray, in a
@@ -265,6 +267,22 @@ class Predictor:
         pieces = _NO_PIECES if self._pieces is None else self._pieces
         parts = pieces, s.piece_step, self._sizes, s.beside
         return Prediction(*sums_of(self.model, candidates, *self.known, self._limits, running, parts))
+
+    def _uncovered_costs(self, candidates: Array) -> Array:
+        """Nats (n,) of poses (n, 4, 4) for what of the mask is outside their outlines; none without a mask."""
+        pixels, told = self._core
+        if not len(pixels) or self.camera is None:
+            return np.zeros(len(candidates))
+        return self.settings.uncovered * told * uncovered(self.model, self.camera, pixels, candidates)
+
+    @cached_property
+    def _core(self) -> tuple[NDArray[np.int64], float]:
+        """Pixels (k, 2) that the mask surely says are the object's, and what they amount to, as an outline's cells."""
+        s = self.settings
+        if self._masked is None:
+            return np.zeros((0, 2), dtype=np.int64), 0.0
+        cells = float(np.count_nonzero(self._masked)) / s.cell
+        return core_of(self._masked, s.mask_margin, s.masked), min(1.0, cells / s.cells) ** self.score.by_size
 
     def _cost_of(self, candidates: Array, p: Prediction) -> Array:
         assert self.camera is not None

@@ -132,6 +132,10 @@ class PredictionSettings:
     places: float = 3.0
     # A mask is right to so many pixels: what is seen outside of it is not the object.
     mask_margin: int = 6
+    # A whole mask that is outside a pose's outline costs this (nats), as much as a whole outline earns that is seen
+    # where nobody knows the hand (by judgement); a part of it in proportion, told by so many of its pixels.
+    uncovered: float = 60.0
+    masked: int = 64
     # The hand is drawn at every so many pixels; a reading this near (m) to it is the hand's.
     hand_step: int = 3
     hand_margin: float = 0.006

@@ -14,6 +14,9 @@ from scenes.recordings.beliefs import DepthModel
 
 Array = NDArray[np.float64]
 
+# How much farther apart inducing pixels are tried where there would be too many.
+COARSER = 1.2
+
 
 def _no_lines() -> tuple[Array, NDArray[np.int64], Array, NDArray[np.int64]]:
     none = np.zeros(0, dtype=np.int64)
@@ -35,8 +38,9 @@ class DepthBias:
 
     @staticmethod
     def over(camera: Camera | None, points: Array, depth: DepthModel, spacing: float, most: int) -> DepthBias:
-        """Inducing pixels at most `most`, `spacing` correlation lengths apart or more, where points (n, 3) camera frame
-        are seen.
+        """Inducing pixels at most `most`, `spacing` correlation lengths apart, where points (n, 3) camera frame are
+        seen. Where so few are not enough the bias is as much smoother as they are farther apart: of the length that is
+        believed it would be next to none between them, and what is seen from near by much surer than one patch is.
         """
         length = depth.bias_length
         if camera is None or not len(points):
@@ -53,7 +57,8 @@ class DepthBias:
                 grid, column, row = grid[near], column[near], row[near]
                 if len(grid) <= most:
                     break
-            step *= 1.2
+            step *= COARSER
+        length = max(length, step / spacing)
         kernel = _kernel(grid, grid, length) + 1e-6 * np.eye(len(grid))
         factor = np.asarray(np.linalg.cholesky(kernel), dtype=np.float64)
         return DepthBias(camera, grid, factor, length, (u, column, v, row))

@@ -86,9 +86,10 @@ def test_the_kernels_say_what_plain_arrays_say(lab_frame, drill, rng, known):
         columns = *shares, got.ends, got.dark, got.scatter, got.count
         expected = [predicted_twin.predicted(found, pose, side) for pose in candidates]
         np.testing.assert_allclose(np.array(columns).T, expected, atol=1e-9)
-        np.testing.assert_allclose(
-            found.costs(candidates, side), predicted_twin.cost(found, candidates, got), atol=1e-9
-        )
+        beside = np.array([predicted_twin.beside_the_mask(found, pose) for pose in candidates])
+        twin = predicted_twin.cost(found, candidates, got) + beside
+        np.testing.assert_allclose(found.costs(candidates, side), twin, atol=1e-9)
+        assert (beside.max() > 0.0) == (known == "mask")
 
 
 def rod(bent=0.0):
