@@ -20,7 +20,7 @@ from scenes.evidence.modes import ModeSettings, covariance_of
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
-from touch.identity.noise import Noise, NoiseSettings
+from touch.identity.noise import ContactNoiseSettings, Noise
 from touch.multistart import shortest_turn
 from touch.posterior import Mixture, PosteriorSettings, drawn, normalised
 
@@ -34,8 +34,8 @@ class EvidenceSettings:
     # Contacts up to which poses are drawn with one of them on the surface: of more, no draw meets them all.
     few: int = 7
     # Poses drawn then, and of these judged with every size of the noise: those whose contacts are nearest.
-    draws: int = 20000
-    judged: int = 1000
+    draws: int = 8000
+    judged: int = 500
     # Distance (m) from which on a contact counts as one that is off when the nearest are chosen.
     off: float = 0.02
     # How far (rad) normals that are met are turned in the draws: more than any finger's.
@@ -43,7 +43,7 @@ class EvidenceSettings:
     # Poses drawn about the minima of more contacts.
     about: int = 400
     mixture: PosteriorSettings = field(default_factory=PosteriorSettings)
-    noise: NoiseSettings = field(default_factory=NoiseSettings)
+    noise: ContactNoiseSettings = field(default_factory=ContactNoiseSettings)
 
 
 class _Target:

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class NoiseSettings:
+class ContactNoiseSettings:
     """What is believed of contacts. Values by judgement where no source is named."""
 
     # Scale of the noise (m): no mesh is truer than the first, no finger worse than the second. How many between them
@@ -49,9 +49,9 @@ class NoiseSettings:
 class Noise:
     """Beliefs of the noise of some contacts, and their likelihood summed over these."""
 
-    def __init__(self, contacts: Contacts, power: float, settings: NoiseSettings | None = None) -> None:
+    def __init__(self, contacts: Contacts, power: float, settings: ContactNoiseSettings | None = None) -> None:
         """power: to which the likelihood is taken, 1 where each contact errs on its own."""
-        s = settings or NoiseSettings()
+        s = settings or ContactNoiseSettings()
         self.contacts, self.power, self.settings = contacts, power, s
         self.scales = np.geomspace(s.least, s.largest, s.scales)
         # the mean of the size of a Gaussian is 0.8 of its sigma

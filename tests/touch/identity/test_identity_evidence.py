@@ -9,7 +9,7 @@ from scenes.geometry import poses
 from scenes.recordings.frames import Contacts
 from scenes.synthesis import library
 from touch.identity.evidence import EvidenceSettings, about_minima, by_first_contact
-from touch.identity.noise import Noise, NoiseSettings
+from touch.identity.noise import ContactNoiseSettings, Noise
 from touch.identity.noise_kernels import log_likelihoods
 from touch.recognition import identify
 
@@ -62,7 +62,7 @@ def test_the_kernel_is_its_twin(rng, count):
 def test_a_normal_that_means_nothing_says_nothing(models):
     """Drawing poses to meet a normal is drawing otherwise, no belief in it: weights make up for it."""
     contacts, _ = touched(models[0], 5, 0.001, 3)
-    mute = EvidenceSettings(draws=60000, judged=20000, noise=NoiseSettings(meaningless=(1.0,)))
+    mute = EvidenceSettings(draws=60000, judged=20000, noise=ContactNoiseSettings(meaningless=(1.0,)))
     bare = Contacts(contacts.points)
     with_them, without = (
         np.mean(
