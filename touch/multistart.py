@@ -57,13 +57,13 @@ def contact_starts(model: ObjectModel, contacts: Contacts, count: int, rng: np.r
         # turn the start so that the surface's normal meets the contact's, the shortest way
         source = np.einsum("nij,nj->ni", rotations[half], normals)
         target = np.where(known[:, None], contacts.normals[contact], source)
-        poses[half, :3, :3] = _shortest_turn(source, target) @ rotations[half]
+        poses[half, :3, :3] = shortest_turn(source, target) @ rotations[half]
     placed = np.einsum("nij,nj->ni", poses[half, :3, :3], points)
     poses[half, :3, 3] = contacts.points[contact] - placed
     return poses
 
 
-def _shortest_turn(source: Array, target: Array) -> Array:
+def shortest_turn(source: Array, target: Array) -> Array:
     """(n, 3, 3) rotations that take unit vectors source to target."""
     axis = np.cross(source, target)
     sine = np.linalg.norm(axis, axis=1)

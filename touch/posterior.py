@@ -11,6 +11,7 @@ could have been drawn from is exact, on the rotations too. Contacts' frame, metr
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,30 +141,40 @@ def posterior_of(
     worth = target.logs(found.poses)[0] + 0.5 * np.linalg.slogdet(wide)[1]
     order = np.argsort(-worth, kind="stable")[: s.minima]
     order = order[worth[order] > worth[order[0]] - s.margin]
-    first = _Mixture(found.poses[order], wide[order], _normalised(s.temper * worth[order]))
+    first = Mixture(found.poses[order], wide[order], normalised(s.temper * worth[order]))
     narrow = ModeSettings(widest_angle=s.widest_angle, widest_share=s.widest_share)
     mixture = first
     for count in s.rounds[:-1]:
-        draws, logs, scales = _drawn(model, mixture, target, count, rng, s)
+        draws, logs, scales = drawn(model, mixture, target, count, rng, s)
         weights = _tempered(logs, s.centres)
         centres, times = np.unique(_evenly_drawn(weights, s.centres, rng.random()), return_counts=True)
-        scale = target.narrowed(_normalised(logs) @ scales)
+        scale = target.narrowed(normalised(logs) @ scales)
         about = align(model, target.rows(scale), draws[centres], prior, IN_PLACE)
         bands = s.band * covariance_of(model, about.hessians, narrow)
-        mixture = _Mixture(draws[centres], bands, times / times.sum()).joined(first, s.again)
-    draws, logs, _ = _drawn(model, mixture, target, s.rounds[-1], rng, s)
-    effective = float(1.0 / np.square(_normalised(logs)).sum())
+        mixture = Mixture(draws[centres], bands, times / times.sum()).joined(first, s.again)
+    draws, logs, _ = drawn(model, mixture, target, s.rounds[-1], rng, s)
+    effective = float(1.0 / np.square(normalised(logs)).sum())
     return Posterior(draws, _tempered(logs, s.enough), effective)
 
 
 def draws_of(model: ObjectModel, modes: tuple[Mode, ...], rng: np.random.Generator, count: int = 1000) -> Posterior:
     """Draws from modes (one at least) as they say of themselves: by their weights, each a Gaussian."""
     poses, covariances = np.array([mode.pose for mode in modes]), np.array([mode.covariance for mode in modes])
-    which = np.sort(rng.choice(len(modes), size=count, p=_normalised(np.log([max(m.weight, 1e-300) for m in modes]))))
+    which = np.sort(rng.choice(len(modes), size=count, p=normalised(np.log([max(m.weight, 1e-300) for m in modes]))))
     factors = np.linalg.cholesky(covariances + TINY * np.eye(6))
     delta = np.einsum("nij,nj->ni", factors[which], rng.normal(size=(count, 6)))
     draws = se3.perturb(poses[which], delta, model.centroid)
     return Posterior(draws, np.full(count, 1.0 / count), float(count))
+
+
+class Target(Protocol):
+    """What draws are worth, and the prior among what they are drawn from."""
+
+    prior: Prior | None
+
+    def logs(self, poses: Array) -> tuple[Array, Array]:
+        """Log density (n,) of poses (n, 4, 4), up to a constant, and a row (n, k) more of each."""
+        ...
 
 
 class _Target:
@@ -227,35 +238,35 @@ class _Target:
 
 
 @dataclass(frozen=True)
-class _Mixture:
+class Mixture:
     """Student distributions: centres (k, 4, 4), scale matrices (k, 6, 6), shares (k,)."""
 
     poses: Array
     wide: Array
     shares: Array
 
-    def joined(self, other: _Mixture, share: float) -> _Mixture:
+    def joined(self, other: Mixture, share: float) -> Mixture:
         """With the other's, which has this share of all."""
         parts = (1.0 - share) * self.shares, share * other.shares
-        return _Mixture(
+        return Mixture(
             np.concatenate([self.poses, other.poses]),
             np.concatenate([self.wide, other.wide]),
             np.concatenate(parts),
         )
 
 
-def _drawn(
+def drawn(
     model: ObjectModel,
-    mixture: _Mixture,
-    target: _Target,
+    mixture: Mixture,
+    target: Target,
     count: int,
     rng: np.random.Generator,
     settings: PosteriorSettings,
 ) -> tuple[Array, Array, Array]:
-    """About `count` poses (n, 4, 4), the log (n,) of what each is worth, and the scales' shares (n, scales) in that."""
+    """About `count` poses (n, 4, 4), the log (n,) of what each is worth, and what the target has more of each."""
     s, prior = settings, target.prior
     if prior is not None:
-        told = _Mixture(prior.pose[None], covariance_of(model, prior.information)[None], np.ones(1))
+        told = Mixture(prior.pose[None], covariance_of(model, prior.information)[None], np.ones(1))
         mixture = mixture.joined(told, s.of_prior)
     factors = np.linalg.cholesky(mixture.wide + TINY * np.eye(6))
     which = np.sort(rng.choice(len(factors), size=count, p=mixture.shares / mixture.shares.sum()))
@@ -277,7 +288,7 @@ def _drawn(
     return poses, worth - drawn_from, scales
 
 
-def _normalised(logs: Array) -> Array:
+def normalised(logs: Array) -> Array:
     """Shares (n,) of logarithms (n,)."""
     shares = np.exp(logs - np.max(logs))
     return np.asarray(shares / shares.sum())
@@ -286,7 +297,7 @@ def _normalised(logs: Array) -> Array:
 def _tempered(logs: Array, enough: float) -> Array:
     """Shares (n,) of logarithms, to the largest power up to 1 at which so many carry weight."""
     for power in (1.0, 0.85, 0.7, 0.5, 0.35, 0.25, 0.15):
-        shares = _normalised(power * logs)
+        shares = normalised(power * logs)
         if 1.0 / np.square(shares).sum() >= enough:
             break
     return shares

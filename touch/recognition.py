@@ -1,9 +1,11 @@
 """Which of several known objects was touched (T1 section 6.2.1, T2 chapter 5).
 
 Every candidate is searched for in batches; those that fit far worse than the best are given up early. Two likelihoods
-are told: the published one, 1/G normalised, and the marginal likelihood over the pose (Laplace, all modes) and over the
-unknown scale of the noise, in which contacts that err alike count once. What the best candidate leaves over is judged,
-too: a smooth misfit speaks for none of them (touch.misfit), and only a decisive lack of it lets an answer be `ok`.
+are told: the published one, 1/G normalised, and the evidence, summed over all poses and over the unknown noise of
+points and normals (touch.identity), in which contacts that err alike count once. What the best candidate leaves over is
+judged, too: a smooth misfit speaks for none of them (touch.misfit), and only a decisive lack of it lets an answer be
+`ok`.
+Points alone decide who is given up, and whether normals point outward: a driver's convention must hide no object.
 Contacts' frame, metres.
 """
 
@@ -11,27 +13,27 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import InputError
 from scenes.evidence import table as tables
-from scenes.evidence.align import Alignment, AlignSettings, align, costs, terms
-from scenes.evidence.modes import covariance_of, distinct_modes
+from scenes.evidence.align import Alignment, AlignSettings, align
 from scenes.evidence.search import SearchStage, distinct_first, search
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
+from touch.identity.evidence import EvidenceSettings, likelihoods, log_evidence
+from touch.identity.noise import Noise
 from touch.misfit import MisfitSettings, log_odds_of_another
 from touch.multistart import contact_starts
+from touch.posterior import normalised
 
 Array = NDArray[np.float64]
-
-# Sigmas that no residual has: all rows count in full.
-NO_LIMIT = 1e9
 
 
 @dataclass(frozen=True)
@@ -52,34 +54,37 @@ class RecognitionSettings:
     # A candidate whose index is this many times the best's, and this much (m) above it, is given up.
     hopeless_ratio: float = 2.5
     hopeless_above: float = 1.5e-3
-    # Noise of a contact, metres: no mesh is truer than the first, no finger worse than the second. The scale between
-    # them is integrated over with equal weight per factor.
-    least_noise: float = 0.5e-3
-    largest_noise: float = 0.015
-    # Shares of false contacts that are thought possible, and how far off the surface one lies at most (m).
-    false_shares: tuple[float, ...] = (0.02, 0.1, 0.2, 0.35, 0.5)
-    false_reach: float = 0.1
     # Share of contacts far off the best object from which on no answer is sure.
     most_elsewhere: float = 0.35
     # Residuals beyond this many sigmas (or blurs) count linearly while poses are refined: false contacts pull little.
     huber: float = 0.5
-    # Poses of a candidate that are judged by the full likelihood.
-    judged: int = 12
-    # Contacts that any shape can meet, one for each freedom of a pose; and the share of few contacts that still counts.
-    freedoms: float = 6.0
-    least_share: float = 0.25
+    # Minima of a candidate about which poses are drawn, and how many are refined of one that is given up.
+    minima: int = 100
+    minima_given_up: int = 5
+    # Normals are looked up at no less than this (rad, 10 degrees) while poses are refined: what they claim is seldom
+    # so, and fingers press edges.
+    least_turned: float = 0.17
+    # Normals all point inward where that is likelier by so many nats: twenty to one, as few sensors have it so.
+    inward: float = 3.0
     # Contacts count at most for this many independent ones: errors of the mesh and of the calibration are shared.
     most_independent: float = 25.0
-    # Share of the likelihood at which the answer is sure.
+    # Share of the likelihood at which the answer is sure: among the candidates, and with none of them.
     sure: float = 0.99
+    sure_of_all: float = 0.9
+    # Noise that a misfit is held against, in sigmas that contacts tell: claims are wrong by two.
+    told: tuple[float, float] = (0.5, 2.2)
     # Share of touched things that are none of the candidates, before anything is felt.
-    strangers: float = 0.005
+    strangers: float = 0.05
+    # Nats that each contact, beyond those that a pose can meet, speaks for another object at most: it may be false.
+    most_each: float = 1.0
+    freedoms: float = 6.0
     # Nats by which what the best leaves over must speak for it and against all that is plainly another object,
-    # candidate or not: 500 to one. A hundred is decisive (Jeffreys 1961) between two that both are what they are
-    # said to be; a relative is nearer than a Gaussian field has it, and of 108 draws in which one was named for want of
-    # the tool itself, two reached 6.0. Fewer independent contacts than these cannot tell: twice what a pose can fit.
-    decisive: float = 6.2
+    # candidate or not: 1100 to one. A hundred is decisive (Jeffreys 1961) between two that both are what they are said
+    # to be; a relative is nearer than a Gaussian field has it, and of 54 draws in which a tool was not among the
+    # candidates one reached 6.4. Fewer independent contacts than these cannot tell: twice what a pose can fit.
+    decisive: float = 7.0
     least_independent: float = 12.0
+    evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
     misfit: MisfitSettings = field(default_factory=MisfitSettings)
 
 
@@ -137,41 +142,47 @@ def identify(
     for model in models:
         model.field, model.surface  # noqa: B018  (built before anything is timed)
     begin = time.perf_counter()
-    rng = np.random.default_rng(seed)
-    few, more, many = (
-        _evenly(contacts, most) for most in (settings.few_contacts, settings.more_contacts, settings.most_contacts)
-    )
+    bare = _with(contacts, None)
     first, again = (settings.starts, settings.keep), (settings.more_starts, settings.more_keep)
-    streams = rng.spawn(len(models))
+    # of its own for each: what is told of one depends neither on their order nor on which others there are
+    streams = [np.random.default_rng([seed, crc32(name.encode())]) for name in names]
+    few, many = _evenly(bare, settings.few_contacts), _evenly(bare, settings.most_contacts)
     found = [_look(model, few, many, extra, first, settings, s) for model, s in zip(models, streams)]
     index = np.array([_index(model, contacts, one.poses[0]) for model, one in zip(models, found)])
     limit = max(settings.hopeless_ratio * index.min(), index.min() + settings.hopeless_above)
     given_up = index > limit
-    for k in map(int, np.flatnonzero(~given_up)):
+    playing = [int(k) for k in np.flatnonzero(~given_up)]
+    contacts = _outward(models, contacts, found, playing, settings)
+    more, many = _evenly(contacts, settings.more_contacts), _evenly(contacts, settings.most_contacts)
+    for k in playing:
         found[k] = _merged(found[k], _look(models[k], more, many, extra, again, settings, streams[k]))
-    sigma, aligned, volumes = _finished(models, many, extra, found, given_up, settings)
-    near = int(np.argmin([_index(model, contacts, one.poses[0]) for model, one in zip(models, aligned)]))
-    independent = _independent(models[near], contacts, aligned[near].poses[0], settings)
-    judged = [_judged(m, contacts, extra, one, sigma, independent, settings) for m, one in zip(models, aligned)]
-    fits, poses = np.array([fit for fit, _ in judged]), [pose for _, pose in judged]
+    sigma = _sigma(models, many, found, settings)
+    near = int(np.argmin([_index(model, contacts, one.poses[0]) for model, one in zip(models, found)]))
+    independent = _independent(models[near], contacts, found[near].poses[0], settings)
+    noise = Noise(many, min(1.0, independent / len(many)), settings.evidence.noise)
+    logs, poses = np.zeros(len(models)), []
+    for k, (model, one, stream) in enumerate(zip(models, found, streams)):
+        aligned = _aligned(model, noise, extra, one, sigma, bool(given_up[k]), settings)
+        poses.append(aligned.poses[int(np.argmax(likelihoods(model, noise, aligned.poses, extra)))])
+        logs[k] = log_evidence(model, noise, aligned, stream, extra, settings.evidence)
     index = np.array([_index(model, contacts, pose) for model, pose in zip(models, poses)])
-    fit_share, likelihood = _shares(fits), _shares(fits + volumes)
+    likelihood = normalised(logs)
     inverse = 1.0 / np.maximum(index, 1e-9)
     order = np.argsort(-likelihood, kind="stable")
     best = int(order[0])
     another, plainly = _another(models[best], contacts, poses[best], settings)
+    another = min(another, settings.most_each * max(len(contacts) - settings.freedoms, 0.0))
     prior = np.log(settings.strangers) - np.log1p(-settings.strangers)
     none = float(0.5 * (1.0 + np.tanh(0.5 * (another + prior))))
-    likelihood = likelihood * (1.0 - none)
-    # the width of a mode alone never decides: it knows only how many poses would do, not which object it is
-    sure = min(fit_share[best], likelihood[best]) >= settings.sure
+    share, likelihood = float(likelihood[best]), likelihood * (1.0 - none)
+    sure = share >= settings.sure and likelihood[best] >= settings.sure_of_all
     # when nearly half of the contacts are elsewhere, they may as well be the true ones
     sure = sure and independent >= settings.least_independent and plainly <= -settings.decisive
     sure = sure and _elsewhere(models[best], contacts, poses[best], settings) <= settings.most_elsewhere
     verdict = "ok" if sure else "ambiguous"
-    if index.min() > settings.largest_noise:
+    if index.min() > settings.evidence.noise.largest:
         verdict = "lost"
-    logs = np.sort(fits + volumes)[::-1]
+    logs = np.sort(logs)[::-1]
     candidates = tuple(
         Candidate(
             names[k],
@@ -242,48 +253,73 @@ def _merged(a: Alignment, b: Alignment) -> Alignment:
     return both.take(np.argsort(both.costs, kind="stable"))
 
 
-def _finished(
+def _with(contacts: Contacts, normals: Array | None) -> Contacts:
+    """The contacts with other normals (n, 3), or none."""
+    c = contacts
+    return Contacts(c.points, normals, c.sigma_point, c.sigma_normal, c.sensors, c.forces, c.sigma_known)
+
+
+def _outward(
     models: Sequence[ObjectModel],
-    many: Contacts,
-    extra: Evidence | None,
+    contacts: Contacts,
     found: list[Alignment],
-    given_up: NDArray[np.bool_],
+    playing: list[int],
     settings: RecognitionSettings,
-) -> tuple[float, list[Alignment], Array]:
-    """Noise (m) that the best candidate speaks of; every candidate's poses under it, the best first; log volume of its
-    modes.
-    """
+) -> Contacts:
+    """The contacts, their normals turned round where poses that the points alone have found say that all point in."""
+    if not contacts.has_normal.any():
+        return contacts
+    there = _evenly(contacts, settings.more_contacts)
+    back = _with(there, -there.normals)
+    s = replace(settings.evidence.noise, inward=0.0)
+    told = [
+        [Noise(some, 1.0, s).at(models[k], found[k].poses[: settings.minima_given_up]) for k in playing]
+        for some in (there, back)
+    ]
+    out, into = (float(np.logaddexp.reduce(np.concatenate(logs))) for logs in told)
+    return _with(contacts, -contacts.normals) if into - out > settings.inward else contacts
+
+
+def _sigma(
+    models: Sequence[ObjectModel], many: Contacts, found: list[Alignment], settings: RecognitionSettings
+) -> float:
+    """Noise (m) that the best candidate speaks of, where none is told."""
     n = len(many)
-    sigma = float(np.sqrt(np.mean(many.sigma_point**2)))
-    if not many.sigma_known and n > 6:
-        # the median forgives false contacts; 1.48 of it is the sigma of a Gaussian
-        medians = [float(np.median(np.abs(_residuals(m, many, one.poses[0])))) for m, one in zip(models, found)]
-        sigma = float(np.clip(1.48 * min(medians) * n / (n - 6), settings.least_noise, settings.largest_noise))
-    # all together count no more than their independent part, or modes would look sharper than they are
-    rows = tables.from_contacts(many).with_sigma(sigma, tables.TOUCH)
-    rows = rows.reweighted(min(1.0, settings.most_independent / n))
+    if many.sigma_known or n <= 6:
+        return float(np.sqrt(np.mean(many.sigma_point**2)))
+    # the median forgives false contacts; 1.48 of it is the sigma of a Gaussian
+    medians = [float(np.median(np.abs(_residuals(m, many, one.poses[0])))) for m, one in zip(models, found)]
+    s = settings.evidence.noise
+    return float(np.clip(1.48 * min(medians) * n / (n - 6), s.least, s.largest))
+
+
+def _aligned(
+    model: ObjectModel,
+    noise: Noise,
+    extra: Evidence | None,
+    found: Alignment,
+    sigma: float,
+    given_up: bool,
+    settings: RecognitionSettings,
+) -> Alignment:
+    """The best poses of a candidate, refined under the noise that is inferred; their Hessians are of the likelihood."""
+    rows = tables.from_contacts(noise.contacts).with_sigma(sigma, tables.TOUCH)
+    turned = rows.rows[:, tables.SIGMA_NORMAL]
+    rows.rows[:, tables.SIGMA_NORMAL] = np.where(turned > 0, np.maximum(turned, settings.least_turned), 0.0)
+    # all together count no more than their independent part, or minima would look sharper than they are
+    rows = rows.reweighted(noise.power)
     if extra is not None:
         rows = tables.stack(rows, extra)
-    aligned, volumes = [], np.zeros(len(models))
-    plain = AlignSettings(huber=NO_LIMIT)
-    for k, (model, one) in enumerate(zip(models, found)):
-        start = one.take(np.arange(min(1 if given_up[k] else 40, len(one.costs))))
-        steps = 5 if given_up[k] else 20
-        result = align(model, rows, start.poses, settings=AlignSettings(huber=settings.huber, iterations=steps))
-        result = result.take(distinct_first(model, result, settings.judged))
-        modes = distinct_modes(model, result)
-        # what fits badly has no wider a mode for it: how much noise there is, the likelihood integrates over
-        wide = [covariance_of(model, terms(model, rows, m.pose, settings=plain)[2]) for m in modes]
-        logs = np.array([modes[0].cost - m.cost + 0.5 * np.linalg.slogdet(w)[1] for m, w in zip(modes, wide)])
-        volumes[k] = np.logaddexp.reduce(logs)
-        aligned.append(result)
-    return sigma, aligned, volumes
+    kept = settings.minima_given_up if given_up else settings.minima
+    steps = AlignSettings(huber=settings.huber, iterations=20)
+    result = align(model, rows, found.poses[:kept], settings=steps)
+    return result.take(distinct_first(model, result, kept))
 
 
 def _elsewhere(model: ObjectModel, contacts: Contacts, pose: Array, settings: RecognitionSettings) -> float:
     """Share of contacts farther than four sigmas off, sigma from the nearest quarter: right with half of them false."""
     size = np.abs(_residuals(model, contacts, pose))
-    sigma = max(float(np.quantile(size, 0.25)) / 0.32, settings.least_noise)
+    sigma = max(float(np.quantile(size, 0.25)) / 0.32, settings.evidence.noise.least)
     return float((size > 4 * sigma).mean())
 
 
@@ -292,14 +328,15 @@ def _another(model: ObjectModel, contacts: Contacts, pose: Array, settings: Reco
     some = _evenly(contacts, settings.most_contacts)
     local = se3.apply(se3.inverse(pose), some.points)
     distance, gradient = model.field.distance_and_gradient(local)
-    normals = model.field.normals(local - distance[:, None] * gradient)
-    least, most = settings.misfit.least_noise, settings.largest_noise
+    # a misfit is a field on the surface: beside it, noise itself would be a smooth function of where a contact is
+    feet = local - distance[:, None] * gradient
+    normals = model.field.normals(feet)
+    least, most = settings.misfit.least_noise, settings.evidence.noise.largest
     if contacts.sigma_known:
         sigma = float(np.sqrt(np.mean(contacts.sigma_point**2)))
-        least, most = max(least, 0.8 * sigma), max(least, min(most, 1.5 * sigma))
-    return log_odds_of_another(
-        local - model.centroid, normals, distance, model.diameter, (least, most), settings.misfit
-    )
+        low, high = settings.told
+        least, most = max(least, low * sigma), max(least, min(most, high * sigma))
+    return log_odds_of_another(feet - model.centroid, normals, distance, model.diameter, (least, most), settings.misfit)
 
 
 def _independent(model: ObjectModel, contacts: Contacts, pose: Array, settings: RecognitionSettings) -> float:
@@ -314,54 +351,10 @@ def _independent(model: ObjectModel, contacts: Contacts, pose: Array, settings: 
     if n < 8:
         return float(n)
     residual = _residuals(model, contacts, pose)
+    # false contacts are no errors that neighbours share
+    wild = max(4.5 * float(np.median(np.abs(residual))), settings.evidence.noise.least)
+    residual = np.clip(residual, -wild, wild)
     neighbour = cKDTree(contacts.points).query(contacts.points, k=2)[1][:, 1]
-    correlation = float(residual @ residual[neighbour] / (residual @ residual + n * settings.least_noise**2))
+    correlation = float(residual @ residual[neighbour] / (residual @ residual + n * settings.evidence.noise.least**2))
     correlation = float(np.clip(correlation, 0.0, 0.98))
     return float(np.clip(n * (1 - correlation) / (1 + correlation), 1.0, settings.most_independent))
-
-
-def _judged(
-    model: ObjectModel,
-    contacts: Contacts,
-    extra: Evidence | None,
-    aligned: Alignment,
-    sigma: float,
-    independent: float,
-    settings: RecognitionSettings,
-) -> tuple[float, Array]:
-    """Log likelihood of the contacts at the candidate's likeliest pose, and that pose (4, 4).
-
-    A contact is off the surface by exponential noise of an unknown scale, or false, anywhere within reach, with an
-    unknown probability; both unknowns are integrated out over a grid. Known sigmas bound the scale from both sides.
-    Contacts that merely fix the pose tell nothing about the object. Normals and extra rows add their own costs.
-    """
-    low, high = settings.least_noise, settings.largest_noise
-    if contacts.sigma_known:
-        low = max(low, 0.8 * sigma)
-        high = max(low, min(high, 1.5 * sigma))
-    scales = np.geomspace(low, max(high, 1.001 * low), 24)[:, None, None]
-    false = np.array(settings.false_shares)[None, :, None]
-    worth = max(independent - settings.freedoms, settings.least_share * independent)
-    step = max(1, len(contacts) // settings.most_contacts)
-    fits = np.zeros(len(aligned.poses))
-    for i, pose in enumerate(aligned.poses):
-        size = np.abs(_residuals(model, contacts, pose))[::step]
-        density = (1 - false) * np.exp(-size / scales) / scales + false / settings.false_reach
-        mean = np.log(density).mean(axis=2)
-        fits[i] = np.logaddexp.reduce(worth * mean, axis=None) - np.log(mean.size)
-    if contacts.has_normal.any():
-        share = min(1.0, independent / len(contacts))
-        with_normals = tables.from_contacts(contacts).with_sigma(sigma, tables.TOUCH)
-        without = tables.from_contacts(contacts, use_normals=False).with_sigma(sigma, tables.TOUCH)
-        robust = AlignSettings(huber=3.0)
-        added = costs(model, with_normals, aligned.poses, settings=robust)
-        fits -= share * (added - costs(model, without, aligned.poses, settings=robust))
-    if extra is not None:
-        fits -= costs(model, extra, aligned.poses)
-    best = int(np.argmax(fits))
-    return float(fits[best]), aligned.poses[best]
-
-
-def _shares(logs: Array) -> Array:
-    shares = np.exp(logs - logs.max())
-    return shares / shares.sum()

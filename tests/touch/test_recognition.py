@@ -91,7 +91,7 @@ def test_a_relative_of_the_only_candidate_is_none_of_these(name, seed):
     model = library.make(name)
     stranger = identify([model], touched(bent(model, 0.003, seed), 80, 0.0005, seed)[0], seed=seed)
     assert stranger.verdict != "ok"
-    assert stranger.none > 0.05  # 0.005 before anything was felt
+    assert stranger.none > 0.5  # 0.05 before anything was felt
     itself = identify([model], touched(model, 80, 0.0005, seed)[0], seed=seed)
     assert itself.verdict == "ok"
     assert itself.none < 0.01
