@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-# Output that is not a terminal has no width; tables must not be cut there.
-PIPE_WIDTH = 200
+# Output that is not a terminal has no width; tables must not be cut there, however long what is not known is (columns).
+PIPE_WIDTH = 4000
 
 # Frames left out that are named, each with the reason.
 MOST_LEFT_OUT = 5

@@ -1,4 +1,4 @@
-"""Output that nobody reads, is closed, or is closed on the way: the exit code is that of the result."""
+"""Output that nobody reads, is closed, or is closed on the way: the exit code is that of the result; tables are whole."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 from made_frames import plain_view
 
 from fusion.cli.main import main
+from fusion.cli.options import show_table
 from scenes.recordings.captures import write_capture
 from scenes.synthesis.library import make
 
@@ -86,3 +87,10 @@ def test_what_is_closed_in_a_process_of_another_s(monkeypatch, captures):
     assert sys.stdout is None
     if handles is not None:
         assert len(os.listdir("/proc/self/fd")) <= handles + 1
+
+
+def test_tables_are_whole_in_a_pipe_however_long_a_cell_is(capsys):
+    long = ", ".join(["translation along (0.10, 0.20, 0.97)"] * 6)
+    show_table(("frame", "verdict", "not known"), [["1", "ambiguous", long]])
+    (line,) = [one for one in capsys.readouterr().out.splitlines() if "ambiguous" in one]
+    assert long in line
