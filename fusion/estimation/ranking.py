@@ -13,7 +13,7 @@ from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.solve.joint import JointResult
 from scenes.evidence import align as alignment
 from scenes.evidence.align import Alignment
-from scenes.evidence.modes import Mode, distinct_modes
+from scenes.evidence.modes import Mode, distinct_modes, information_of
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
@@ -99,7 +99,7 @@ def rejudged(
     # what the solution believed of its own accord (System.width) is believed again by distinct_modes: taken out here
     weak = np.repeat([1.0, model.radius], 3) ** -2.0
     both: list[JointResult | Mode] = [*solved, *beside]
-    hessians = np.array([np.linalg.inv(one.covariance) - np.diag(weak) for one in both])
+    hessians = information_of(np.array([one.covariance for one in both])) - np.diag(weak)
     poses = np.array([one.pose for one in both])
     nats = np.concatenate([costs, [mode.cost for mode in beside]])
     return distinct_modes(model, Alignment(poses, nats, hessians, np.zeros(len(both), dtype=np.int64)), told)

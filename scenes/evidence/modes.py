@@ -19,6 +19,9 @@ from scenes.geometry.objects import ObjectModel
 
 Array = NDArray[np.float64]
 
+# Least variance (rad^2, m^2) that is told from none, and least eigenvalue of a correlation (no unit) that rounding leaves.
+LEAST_VARIANCE, KNOWN = 1e-280, 1e-14
+
 
 @dataclass(frozen=True)
 class Mode:
@@ -65,6 +68,16 @@ def covariance_of(model: ObjectModel, hessian: Array, settings: ModeSettings | N
     values, vectors = np.linalg.eigh(0.5 * (scaled + np.swapaxes(scaled, -1, -2)))
     inverse = (vectors / np.maximum(values, 1.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
     return np.asarray(inverse * weak * weak[:, None])
+
+
+def information_of(covariances: Array) -> Array:
+    """Inverses (..., 6, 6) of covariances, finite for any: in units of each unknown's own width no direction is known
+    better than to a ten-millionth.
+    """
+    width = np.sqrt(np.maximum(np.diagonal(covariances, axis1=-2, axis2=-1), LEAST_VARIANCE))
+    units = width[..., :, None] * width[..., None, :]
+    values, vectors = np.linalg.eigh(0.5 * (covariances + np.swapaxes(covariances, -1, -2)) / units)
+    return np.asarray((vectors / np.maximum(values, KNOWN)[..., None, :]) @ np.swapaxes(vectors, -1, -2) / units)
 
 
 def weighed(modes: tuple[Mode, ...], settings: ModeSettings) -> tuple[Mode, ...]:

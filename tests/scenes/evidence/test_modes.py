@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from scenes.evidence.align import Alignment
 from scenes.evidence.leader_kernels import are_one, displacements
-from scenes.evidence.modes import ModeSettings, covariance_of, distinct_modes
+from scenes.evidence.modes import ModeSettings, covariance_of, distinct_modes, information_of
 from scenes.geometry import poses
 from scenes.synthesis import library
 
@@ -144,3 +144,17 @@ def test_what_is_of_one_mode_is_so_by_numpy(rng):
     way = np.zeros(200)
     displacements(delta, radius, way)
     np.testing.assert_allclose(way, moved, rtol=1e-12)
+
+
+@given(st.integers(0, 10_000), st.integers(0, 6), st.floats(-9.0, 0.0))
+def test_information_is_the_inverse_and_finite_where_a_direction_is_known_to_the_last_digit(seed, known, small):
+    rng = np.random.default_rng(seed)
+    axes = np.linalg.qr(rng.normal(size=(6, 6)))[0]
+    spread = np.where(np.arange(6) < known, 0.0, 10.0 ** rng.uniform(small, 0.0, 6))
+    covariance = (axes * spread) @ axes.T
+    information = information_of(np.array([covariance, np.eye(6)]))
+    assert np.isfinite(information).all()
+    assert np.linalg.eigvalsh(information[0]).min() >= 0.0 or known
+    assert np.allclose(information[1], np.eye(6))
+    if not known and small > -5.0:
+        assert np.allclose(information[0] @ covariance, np.eye(6), atol=1e-6)
