@@ -19,7 +19,7 @@ from scenes.geometry.objects import ObjectModel
 
 Array = NDArray[np.float64]
 
-# Least variance (rad^2, m^2) that is told from none, and least eigenvalue of a correlation (no unit) that rounding leaves.
+# Least variance (rad^2, m^2) that is told from none, and eigenvalue of a correlation (no unit) that rounding leaves.
 LEAST_VARIANCE, KNOWN = 1e-280, 1e-14
 
 

@@ -1,4 +1,4 @@
-"""Output that nobody reads, is closed, or is closed on the way: the exit code is that of the result; tables are whole."""
+"""Output that nobody reads, is closed, or is closed on the way: the exit code is the result's; tables are whole."""
 
 from __future__ import annotations
 
