@@ -37,6 +37,9 @@ class LocalizeSettings:
     rank_blur: tuple[float, float] = (0.07, 0.25)
     ranked: int = 500
     pair_pass: tuple[float, float, int, int] = (0.04, 0.15, 8, 120)
+    # The best so many times as many are looked through for those that differ by more than they are shaken, modulo
+    # symmetry: of a bottle every turn about its axis was a start, and its other end none.
+    looked_through: int = 4
     # They are shaken by this much (rad, and share of the radius), a fraction of the table's grid: other seeds then look
     # at other places.
     jitter: float = 0.03

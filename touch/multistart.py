@@ -20,7 +20,7 @@ from scenes.evidence import table as tables
 from scenes.evidence.align import Alignment, AlignSettings, Prior, align, costs
 from scenes.evidence.modes import Mode, ModeSettings, covariance_of, distinct_modes
 from scenes.evidence.point_pairs import built_pair_table, pair_table
-from scenes.evidence.search import SearchStage, rotation_grid, search
+from scenes.evidence.search import SearchStage, first_of_cells, rotation_grid, search
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -116,7 +116,8 @@ def find_candidates(
             rough = replace(FINELY, blur=blur * model.radius, blur_normal=blur_normal)
             merits = costs(model, rows.take(np.arange(len(contacts))), starts, prior, rough)
             keep = int(np.clip(settings.budget_ranked // (8 * len(rows)), 60, settings.ranked))
-            starts = starts[np.argsort(merits, kind="stable")[:keep]]
+            order = np.argsort(merits, kind="stable")[: settings.looked_through * keep]
+            starts = starts[first_of_cells(model, starts, order, settings.jitter, settings.jitter)[:keep]]
             widths = np.repeat([settings.jitter, settings.jitter * model.radius], 3)
             starts = se3.perturb(starts, widths * rng.normal(size=(len(starts), 6)), model.centroid)
             if prior is not None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from scenes.evidence.align import AlignSettings, costs
 from scenes.evidence.point_pairs import pair_table
-from scenes.evidence.search import first_of_each, rotation_grid, thin
+from scenes.evidence.search import first_of_cells, rotation_grid, thin
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.cameras import Camera
@@ -207,11 +207,5 @@ def different(
     model: ObjectModel, candidates: Array, merit: Array, settings: StartSettings | None = None
 ) -> NDArray[np.intp]:
     """Indices of candidates (n, 4, 4), best (lowest merit) first, one of each cell of poses modulo symmetry."""
-    settings = settings or StartSettings()
-    order = np.argsort(merit, kind="stable")
-    poses = candidates[order]
-    middles = poses[:, :3, :3] @ model.centroid + poses[:, :3, 3]
-    # of all poses that look the same, the one that is turned least
-    turned = model.symmetries.nearest(poses, np.eye(4))[:, :3, :2].reshape(len(poses), 6)
-    cells = np.concatenate([middles / (settings.same_share * model.radius), turned / settings.same_angle], axis=1)
-    return order[first_of_each(np.round(cells).astype(np.int64))]
+    s = settings or StartSettings()
+    return first_of_cells(model, candidates, np.argsort(merit, kind="stable"), s.same_share, s.same_angle)

@@ -11,6 +11,7 @@ BENCHMARKS = {
     "real": "fusion.benchmarks.real.bench",
     "local": "fusion.benchmarks.contacts.local",
     "global": "fusion.benchmarks.contacts.global_search",
+    "few": "fusion.benchmarks.contacts.few",
     "robustness": "fusion.benchmarks.contacts.robustness",
     "arrays": "fusion.benchmarks.arrays.bench",
     "gel": "fusion.benchmarks.gels.bench",

@@ -9,6 +9,7 @@ from scenes.errors import InputError, unknown
 HEEDED = {
     "real": ("data", "bop"),
     "gel": ("data",),
+    "few": ("objects",),
     "vision": ("objects", "family", "told"),
     "search": ("objects", "family"),
     "occlusion": ("objects", "family", "methods"),

@@ -140,22 +140,30 @@ def search(
 
 
 def distinct_first(model: ObjectModel, result: Alignment, keep: int) -> NDArray[np.intp]:
-    """Indices of the best `keep` poses, those that fell onto the same minimum counted once.
-
-    Poses are sorted by cost and binned by (cost, centroid) to a thousandth: starts that reached one minimum agree far
-    better than that, and different minima almost never do.
+    """Indices of the best `keep` poses, those that fell onto the same minimum counted once: starts that reached one
+    agree far better than to a thousandth of the radius and a hundredth in rotation, and different minima almost never
+    do.
     """
-    order = np.argsort(result.costs, kind="stable")
-    middles = result.poses[:, :3, :3] @ model.centroid + result.poses[:, :3, 3]
-    key = np.concatenate(
-        [
-            np.round(middles / (1e-3 * model.radius)),
-            np.round(result.poses[:, :3, 0] * 1e2),
-            np.round(result.poses[:, :3, 1] * 1e2),
-        ],
-        axis=1,
-    ).astype(np.int64)
-    return order[first_of_each(key[order])][:keep]
+    return first_of_cells(model, result.poses, np.argsort(result.costs, kind="stable"), 1e-3, 1e-2)[:keep]
+
+
+def first_of_cells(
+    model: ObjectModel, poses: Array, order: NDArray[np.intp], width: float, angle: float
+) -> NDArray[np.intp]:
+    """Of the indices `order` (k,) of poses (n, 4, 4) the first in each cell of the pose space: of width (a share of the
+    radius) for the centroid, and angle (rad, about) for the rotation; equivalents of a symmetric object are in one. Of
+    all that turn a bottle about itself one goes on, and leaves the other places to other answers.
+    """
+    if not len(order):
+        return order
+    axes = model.symmetries.axes
+    same = model.symmetries.nearest(poses[order], poses[order[0]])
+    middles = same[:, :3, :3] @ model.centroid + same[:, :3, 3]
+    # of an object that turns freely the axis alone says how it stands: of one that is turned over no turn is nearest
+    turned = same[:, :3, :3] @ axes[0].direction if axes else same[:, :3, :2].reshape(len(same), 6)
+    # cells count from the first place: those of an object far from the origin are as those of one at it
+    parts = (middles - middles[0]) / (width * model.radius), turned / angle
+    return order[first_of_each(np.round(np.concatenate(parts, axis=1)).astype(np.int64))]
 
 
 def first_of_each(keys: NDArray[np.int64]) -> NDArray[np.intp]:

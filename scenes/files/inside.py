@@ -17,7 +17,11 @@ def stays_inside(path: Path, folder: Path | None, where: str) -> Path:
     Raises CaptureError, beginning with `where`, for absolute paths, `..` and links that lead out of it.
     """
     if folder is not None:
-        root, target = folder.resolve(), path.resolve()
+        root = folder.resolve()
+        try:
+            target = path.resolve()
+        except ValueError as error:  # a zero byte, half of a surrogate pair
+            raise CaptureError(f"{where}: expected the name of a file, got {str(path)[-60:]!a}") from error
         if not target.is_relative_to(root):
             raise CaptureError(f"{where}: expected files inside {folder}, got {path}, which is {target}: {HINT}")
     return path

@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 # What a spreadsheet runs when a cell begins with it (apostrophes before it are part of the name).
 _FORMULA = re.compile(r"'*[=+\-@\t\r]")
+# Numbers are read as float64: above this a whole number is no longer itself.
+LARGEST_INDEX = 2**53
 
 
 @dataclass(frozen=True)
@@ -198,8 +200,8 @@ def _number(text: str, column: CsvColumn) -> tuple[float, str]:
         return float("nan"), f"expected a number, got {text[:40]!r}" if text else "expected a number, got nothing"
     if not np.isfinite(value):
         return value, f"expected a finite number, got {text}"
-    if column.kind == "index" and (value < 0 or value != int(value)):
-        return value, f"expected a whole number from 0, got {text}"
+    if column.kind == "index" and not (0 <= value <= LARGEST_INDEX and value == int(value)):
+        return value, f"expected a whole number from 0 to {LARGEST_INDEX}, got {text[:40]}"
     return value, ""
 
 

@@ -104,7 +104,7 @@ def close(
                 f" ({len(left)} edges still open after filling): close it in a mesh editor"
             )
         mended.append(f"{counted(holes, 'hole')} filled ({share:.1%} of the surface)")
-    bodies = mesh.split(only_watertight=False) if mesh.body_count > 1 else [mesh]
+    bodies = mesh.split(only_watertight=False, repair=False) if mesh.body_count > 1 else [mesh]
     if mesh.volume < 0 or any(b.volume < 0 and _outermost(b, bodies) for b in bodies):
         if len(bodies) > 1:
             trimesh.repair.fix_inversion(mesh, multibody=True)

@@ -310,12 +310,12 @@ def read_priors(path: str | Path, report: Report) -> dict[int, Array]:
 def symmetries_entry(entry: dict[str, Any]) -> Symmetries:
     """The symmetries of one object of models_info.json, in metres; raises InputError."""
     discrete = [np.eye(4)]
-    for rows in entry.get("symmetries_discrete", []):
+    for rows in _symmetries_of(entry, "symmetries_discrete"):
         member = numbers(rows, 16, "symmetries_discrete").reshape(4, 4)
         member[:3, 3] *= MM
         discrete.append(poses.check_pose(member, "symmetries_discrete"))
     axes = []
-    for row in entry.get("symmetries_continuous", []):
+    for row in _symmetries_of(entry, "symmetries_continuous"):
         if not isinstance(row, dict) or "axis" not in row:
             raise InputError(f"symmetries_continuous: expected objects with axis and offset, got {str(row)[:60]}")
         axis = numbers(row["axis"], 3, "symmetries_continuous axis")
@@ -324,6 +324,13 @@ def symmetries_entry(entry: dict[str, Any]) -> Symmetries:
             raise InputError("symmetries_continuous axis: expected a direction, got zero")
         axes.append(Axis(numbers(row.get("offset", [0, 0, 0]), 3, "symmetries_continuous offset") * MM, axis / length))
     return Symmetries(np.array(discrete), tuple(axes))
+
+
+def _symmetries_of(entry: dict[str, Any], name: str) -> list[Any]:
+    rows = entry.get(name, [])
+    if not isinstance(rows, list):
+        raise InputError(f"{name}: expected a list of symmetries, got {str(rows)[:60]}")
+    return rows
 
 
 def model_json(vertices: Array, diameter: float, symmetries: Symmetries) -> dict[str, Any]:

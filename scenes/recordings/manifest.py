@@ -106,12 +106,13 @@ def read_manifest(folder: Path, report: Report) -> Manifest:
     checked(isinstance(unit, str) and unit in METRES_PER_UNIT, f"a unit of {', '.join(METRES_PER_UNIT)}", unit)
     checked(isinstance(number, int), "a whole number as the object's id", number)
     hand = content.get("hand")
-    checked(hand is None or (isinstance(hand, dict) and isinstance(hand.get("urdf"), str)), "a hand with a urdf", hand)
+    told = hand if isinstance(hand, dict) and isinstance(hand.get("urdf"), str) else None
+    checked(hand is None or told is not None, "a hand with a urdf", hand)
+    sensors = told.get("sensors") if told is not None else None
+    checked(isinstance(sensors, str | None), "the path of a file as the hand's sensors", sensors)
     world = content.get("world", "camera")
     checked(world in WORLDS, f"a world of {' or '.join(WORLDS)}", world)
-    files = (
-        (hand["urdf"], hand.get("sensors")) if isinstance(hand, dict) and isinstance(hand.get("urdf"), str) else None
-    )
+    files = (told["urdf"], sensors if isinstance(sensors, str) else None) if told is not None else None
     notes = content.get("notes")
     return Manifest(
         number if isinstance(number, int) else 1,

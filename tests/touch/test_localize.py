@@ -422,7 +422,8 @@ def test_a_few_contacts_that_claim_to_be_exact_and_contradict_every_pose_are_no_
     right = localize(box, Contacts(points, normals, sigma_point=1e-6))
     assert "contradict every pose" not in " ".join(right.notes)
     wrong = localize(box, Contacts(points, -normals, sigma_point=1e-6))
-    assert wrong.verdict == "ambiguous"
+    # lost where the best of these poses also leaves half of the contacts a centimetre off the surface
+    assert wrong.verdict in ("ambiguous", "lost")
     assert "contradict every pose" in " ".join(wrong.notes)
 
 

@@ -13,6 +13,7 @@ from commands import refused
 
 from fusion import benchmarks
 from fusion.benchmarks.asked import HEEDED, OPTIONS, check
+from fusion.benchmarks.contacts import few
 from fusion.benchmarks.contacts import trials as contact_trials
 from fusion.benchmarks.printing.charts import Chart, draw
 from fusion.benchmarks.printing.tables import (
@@ -27,6 +28,7 @@ from fusion.benchmarks.printing.tables import (
     write_report,
 )
 from fusion.cli.main import main
+from scenes.errors import InputError
 from scenes.evidence.align import align
 from scenes.evidence.table import from_contacts
 from scenes.geometry import poses
@@ -119,7 +121,7 @@ def test_unknown_benchmarks_are_named(capsys):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("local --objects foo", "bench local: expected no --objects, which is of vision, search, .*, got it"),
+        ("local --objects foo", "bench local: expected no --objects, which is of few, vision, search, .*, got it"),
         ("arrays --family lab", "bench arrays: expected no --family, which is of vision, "),
         ("search --methods icp", "bench search: expected no --methods, which is of occlusion, tracking, got it"),
         ("real --told", "bench real: expected no --told, which is of vision, calibration, got it"),
@@ -192,3 +194,18 @@ def test_trials_repeat_with_their_seed():
         rotation, position = contact_trials.errors(model, a.start, a.truth)
         assert rotation == pytest.approx(np.deg2rad(16.0))
         assert position == pytest.approx(0.0332)
+
+
+def test_few_contacts_are_as_right_as_they_are_sure():
+    shown = []
+    report = few.run(BenchSettings(quick=True, objects=("hammer",), trials=3, show=shown.append))
+    assert report.tables == shown
+    by_count, by_object = report.tables
+    assert [row[0] for row in by_object.rows] == ["hammer"]
+    whole = by_count.rows[-1]
+    # normals or none, sigmas told or not, two numbers of contacts, three trials
+    assert whole[3].n == 2 * 2 * 2 * 3
+    assert whole[5].hits <= whole[4].hits
+    assert abs(report.claims[2].value) < 0.3
+    with pytest.raises(InputError, match=r"--objects.*got 'teapot'"):
+        few.run(BenchSettings(objects=("teapot",)))

@@ -9,6 +9,7 @@ from scenes.evidence.align import Alignment, Prior
 from scenes.evidence.search import (
     SearchStage,
     distinct_first,
+    first_of_cells,
     first_of_each,
     leaders,
     rotation_grid,
@@ -150,6 +151,33 @@ def test_poses_that_fell_together_count_once(rng):
     result = Alignment(stack, costs, np.zeros((12, 6, 6)), np.ones(12, dtype=np.int64))
     assert distinct_first(model, result, 10).tolist() == [3, 1, 2, 0]
     assert distinct_first(model, result, 2).tolist() == [3, 1]
+
+
+def test_equivalents_of_a_symmetric_object_count_once(rng):
+    """A bottle that is turned about its axis is where it was; one that is turned over is not."""
+    model = library.make("bottle")
+    axis = model.symmetries.axes[0]
+    about = poses.exp_rotation(np.linspace(0.1, 6.0, 40)[:, None] * axis.direction)
+    turns = poses.make_poses(about, axis.point - about @ axis.point)
+    over = poses.exp_rotation(np.pi * np.cross(axis.direction, [1.0, 0.0, 0.0])[None])[0]
+    truth, other = poses.make_poses(poses.random_rotations(2, rng), rng.normal(size=(2, 3)))
+    turned_over = truth @ poses.make_pose(over, model.centroid - over @ model.centroid)
+    stack = np.concatenate([truth @ turns, other @ turns, turned_over @ turns])
+    costs = np.arange(120.0)
+    result = Alignment(stack, costs, np.zeros((120, 6, 6)), np.ones(120, dtype=np.int64))
+    assert distinct_first(model, result, 20).tolist() == [0, 40, 80]
+
+
+def test_the_first_of_each_cell_is_as_by_hand(rng):
+    model = library.make("box")
+    centres = poses.make_poses(poses.random_rotations(6, rng), 0.1 * rng.normal(size=(6, 3)))
+    members = model.symmetries.discrete[rng.integers(len(model.symmetries.discrete), size=60)]
+    which = rng.integers(6, size=60)
+    stack = centres[which] @ members
+    order = rng.permutation(60)
+    found = first_of_cells(model, stack, order, 0.03, 0.03)
+    assert found.tolist() == [next(n for n in order if which[n] == k) for k in dict.fromkeys(which[order])]
+    assert len(first_of_cells(model, stack, order[:0], 0.03, 0.03)) == 0
 
 
 def leaders_by_arrays(model, candidates, apart):

