@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from fusion.estimation.solve.kernels import log_mixture
 from scenes.evidence.align import AlignSettings, Prior, align, costs, terms
 from scenes.evidence.search import thin
-from scenes.evidence.table import GATE_ABOVE, SIGMA_NORMAL, TOUCH, Evidence, stack
+from scenes.evidence.table import SIGMA_NORMAL, TOUCH, Evidence, stack
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from touch.polish import NO_DISTANCE
@@ -68,8 +68,8 @@ def uneven_rows(rows: Evidence) -> Evidence:
 
 def _uneven(rows: Evidence) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """(n,) whether each row is one-sided, and whether it is a contact with a normal."""
-    walls = rows.rows[:, GATE_ABOVE] == 0.0
-    return walls, (rows.rows[:, GATE_ABOVE] > 0.0) & (rows.rows[:, SIGMA_NORMAL] > 0.0) & (rows.sense == TOUCH)
+    walls = ~rows.on
+    return walls, rows.on & (rows.rows[:, SIGMA_NORMAL] > 0.0) & (rows.sense == TOUCH)
 
 
 def moments(

@@ -13,7 +13,7 @@ from scenes.evidence import align as alignment
 from scenes.evidence.align import Prior
 from scenes.evidence.alike import Alike, alike, hardly_moves
 from scenes.evidence.modes import ModeSettings, covariance_of, distinct_modes
-from scenes.evidence.table import GATE_ABOVE, POINT, SIGMA, TOUCH, VISION, WEIGHT, Evidence, empty
+from scenes.evidence.table import POINT, SIGMA, TOUCH, VISION, WEIGHT, Evidence, empty
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts, Frame
@@ -93,7 +93,7 @@ def nats_of_contacts(model: ObjectModel, felt: Evidence, count: int, pose: Array
     """
     if not count:
         return 0.0
-    on = felt.rows[:, GATE_ABOVE] > 0
+    on = felt.on
     places = max(float(felt.rows[on, WEIGHT].sum()), float(count))
     return float(alignment.costs(model, felt, pose[None])[0]) * count / places
 
@@ -107,7 +107,7 @@ def contradiction(
 
 def pixel_agreement(model: ObjectModel, seen: Evidence, pose: Array) -> tuple[float, float]:
     """Share of the ON pixels within three sigmas of the surface at pose, and the RMS distance (m) of those."""
-    on = seen.rows[seen.rows[:, GATE_ABOVE] > 0]
+    on = seen.rows[seen.on]
     if not len(on):
         return float("nan"), float("nan")
     distance = model.field.distance(se3.apply(se3.inverse(pose), on[:, POINT]))

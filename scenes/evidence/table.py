@@ -5,6 +5,7 @@ Every sense writes rows of the same kind, in one frame (the camera's), metres:
     a depth pixel         ON the surface, unless it belongs to something in front (gate above)
     a fingertip contact   ON the surface, with the outward normal when known
     an inactive taxel, a link that feels nothing, free space before an observed depth   OUTSIDE
+    a mask's pixel whose ray passes the object by       not so far outside (gate below 0)
 
 A row's residual is r = (d(p) - offset) / sigma with d the signed distance of the point from the object.
 Its loss is that of a point that is either on the object (a unit Gaussian in r) or clutter (a flat density,
@@ -62,6 +63,11 @@ class Evidence:
     def points(self) -> Array:
         """(n, 3) metres."""
         return self.rows[:, POINT]
+
+    @property
+    def on(self) -> NDArray[np.bool_]:
+        """(n,) whether a row lies ON the surface: the others say something on one side of it alone."""
+        return (self.rows[:, GATE_ABOVE] > 0.0) & (self.rows[:, GATE_BELOW] > 0.0)
 
     @cached_property
     def is_sound(self) -> bool:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenes.evidence.table import Evidence, empty
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import DepthModel
@@ -26,7 +27,7 @@ from vision.picture import columns, kernels, scoring_kernels
 from vision.picture.aspects import aspects_of, finer, glimpsed, sums_of
 from vision.picture.glimpse_kernels import draw_small
 from vision.picture.hand import hand_depth, widened
-from vision.picture.masked import core_of, uncovered
+from vision.picture.masked import core_of, covering_rows, uncovered
 from vision.picture.settings import PictureScore, PredictionSettings
 from vision.picture.shown_kernels import shown_rays
 
@@ -274,6 +275,13 @@ class Predictor:
         if not len(pixels) or self.camera is None:
             return np.zeros(len(candidates))
         return self.settings.uncovered * told * uncovered(self.model, self.camera, pixels, candidates)
+
+    def covering(self, candidates: Array) -> list[Evidence]:
+        """Rows that draw each of poses (n, 4, 4) over what of the mask it leaves bare; none without a mask."""
+        pixels, told = self._core
+        if not len(pixels) or self.camera is None:
+            return [empty()] * len(candidates)
+        return covering_rows(self.model, self.camera, pixels, candidates, self.settings.cover, told)
 
     @cached_property
     def _core(self) -> tuple[NDArray[np.int64], float]:

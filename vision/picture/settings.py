@@ -49,6 +49,23 @@ class PictureScore:
 
 
 @dataclass(frozen=True)
+class CoverSettings:
+    """How a fit is drawn over what of a mask it leaves bare. By judgement, on the tuning families with their masks."""
+
+    # Places looked at over the object's depth for that nearest to it on a ray, and again between two of those: to a
+    # sixtieth of the radius, far below sigma.
+    steps: int = 12
+    # Metres: what a mask's border is off by, a pixel or two at arm's length.
+    sigma: float = 0.003
+    # Sigmas beyond which a ray draws no more: what is farther belongs to another pose. Of twice as many the answers
+    # were as good.
+    gate: float = 5.0
+    # Pixels that a whole mask is worth, if all of it is bare: few beside those that a fit takes. Of four times as many
+    # the answers were as good.
+    amount: float = 32.0
+
+
+@dataclass(frozen=True)
 class PredictionSettings:
     """How a predicted image is scored. By judgement, on generated captures and on nine recorded frames, which are
     therefore no independent test of it.
@@ -136,6 +153,7 @@ class PredictionSettings:
     # where nobody knows the hand (by judgement); a part of it in proportion, told by so many of its pixels.
     uncovered: float = 60.0
     masked: int = 64
+    cover: CoverSettings = CoverSettings()
     # The hand is drawn at every so many pixels; a reading this near (m) to it is the hand's.
     hand_step: int = 3
     hand_margin: float = 0.006

@@ -17,7 +17,7 @@ from scenes.evidence import table as tables
 from scenes.evidence.align import AlignSettings, Prior, align
 from scenes.evidence.modes import covariance_of
 from scenes.evidence.search import SearchStage, search, starts_around
-from scenes.evidence.table import GATE_ABOVE, SIGMA, Evidence
+from scenes.evidence.table import SIGMA, Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
@@ -263,7 +263,7 @@ class VisionTracker:
 
 def explained_share(model: ObjectModel, rows: Evidence, pose: Array) -> tuple[float, int]:
     """Share of the ON rows within three sigmas of the surface at pose (4, 4), and how many there are; NaN for none."""
-    on = rows.rows[rows.rows[:, GATE_ABOVE] > 0]
+    on = rows.rows[rows.on]
     if not len(on):
         return float("nan"), 0
     distance = model.field.distance(se3.apply(se3.inverse(pose), on[:, :3]))

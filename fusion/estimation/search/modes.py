@@ -20,7 +20,7 @@ from scenes.evidence.align import Alignment, AlignSettings, Prior, align, terms
 from scenes.evidence.modes import Mode, ModeSettings, covariance_of, displaced, distinct_modes
 from scenes.evidence.near_symmetries import near_symmetries
 from scenes.evidence.search import SETTLED, SearchStage, leaders, search, thin
-from scenes.evidence.table import GATE_ABOVE, SIGMA, TOUCH, VISION, Evidence
+from scenes.evidence.table import SIGMA, TOUCH, VISION, Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 
@@ -274,7 +274,7 @@ def doubt_of(
         return f"{agreeing:.0%} of the first agree"
     if past[best] > settings.past:
         return f"what the camera saw past the first costs {past[best]:.1f}"
-    on = rows.rows[:, GATE_ABOVE] > 0
+    on = rows.on
     distance = np.abs(model.field.distance(se3.apply(se3.inverse(pose), rows.points)))
     near = distance < 3.0 * rows.rows[:, SIGMA]
     for sense, name, least in (

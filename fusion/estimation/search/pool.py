@@ -20,7 +20,7 @@ from scenes.evidence.align import Alignment, AlignSettings, Prior, align, costs
 from scenes.evidence.modes import Mode, ModeSettings, distinct_modes, weighed
 from scenes.evidence.near_symmetries import near_symmetries, quarter_turns
 from scenes.evidence.search import SETTLED, SearchStage, leaders, search, thin
-from scenes.evidence.table import GATE_ABOVE, Evidence
+from scenes.evidence.table import Evidence
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import DepthModel
 from touch.held import Held
@@ -93,7 +93,7 @@ class Pool:
         """(n, 4, 4) where plain descents by vision's rows end, from a start (4, 4) and some of starts (k, 4, 4): in all
         so many; none where nothing is seen.
         """
-        s, on = self.settings, seen.take(seen.rows[:, GATE_ABOVE] > 0)
+        s, on = self.settings, seen.take(seen.on)
         if not len(on):
             return np.zeros((0, 4, 4))
         few, poses = thin(on, s.descent_rows), np.concatenate([start[None], starts[: descents - 1]])
@@ -220,9 +220,12 @@ class Pool:
         """`evidence` of each of poses (n, 4, 4). most: at most so many pixels and half as much of what is free,
         carrying the weight of all; 0: all.
         """
-        return shown_rows(
-            self.predictor, poses, self.looked.free(self.rows), self.rows, self.settings.least_pixels, side, most
-        )
+        free, least = self.looked.free(self.rows), self.settings.least_pixels
+        shown = shown_rows(self.predictor, poses, free, self.rows, least, side, most)
+        if self.prior is not None:
+            # near a start the outline is about right: there a mask's errors would draw it further than it is off
+            return shown
+        return [tables.stack(*both) for both in zip(shown, self.predictor.covering(poses))]
 
     def sifted(self, candidates: Array) -> Array:
         """The most promising of poses (n, 4, 4) by the object's aspects, best first."""
@@ -342,7 +345,7 @@ class Pool:
     @property
     def contacts(self) -> int:
         """How many are felt."""
-        return int((self.felt.rows[:, GATE_ABOVE] > 0).sum())
+        return int(self.felt.on.sum())
 
     def _shows(self, pose: Array, least: float, share: float, past: float, runs_on: float) -> bool:
         """Whether at pose (4, 4) at least the share `least` of the whole agrees with what is seen and `share` of what

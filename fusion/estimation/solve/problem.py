@@ -15,7 +15,7 @@ from fusion.estimation.solve.kernels import hand_rows
 from fusion.estimation.solve.settings import JointSettings
 from scenes.evidence import row_kernels
 from scenes.evidence.align import Prior, lattice_of, prior_of
-from scenes.evidence.table import FACING, GATE_ABOVE, SIGMA, WEIGHT, Evidence
+from scenes.evidence.table import FACING, SIGMA, WEIGHT, Evidence
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
@@ -79,7 +79,7 @@ class JointProblem:
         self.bias = DepthBias.over(self.camera, reach, depth, self.settings.spacing, self.settings.most_inducing)
         self.seen_basis = self.bias.basis(self.seen.points)
         rows = self.seen.rows
-        self.on = rows[:, GATE_ABOVE] > 0
+        self.on = self.seen.on
         self.is_pixel = (rows[:, FACING] > 0) & (self.camera is not None)
         self.sigma = rows[:, SIGMA].copy()
         if self.camera is not None:
@@ -108,7 +108,7 @@ class JointProblem:
         """Whether something of known shape and place says how wrong depth is: the hand in view, or contacts that hold
         the object; a cloud's points are as they are.
         """
-        touched = int((self.felt.rows[:, GATE_ABOVE] > 0).sum())
+        touched = int(self.felt.on.sum())
         return self.hand is not None or self.camera is None or touched >= self.settings.tying_contacts
 
     def _lay_hand(self, points: Array) -> None:

@@ -30,7 +30,7 @@ from fusion.tracking.steps.refining import loose
 from fusion.tracking.steps.sensing import Sensed, pool_near
 from scenes.evidence import table as tables
 from scenes.evidence.align import AlignSettings, Prior, align
-from scenes.evidence.table import GATE_ABOVE, Evidence
+from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
@@ -255,7 +255,7 @@ def fitted(model: ObjectModel, seen: Evidence, felt: Evidence, start: Array, pri
 def _touching(felt: Felt) -> Evidence:
     """What fingers that touch say; that links do not fill the object's place adds little to a pose that is known."""
     rows = felt.rows
-    return rows.take(rows.rows[:, GATE_ABOVE] > 0)
+    return rows.take(rows.on)
 
 
 def _apart(residuals: Sequence[ContactResidual]) -> float:

@@ -16,7 +16,7 @@ from fusion.estimation.settings import EstimateSettings
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.occluders import Occluders, OccluderSettings
 from fusion.tracking.state import TrackState
-from scenes.evidence.table import GATE_ABOVE, Evidence
+from scenes.evidence.table import Evidence
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
@@ -66,7 +66,7 @@ class Sensed:
         if self.pool is None:
             return self.seen
         rows = self.pool.evidence(pose, side)
-        on = rows.rows[:, GATE_ABOVE] > 0
+        on = rows.on
         clean = on.copy()
         clean[on] = ~self.things.beside(pose, rows.points[on], self.how)
         # an object of which next to nothing else is seen keeps what it has

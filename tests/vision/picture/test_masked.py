@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from made_frames import plain_view
 
+from scenes.evidence.align import AlignSettings, align, costs
+from scenes.evidence.table import GATE_ABOVE, GATE_BELOW, SIGMA
 from scenes.geometry import poses
 from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import DepthModel
 from scenes.synthesis import library
-from vision.picture.masked import core_of, uncovered
+from vision.picture.masked import beside, core_of, missing, uncovered
 from vision.picture.predictor import Predictor
 
 
@@ -56,3 +58,55 @@ def test_a_pose_beside_a_mask_costs_what_it_leaves_uncovered(name):
     assert costs[0] == 0.0
     assert 5.0 < costs[1] <= told.settings.uncovered
     np.testing.assert_allclose(told.costs(both), told._cost_of(both, told.predict(both)) + costs)
+
+
+@pytest.mark.parametrize("name", ["box", "mug"])
+def test_the_place_beside_an_object_is_the_nearest_on_its_ray(name, rng):
+    """By three thousand places along each ray."""
+    frame, model = plain_view(name), library.make(name)
+    truth = frame.camera_from_object_truth
+    some = np.array([poses.displaced(truth, 0.5, 0.5 * model.radius, model.centroid, rng) for _ in range(30)])
+    rays = rng.normal(size=(30, 3)) * [0.05, 0.05, 0.0] + [0.0, 0.0, 1.0] + truth[:3, 3] * [1.0, 1.0, 0.0] / truth[2, 3]
+    places = beside(model, rays, some, 12)
+    np.testing.assert_allclose(np.cross(places, rays), 0.0, atol=1e-9)
+    for place, ray, pose in zip(places, rays, some):
+        along = ray / np.linalg.norm(ray)
+        near = poses.apply(pose, model.centroid[None])[0] @ along
+        tried = np.linspace(near - model.radius, near + model.radius, 3000)[:, None] * along
+        inward = poses.inverse(pose)
+        least = model.field.distance(poses.apply(inward, tried)).min()
+        found = model.field.distance(poses.apply(inward, place[None]))[0]
+        # inside it any place will do
+        assert min(found, 0.0) <= least + 0.02 * model.radius
+        assert least > 0.0 or found < 0.02 * model.radius
+        assert found < max(least, 0.0) + 0.02 * model.radius
+
+
+def test_of_an_object_behind_the_camera_the_place_is_in_front_of_it():
+    model = library.make("box")
+    pose = poses.make_pose(None, [0.0, 0.0, -0.5])
+    assert (beside(model, np.array([[0.1, 0.0, 1.0]]), pose[None], 12)[:, 2] > 0.0).all()
+
+
+@pytest.mark.parametrize("name", ["box", "drill"])
+def test_what_of_a_mask_a_pose_leaves_bare_draws_it_there(name):
+    frame, model = plain_view(name), library.make(name)
+    truth = frame.camera_from_object_truth
+    masked = replace(frame, mask=outline(model, frame.camera, truth))
+    told, bare = Predictor(masked, model, DepthModel()), Predictor(frame, model, DepthModel())
+    aside = poses.make_pose(None, [0.5 * model.radius, -0.3 * model.radius, 0.0]) @ truth
+    assert [len(rows) for rows in bare.covering(np.array([truth, aside]))] == [0, 0]
+    none, some = told.covering(np.array([truth, aside]))
+    assert not len(none)
+    pixels, _ = told._core
+    assert len(some) == missing(model, frame.camera, pixels, aside[None]).sum() > 0
+    assert told.covering(np.zeros((0, 4, 4))) == []
+    # they say something of what is outside alone, and no pixel that was read
+    assert (some.rows[:, GATE_ABOVE] > 0).all()
+    assert not some.rows[:, GATE_BELOW].any()
+    assert not some.on.any()
+    # the place beside a wrong pose need not be at the depth of the right one
+    assert costs(model, some, truth[None])[0] < 0.3 * costs(model, some, aside[None])[0]
+    nearer = align(model, some, aside[None], None, AlignSettings(iterations=20)).poses
+    assert uncovered(model, frame.camera, pixels, nearer)[0] < uncovered(model, frame.camera, pixels, aside[None])[0]
+    assert (some.rows[:, SIGMA] == told.settings.cover.sigma).all()
