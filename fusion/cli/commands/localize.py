@@ -192,9 +192,10 @@ def read_contacts(path: Path, frame: int | None = None) -> Contacts:
         frames = sorted(set(map(int, rows.frames())))
         if len(frames) > 1 and frame is None:
             raise InputError(f"{path}: expected contacts of one frame, got {len(frames)}: choose one with --frame")
-        if frame is not None:
+        # of a file without contacts the last line of all says so
+        if frame is not None and frames:
             if frame not in frames:
-                raise InputError(f"{path}: expected a frame of {', '.join(map(str, frames)) or 'none'}, got {frame}")
+                raise InputError(f"{path}: expected a frame of {', '.join(map(str, frames))}, got {frame}")
             rows = rows.of_frame(frame)
         try:
             contacts = contacts_of(rows) if len(rows) else Contacts(np.zeros((0, 3)))

@@ -216,6 +216,7 @@ def test_recorded_grasps_convert(tmp_path, name):
 
 
 def test_bad_use(capture, contacts, tmp_path, capsys):
+    (empty := tmp_path / "empty.csv").write_text("frame,x,y,z\n")
     cases = [
         ((), "the following arguments are required: COMMAND"),
         (("dance",), "command: expected one of demo, "),
@@ -248,6 +249,7 @@ def test_bad_use(capture, contacts, tmp_path, capsys):
         (("evaluate", tmp_path / "no.csv", capture), "expected a poses.csv"),
         (("evaluate", capture / "contacts.csv", capture), "expected the header scene_id"),
         (("localize", capture / "contacts.csv", "--object", "box", "--frame", "7"), "expected a frame of 0, 1, got 7"),
+        (("localize", empty, "--object", "box", "--frame", "7"), "expected at least one contact, found none"),
         (("localize", __file__, "--object", "box"), "ends in .csv, .off or .ply"),
         (("convert", tmp_path / "no", tmp_path / "c"), "found nothing"),
         (("convert", tmp_path, tmp_path / "c"), "found neither"),
