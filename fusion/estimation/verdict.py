@@ -59,6 +59,9 @@ class VerdictSettings:
     most_violated: float = 0.25
     # Without touch, an answer from less than this share of the object is a guess.
     least_visible: float = 0.12
+    # So is one from fewer pixels that agree than this: some part of another thing looks as that few do. Of 158 such
+    # answers to frames of all families none was `ok` anyhow; small things far off, and coarse cameras, were, wrongly.
+    least_agreeing: float = 120.0
 
 
 def contact_residuals(
@@ -291,6 +294,9 @@ def judged(
     against = contact_nats if contradicted is None else contradicted
     if word == "ok" and against > settings.most_contradicted * max(len(residuals), 1):
         word, why = "lost", "the contacts, or their normals, contradict every pose"
+    agreeing = float(picture.agree[0] * picture.area[0]) if picture is not None else np.inf
+    if word == "ok" and not residuals and agreeing < settings.least_agreeing:
+        word, why = "ambiguous", f"only {agreeing:.0f} pixels agree and nothing touches it"
     if word == "ok" and not enough:
         word, why = "ambiguous", _unsure(model, modes[0], right, sure, confident)
     return right, sure, word, why

@@ -295,7 +295,7 @@ class Pool:
         # what gives no reading neither agrees nor contradicts
         seen = p.agree[0] >= s.least_agree * (p.agree[0] + p.past[0]) and p.agree[0] >= shown
         runs_on = s.most_runs_on if self.predictor.told_apart else s.most_runs_on_unknown
-        picture = seen and p.past[0] <= s.most_past and p.outline[0] <= runs_on
+        picture = seen and p.past[0] <= s.most_past and p.outline[0] <= runs_on and p.within[0] <= s.most_within
         felt = float(costs(self.model, self.felt, pose)[0])
         return bool(picture and felt <= s.contact_nats * max(self.contacts, 1))
 

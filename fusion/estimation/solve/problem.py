@@ -54,8 +54,11 @@ class JointProblem:
         beliefs: Beliefs,
         settings: JointSettings,
     ) -> JointProblem:
-        """From a frame's evidence. A cloud and its contacts were recorded in one frame: no calibration between them."""
+        """From a frame's evidence. A cloud and its contacts were recorded in one frame, as were contacts without a
+        camera: no calibration between them. With a camera the pose is asked for where that is, whether it sees or not.
+        """
         has_image = frame.depth is not None
+        has_robot = has_image or (frame.camera is not None and frame.cloud is None)
         return JointProblem(
             model,
             seen,
@@ -64,7 +67,7 @@ class JointProblem:
             hand,
             beliefs,
             frame.camera if has_image else None,
-            has_robot=has_image,
+            has_robot=has_robot,
             settings=settings,
         )
 
