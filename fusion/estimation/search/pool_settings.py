@@ -44,9 +44,9 @@ class PoolSettings:
     # Where nobody knows what hides the object, what runs on over its outline is most often another thing: shares.
     most_runs_on: float = 0.3
     most_runs_on_unknown: float = 0.1
-    # Borders within the outline, beside as many as it has, across which what agrees runs on to be what hides the
-    # object: an object that goes through another thing. 2 in 100 right answers have more; a box among unknown fingers
-    # that met all contacts 19 mm off had a quarter.
+    # Share of borders within the outline, beside as many as it has, across which what agrees runs on to be what hides
+    # the object: an object that goes through another thing. 2 in 100 right answers have more; a box among unknown
+    # fingers that met all contacts 19 mm off had a quarter.
     most_within: float = 0.15
     least_agree: float = 0.8
     least_shown: float = 0.12
