@@ -8,11 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import InputError
+from scenes.evidence import table as tables
+from scenes.evidence.align import Prior, align
 from scenes.evidence.alike import alike
 from scenes.evidence.modes import Mode, displaced
+from scenes.evidence.table import Evidence
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings.frames import Contacts
 from touch.answers import Localization, LocalizeSettings
-from touch.posterior import Posterior
+from touch.multistart import find_candidates
+from touch.posterior import Posterior, posterior_of
+from touch.thinning import cells_of, informative
+
+Array = NDArray[np.float64]
+
+# Beside the seed, so that what is drawn from the posterior is no part of the search's own stream.
+DRAWING = 1
 
 
 def asked(settings: LocalizeSettings, sure_within: float | None) -> LocalizeSettings:
@@ -24,6 +35,32 @@ def asked(settings: LocalizeSettings, sure_within: float | None) -> LocalizeSett
     if not (np.isfinite(sure_within) and sure_within > 0):
         raise InputError(f"sure_within: expected metres above 0, got {sure_within}")
     return replace(settings, sure_within=float(sure_within))
+
+
+def posterior_about(
+    model: ObjectModel,
+    contacts: Contacts,
+    known: Array,
+    sigma: float,
+    rng: np.random.Generator,
+    prior: Prior | None = None,
+    extra: Evidence | None = None,
+    settings: LocalizeSettings | None = None,
+) -> Posterior:
+    """Draws from what contacts, prior and extra rows say of the pose, about poses `known` (k, 4, 4) and all that the
+    default method's search finds. sigma (m): the contacts' noise, as an answer has it. Contacts' frame, metres.
+    """
+    s, few = settings or LocalizeSettings(), worth_a_look(contacts, settings)
+    rows = tables.from_contacts(few) if extra is None else tables.stack(tables.from_contacts(few), extra)
+    searched = find_candidates(model, few, rows, rng, prior, s)
+    candidates = np.concatenate([known, align(model, rows, searched.poses, prior).poses])
+    return posterior_of(model, few, candidates, sigma, rng, prior, extra, s.posterior)
+
+
+def worth_a_look(contacts: Contacts, settings: LocalizeSettings | None = None) -> Contacts:
+    """At most `most_contacts` of them, chosen by what they tell."""
+    most = (settings or LocalizeSettings()).most_contacts
+    return contacts if len(contacts) <= most else contacts.take(informative(contacts, cells_of(contacts, most), most))
 
 
 def judged(

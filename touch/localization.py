@@ -9,22 +9,18 @@ from importlib import import_module
 import numpy as np
 
 from scenes.errors import InputError, unknown
-from scenes.evidence import table as tables
-from scenes.evidence.align import Prior, align
+from scenes.evidence.align import Prior
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
 from touch.answers import Localization, LocalizeSettings
-from touch.confidence import asked, judged
-from touch.multistart import find_candidates, multistart
+from touch.confidence import DRAWING, asked, judged, posterior_about, worth_a_look
+from touch.multistart import multistart
 from touch.posterior import posterior_of
-from touch.thinning import cells_of, informative
 
 # The sigma of a Gaussian in medians of its sizes.
 GAUSSIAN = 1.48
-# Beside the seed, so that what is drawn from the posterior is no part of the search's own stream.
-DRAWING = 1
 # Every method by name -> module:function(model, contacts, seed, prior, extra) -> Localization, imported when asked for.
 METHODS = {
     "multistart": "touch.multistart:multistart",
@@ -91,15 +87,12 @@ def _sure(
     if not settings.drawn:
         return replace(found, candidates=None)
     rng = np.random.default_rng([seed, DRAWING])
-    candidates, few = found.candidates, contacts
-    if len(contacts) > settings.most_contacts:
-        few = contacts.take(informative(contacts, cells_of(contacts, settings.most_contacts), settings.most_contacts))
-    if candidates is None:
-        rows = tables.from_contacts(few) if extra is None else tables.stack(tables.from_contacts(few), extra)
-        searched = find_candidates(model, few, rows, rng, prior, settings)
+    if found.candidates is None:
         own = np.array([mode.pose for mode in found.modes])
-        candidates = np.concatenate([own, align(model, rows, searched.poses, prior).poses])
-    posterior = posterior_of(model, few, candidates, found.sigma, rng, prior, extra, settings.posterior)
+        posterior = posterior_about(model, contacts, own, found.sigma, rng, prior, extra, settings)
+    else:
+        few = worth_a_look(contacts, settings)
+        posterior = posterior_of(model, few, found.candidates, found.sigma, rng, prior, extra, settings.posterior)
     spent = time.perf_counter() - begin if found.candidates is not None else 0.0
     return replace(judged(model, found, posterior, settings), time_s=found.time_s + spent, candidates=None)
 

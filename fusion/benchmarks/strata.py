@@ -140,11 +140,18 @@ def quick_levels(family: Family) -> tuple[float, ...]:
 
 def collect(cells: Sequence[Cell], settings: BenchSettings) -> list[Answer]:
     """The answers of all cells, in an order that does not depend on who was done first; one thread a process."""
-    found: list[Answer] = []
-    for answers in settings.progress(parallel(answer_cell, cells), len(cells), "cells"):
-        found += answers
+    found = gathered(answer_cell, cells, settings)
     order = {name: i for i, name in enumerate(FAMILIES)}
     return sorted(found, key=lambda a: (order[a.family], a.level, a.start, a.method, a.add_s, a.share))
+
+
+def gathered(
+    work: Callable[[C], list[T]], cells: Sequence[C], settings: BenchSettings, called: str = "cells"
+) -> list[T]:
+    """What `work`, a function of a module, makes of all cells, as they are done, with a line of progress that calls
+    them so.
+    """
+    return [one for some in settings.progress(parallel(work, cells), len(cells), called) for one in some]
 
 
 def parallel(work: Callable[[C], list[T]], cells: Sequence[C], workers: int | None = None) -> Iterator[list[T]]:

@@ -24,7 +24,7 @@ from fusion.estimation.settings import EstimateSettings, usual_settings
 from fusion.estimation.solve.joint import parted
 from fusion.estimation.solve.outlined import asks_for, outlined
 from fusion.estimation.steps.another import another, why_no_other, with_other
-from fusion.estimation.steps.drawn import drawn_by_touch
+from fusion.estimation.steps.drawn import drawn_by_touch, why_not_drawn
 from fusion.estimation.steps.facing import (
     Facing,
     as_printed,
@@ -232,15 +232,18 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         observed = observations(model, modes, picture, residuals, nats, settings.confidence, anywhere, same)
         judged = posterior.judged(model, modes, *agreed, *rules, anywhere, same, against, observed)
         right, sure, word, why = judged
-        allowed, slack = None, sensed.felt.slack
-        # what a calibration adds is shared, and draws take it for each contact's own: they may only doubt
-        if len(felt.contacts) and not predictor.sees and (word == "ok" or not slack):
-            how_near = settings.confidence.tolerance
-            drawn, allowed = drawn_by_touch(model, felt, slack, modes, believed, asked.seed, how_near)
-            sure = min(sure, drawn)
+        stage.note(len(rows), why)
+    slack, allowed = sensed.felt.slack, np.zeros((6, 6))
+    why_not = why_not_drawn(felt, slack, len(sensed.seen), word, trace.over_budget)
+    with trace.stage("draw", not why_not, why_not) as stage:
+        if not why_not:
+            drawn, moved = drawn_by_touch(
+                model, felt, slack, modes, believed, asked.seed, settings.confidence.tolerance
+            )
+            allowed, sure = allowed if slack else moved, min(sure, drawn)
             if word == "ok" and sure < settings.confidence.sure:
                 word, why = "ambiguous", f"only {drawn:.0%} of what the contacts allow is within the tolerance"
-        stage.note(len(rows), why)
+            stage.note(len(felt.rows), f"{drawn:.0%} of what the contacts allow is within the tolerance")
     doubted = sure < settings.confidence.sure
     why_not = why_no_other(pool, doubted) if predictor.sees else "nothing is seen"
     with trace.stage("another in view", not why_not, why_not) as stage:
@@ -254,8 +257,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         stage.note(len(modes), "none is like it" if other is None else f"one is, {other[1]:.0%} sure by itself")
     room = room_about(se3.apply(pose, model.centroid[None])[0], might_be)
     covariance = told_covariance(model, modes, word, right, believed, settings.confidence, room, same)
-    if allowed is not None and np.linalg.slogdet(allowed)[1] > np.linalg.slogdet(covariance)[1]:
-        covariance = allowed
+    covariance = max(covariance, allowed, key=lambda one: float(np.linalg.slogdet(one)[1]))
     word, why = by_facing(model, facing, word, why, settings.texture)
 
     return Estimate(

@@ -59,8 +59,8 @@ class VerdictSettings:
     most_violated: float = 0.25
     # Without touch, an answer from less than this share of the object is a guess.
     least_visible: float = 0.12
-    # So is one from fewer pixels that agree than this: some part of another thing looks as that few do. Of 158 such
-    # answers to frames of all families none was `ok` anyhow; small things far off, and coarse cameras, were, wrongly.
+    # So is one from fewer pixels that agree than this: some part of another thing looks as that few do. Of 117 such
+    # answers to frames of the tuning families none was `ok` anyhow; one of a small thing elsewhere was, wrongly.
     least_agreeing: float = 120.0
 
 

@@ -23,7 +23,7 @@ from fusion.benchmarks.families.making import Made, frames_of, judge_for
 from fusion.benchmarks.families.table import FAMILIES, REPORT, TUNING, Family, chosen
 from fusion.benchmarks.frames.missed import keep_miss
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Quantile, Rate, Report, Table
-from fusion.benchmarks.strata import WRONG, Answer, parallel, places_of, senses_table
+from fusion.benchmarks.strata import WRONG, Answer, gathered, places_of, senses_table
 from fusion.estimation.estimate import estimate
 from fusion.estimation.steps.judge import judge
 from fusion.truth.compare import SENSES
@@ -202,9 +202,7 @@ def run(settings: BenchSettings) -> Report:
         f"{len(cells) * trials} frames at most, {trials} of each object at each hidden share, each its own draw",
         settings.seed,
     )
-    found: list[Tried] = []
-    for tried in settings.progress(parallel(try_cell, cells), len(cells), "cells"):
-        found += tried
+    found = gathered(try_cell, cells, settings)
     note = NOTE + "".join(f" Left out: {reason}." for reason in missing)
     for sense in SENSES_SHOWN:
         for start in (True, False):

@@ -1,4 +1,4 @@
-"""How sure an answer by touch alone is, by draws of what its contacts allow.
+"""How sure an answer by contacts alone is, by draws of what they allow.
 
 The regression of the confidence knows answers by their modes and by how well contacts fit. A few contacts leave bent
 valleys, which no Gaussian about a mode describes, and minima that no search for the best one keeps. So where nothing is
@@ -11,19 +11,32 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.evidence import table as tables
 from scenes.evidence.align import Prior
 from scenes.evidence.modes import Mode
 from scenes.evidence.table import SIGMA
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
-from touch.answers import LocalizeSettings
+from touch.confidence import DRAWING, posterior_about
 from touch.contacts import Felt
-from touch.multistart import find_candidates
-from touch.posterior import posterior_of
-from touch.thinning import cells_of, informative
+from touch.posterior import PosteriorSettings
 
 Array = NDArray[np.float64]
+
+
+def why_not_drawn(felt: Felt, slack: float, seen: int, word: str, spent: bool) -> str:
+    """Why what the contacts allow is not drawn from; "" where it is. slack (m): what a calibration may add to where
+    they are; seen: how many rows vision has, of pixels or of a cloud; word: the verdict so far; spent: no time is left.
+
+    What a calibration adds all contacts share, and draws take it for each one's own: they are then asked about an
+    answer that is about to be `ok`, and of nothing else.
+    """
+    if seen:
+        return "something is seen"
+    if not len(felt.contacts):
+        return "nothing is felt at points"
+    if slack and word != "ok":
+        return "it is in doubt, and how the robot is calibrated is not told by draws"
+    return "the time budget is spent" if spent else ""
 
 
 def drawn_by_touch(
@@ -40,16 +53,11 @@ def drawn_by_touch(
 
     slack (m): how far what the robot reports may be from where it is, beside the contacts' own sigmas.
     """
-    s, count, contacts = LocalizeSettings(), len(felt.contacts), felt.contacts
-    rows, rng = felt.rows, np.random.default_rng([seed, 1])
-    # a finger's own errors are in the sigmas of its rows
-    sigma = np.hypot(rows.rows[:count, SIGMA], slack)
-    contacts = Contacts(contacts.points, contacts.normals, sigma, contacts.sigma_normal)
-    rest = rows.take(np.arange(count, len(rows)))
-    if count > s.most_contacts:
-        contacts = contacts.take(informative(contacts, cells_of(contacts, s.most_contacts), s.most_contacts))
-    searched = find_candidates(model, contacts, tables.stack(tables.from_contacts(contacts), rest), rng, prior, s)
-    candidates = np.concatenate([np.array([mode.pose for mode in modes]), searched.poses])
-    drawn = posterior_of(model, contacts, candidates, float(np.sqrt(np.mean(sigma**2))), rng, prior, rest, s.posterior)
-    first = modes[0].pose
-    return drawn.within(model, first, tolerance, s.posterior), drawn.covariance_about(model, first)
+    reported, rows, first = felt.contacts, felt.rows, modes[0].pose
+    # rows of contacts come first, and have a finger's own errors in their sigmas
+    sigma = np.hypot(rows.rows[: len(reported), SIGMA], slack)
+    contacts = Contacts(reported.points, reported.normals, sigma, reported.sigma_normal)
+    rest = rows.take(np.arange(len(reported), len(rows)))
+    own, size = np.array([mode.pose for mode in modes]), float(np.sqrt(np.mean(sigma**2)))
+    drawn = posterior_about(model, contacts, own, size, np.random.default_rng([seed, DRAWING]), prior, rest)
+    return drawn.within(model, first, tolerance, PosteriorSettings()), drawn.covariance_about(model, first)

@@ -227,3 +227,32 @@ def test_what_fills_a_hundred_pixels_is_no_sure_answer():
     found = estimate(Frame(0, camera=camera, depth=np.where(depth > 0, depth, 2.5), prior=start), model, settings=sure)
     assert found.verdict == "ambiguous"
     assert "pixels agree and nothing touches it" in found.notes[0]
+
+
+def drawn(answer):
+    """The stage of its trace that draws."""
+    return next(stage for stage in answer.trace if stage.name == "draw")
+
+
+def test_what_a_cloud_shows_is_not_told_by_draws_of_its_contacts():
+    """Three contacts allow much; with a cloud of the object beside them that says nothing of the answer."""
+    model, truth, frame, start = felt_alone(4, 1, 0.0)
+    rng = np.random.default_rng(7)
+    cloud = poses.apply(truth, model.sample_surface(900, seed=3)[0]) + 0.0005 * rng.normal(size=(900, 3))
+    both = estimate(replace(frame, cloud=cloud), model, prior=start)
+    assert (drawn(both).ran, drawn(both).why) == (False, "something is seen")
+    assert both.verdict == "ok"
+    alone = estimate(frame, model, prior=start)
+    assert drawn(alone).ran
+    assert alone.confidence < both.confidence
+
+
+def test_draws_are_asked_where_they_tell_something():
+    model, _, frame, start = felt_alone(8, 1, 0.0)
+    hurried = estimate(frame, model, prior=start, budget_ms=1e-6)
+    assert (drawn(hurried).ran, drawn(hurried).why) == (False, "the time budget is spent")
+    camera = Camera(300.0, 300.0, 160.0, 120.0, 320, 240)
+    two = replace(frame, camera=camera, contacts=frame.contacts.take(np.arange(2)))
+    doubtful = estimate(two, model, prior=start)
+    assert doubtful.verdict != "ok"
+    assert "in doubt" in drawn(doubtful).why
