@@ -56,13 +56,16 @@ def noise_ratio(depth: ArrayLike, believed: DepthModel, settings: NoiseSettings 
 
 
 def believed_of(frame: Frame, beliefs: Beliefs, settings: NoiseSettings | None = None) -> Beliefs:
-    """The beliefs, with the camera's noise and its bias from place to place larger by as much as the frame shows beyond
-    what is usual. Of a camera that is told, too: a data sheet knows no walls without texture, and one who measured
-    has a ratio of 1.
+    """The beliefs, through the frame's lens, with the camera's noise and its bias from place to place larger by as much
+    as the frame shows beyond what is usual. Of a camera that is told, too: a data sheet knows no walls without texture,
+    and one who measured has a ratio of 1.
     """
     s = settings or NoiseSettings()
     if frame.depth is None:
         return beliefs
+    if frame.camera is not None:
+        through = beliefs.depth.through(frame.camera.fx)
+        beliefs = beliefs if through is beliefs.depth else replace(beliefs, depth=through)
     ratio = noise_ratio(frame.depth, beliefs.depth, s) / s.usual
     if not ratio > 1.0:  # not true of NaN either
         return beliefs

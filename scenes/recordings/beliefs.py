@@ -7,7 +7,7 @@ Metres, radians, pixels.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from typing import Any
 
@@ -27,6 +27,11 @@ LARGEST = {
     **{"translation_sigma": 0.5, "rotation_sigma": 0.8, "unknown_sigma": 0.1, "fingertip_sigma": 0.1},
     "mesh_sigma": 0.05,
 }
+# Sizes in pixels, by default of a camera whose focal length (px) is this: those that they were read off and tuned on
+# have 570 to 620. Images of up to so many times it are read so.
+IN_PIXELS = ("lateral_sigma", "edge_pixels", "bias_length", "sharing_length", "sharing_length_unknown")
+USUAL_FOCAL = 600.0
+MOST_TIMES = 8.0
 MAY_BE_ZERO = ("axial_growth", "axial_from", "axial_steep", "lateral_growth", "shift_sigma", "edge_pixels")
 
 
@@ -86,6 +91,24 @@ class DepthModel:
         """Refuse what is no size."""
         check_sizes(self)
 
+    def through(self, focal: float) -> DepthModel:
+        """The same camera behind a lens of so many pixels: sizes in pixels that nobody told are as large in the scene
+        as in the usual camera's image.
+
+        Windows, smoothing and lenses smear over angles, and depth that was registered to a larger colour image, or
+        enlarged, has no more independent readings for it. Images with fewer pixels keep the usual sizes: a window has
+        as many pixels there.
+        """
+        times = min(focal / USUAL_FOCAL, MOST_TIMES)
+        if not times > 1.0:
+            return self
+        usual = _usual_depth()
+        untold = [name for name in IN_PIXELS if getattr(self, name) == getattr(usual, name)]
+        larger = {name: times * getattr(self, name) for name in untold}
+        if "edge_pixels" in larger:
+            larger["edge_pixels"] = round(larger["edge_pixels"])
+        return replace(self, **larger)
+
     def independent_sigma(self, depth: Array) -> Array:
         """Standard deviation (m) of one pixel's independent noise at depth (m)."""
         return self.axial_floor + self.axial_growth * np.square(depth - self.axial_from)
@@ -144,6 +167,12 @@ class Beliefs:
     def __post_init__(self) -> None:
         """Refuse what is no size."""
         check_sizes(self)
+
+
+@cache
+def _usual_depth() -> DepthModel:
+    """What is believed of a depth camera where nothing is said."""
+    return DepthModel()
 
 
 @cache

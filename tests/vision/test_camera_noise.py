@@ -1,10 +1,12 @@
 """How noisy a depth image is, read off its smooth surfaces; the compiled loop against NumPy."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from scenes.geometry.cameras import Camera
-from scenes.recordings.beliefs import LARGEST, Beliefs, DepthModel
+from scenes.recordings.beliefs import IN_PIXELS, LARGEST, MOST_TIMES, USUAL_FOCAL, Beliefs, DepthModel
 from scenes.recordings.frames import Frame
 from vision import noise_kernels
 from vision.noise import NoiseSettings, believed_of, noise_ratio
@@ -94,3 +96,18 @@ def test_nothing_flat_and_near_tells_nothing(depth):
 def test_images_smaller_than_a_window_tell_nothing():
     for size in ((1, 1), (16, 2), (20, 20)):
         assert np.isnan(noise_ratio(np.full(size, 0.5), DepthModel()))
+
+
+@pytest.mark.parametrize("times", [0.4, 1.0, 1.8, 2.0, 40.0])
+def test_sizes_in_pixels_that_nobody_told_are_those_of_the_scene(times):
+    usual, told = DepthModel(), DepthModel(bias_length=25.0)
+    known = usual.through(times * USUAL_FOCAL)
+    larger = min(max(times, 1.0), MOST_TIMES)
+    for name in IN_PIXELS:
+        assert getattr(known, name) == pytest.approx(larger * getattr(usual, name), abs=0.5 * (name == "edge_pixels"))
+    assert isinstance(known.edge_pixels, int)
+    assert (known.axial_floor, known.shift_sigma) == (usual.axial_floor, usual.shift_sigma)
+    assert told.through(times * USUAL_FOCAL).bias_length == 25.0
+    lens = replace(CAMERA, fx=times * USUAL_FOCAL)
+    frame = Frame(0, camera=lens, depth=np.zeros((CAMERA.height, CAMERA.width), np.float32))
+    assert believed_of(frame, Beliefs()).depth == known

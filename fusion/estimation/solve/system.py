@@ -147,7 +147,8 @@ class System:
         square = float((information * residual**2)[mine].sum()) / weight
         # a frame of few pixels has fewer places, too
         places = s.places * min(1.0, float(mine.sum()) / s.placed_pixels)
-        return (s.believed_places + places * square) / (s.believed_places + places - 2.0)
+        found = (s.believed_places + places * square) / (s.believed_places + places - 2.0)
+        return max(found, s.least_misfit)
 
     def mesh_variance(self) -> float:
         """Square (m^2) of how far the surface is off, smoothly, from where the mesh says, where `terms` last was.

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fusion.estimation.estimate import estimate
+from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.verdict import VerdictSettings, contact_residuals, verdict
 from scenes.evidence.modes import Mode
 from scenes.geometry import poses
@@ -66,3 +67,17 @@ def test_a_false_contact_or_two_lose_nothing_that_the_image_shows(drill):
     assert verdict(drill, (mode,), residuals, 0.95, shown)[0] == "lost"
     assert verdict(drill, (mode,), residuals[:1], 0.95, unseen)[0] == "lost"
     assert verdict(drill, (mode,), residuals[:1], float("nan"), shown)[0] == "lost"
+
+
+def test_depth_without_noise_is_no_surer_than_believed(exact_frame, drill):
+    """Filters take noise away and leave what is shared: an image without any narrows nothing."""
+    start = poses.perturb(exact_frame.camera_from_object_truth, 0.01 * np.ones(6), drill.centroid)
+    frame = replace(exact_frame, rgb=None, prior=start)
+    usual = EstimateSettings()
+    doubting, believing = (
+        estimate(frame, drill, use=("vision",), settings=replace(usual, joint=replace(usual.joint, least_misfit=least)))
+        for least in (1.0, 0.01)
+    )
+    wider = np.linalg.det(doubting.covariance) / np.linalg.det(believing.covariance)
+    assert wider > 1.2**6
+    assert estimate(frame, drill, use=("vision",)).covariance == pytest.approx(doubting.covariance)
