@@ -61,7 +61,8 @@ def test_a_plane_leaves_its_directions_open():
     answer = estimate(replace(frame, mask=inner, depth=depth), model, prior=pose, use=("vision",))
     turned = poses.inverse(pose)[:3, :3]
     spread = np.sqrt(np.linalg.eigvalsh(turned @ answer.modes[0].covariance[3:, 3:] @ turned.T))
-    assert spread[1] > 4 * spread[0]
+    # how far off it is is open, too, by what is believed of a camera: 5 mm, however little noise the patch has
+    assert spread[1] > 3 * spread[0]
     assert spread[1] > 0.005
 
 
