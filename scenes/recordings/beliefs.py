@@ -27,8 +27,9 @@ LARGEST = {
     **{"translation_sigma": 0.5, "rotation_sigma": 0.8, "unknown_sigma": 0.1, "fingertip_sigma": 0.1},
     "mesh_sigma": 0.05,
 }
-# Sizes in pixels, by default of a camera whose focal length (px) is this: those that they were read off and tuned on
-# have 570 to 620. Images of up to so many times it are read so.
+# Sizes that are pixels of the image. Their defaults are of a camera whose focal length (px) is this, as those that
+# they were read off and tuned on have 570 to 620; for longer lenses they grow up to so many times, beyond which it is
+# no lens but a mistake.
 IN_PIXELS = ("lateral_sigma", "edge_pixels", "bias_length", "sharing_length", "sharing_length_unknown")
 USUAL_FOCAL = 600.0
 MOST_TIMES = 8.0
@@ -92,8 +93,8 @@ class DepthModel:
         check_sizes(self)
 
     def through(self, focal: float) -> DepthModel:
-        """The same camera behind a lens of so many pixels: sizes in pixels that nobody told are as large in the scene
-        as in the usual camera's image.
+        """The same camera with a focal length of so many pixels: sizes in pixels that nobody told (those that are the
+        defaults) are as large in the scene as in the usual camera's image.
 
         Windows, smoothing and lenses smear over angles, and depth that was registered to a larger colour image, or
         enlarged, has no more independent readings for it. Images with fewer pixels keep the usual sizes: a window has
@@ -102,7 +103,7 @@ class DepthModel:
         times = min(focal / USUAL_FOCAL, MOST_TIMES)
         if not times > 1.0:
             return self
-        usual = _usual_depth()
+        usual = usual_beliefs().depth
         untold = [name for name in IN_PIXELS if getattr(self, name) == getattr(usual, name)]
         larger = {name: times * getattr(self, name) for name in untold}
         if "edge_pixels" in larger:
@@ -167,12 +168,6 @@ class Beliefs:
     def __post_init__(self) -> None:
         """Refuse what is no size."""
         check_sizes(self)
-
-
-@cache
-def _usual_depth() -> DepthModel:
-    """What is believed of a depth camera where nothing is said."""
-    return DepthModel()
 
 
 @cache

@@ -11,8 +11,9 @@ import numpy as np
 from fusion.benchmarks.real.frames import Recorded
 from fusion.benchmarks.real.trials import Trial
 from fusion.estimation.estimate import estimate
-from scenes.recordings.beliefs import Beliefs
+from scenes.recordings.beliefs import usual_beliefs
 from scenes.recordings.frames import Frame
+from vision.noise import believed_of
 from vision.picture.predictor import Predictor
 
 
@@ -41,5 +42,6 @@ def excess(one: Recorded, frame: Frame, trial: Trial) -> float:
     """
     if one.reference is None:
         return float("nan")
-    costs = Predictor(frame, one.model, Beliefs().depth).costs(np.array([trial.pose, one.reference]))
+    beliefs = believed_of(frame, frame.beliefs or usual_beliefs())
+    costs = Predictor(frame, one.model, beliefs.depth).costs(np.array([trial.pose, one.reference]))
     return float(costs[0] - costs[1])

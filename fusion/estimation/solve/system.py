@@ -127,7 +127,7 @@ class System:
 
     def misfit(self) -> float:
         """By how much (a factor of variance) pixels are farther off, where `terms` last was, than their sigmas say: 1
-        for those that are as good as believed, and of rows that are no pixels.
+        of rows that are no pixels, and not less (`least_misfit`) of those that are better than believed.
 
         What is believed of a camera is one of many cameras; how large this one's errors are, the frame itself says.
         That is the mean of an inverse gamma distribution, whose prior counts as some of the pixels' independent places,
