@@ -55,6 +55,7 @@ from scenes.recordings.validation import check_scale
 from scenes.threads import one_blas_thread
 from scenes.words import counted
 from touch.gels.localize import build_tables
+from vision.filling import as_measured
 from vision.look.looked import Looked
 from vision.picture.aspects import aspects_of
 from vision.plausibility import doubts
@@ -90,7 +91,9 @@ def estimate(
     check_limits(tolerance, budget_ms)
     check_scale(frame, model)
     check_print(model, settings.texture)
-    asked = Asked.of(frame, prior, use, tolerance, seed, settings, beliefs)
+    bare, filled = as_measured(frame, settings.look.filling)
+    asked = Asked.of(bare, prior, use, tolerance, seed, settings, beliefs)
+    frame, filled = (bare, filled) if "vision" in asked.senses else (frame, ())
     # built or read once per object, not part of a frame's time
     model.field, model.outer_vertices  # noqa: B018
     near_symmetries(model)
@@ -110,10 +113,14 @@ def estimate(
             by_vision = replace(asked, senses=frozenset({"vision"}), settings=light, or_none=True)
             alone = _estimate(frame, model, by_vision, trace, looked)
             if alone is not None and good_enough(model, alone, tolerance, settings):
-                return trace.skipping(alone, "feel", "vision alone is within the tolerance")
+                return _noted(trace.skipping(alone, "feel", "vision alone is within the tolerance"), filled)
         answer = _estimate(frame, model, asked, trace, looked)
     assert answer is not None
-    return answer
+    return _noted(answer, filled)
+
+
+def _noted(answer: Estimate, notes: tuple[str, ...]) -> Estimate:
+    return replace(answer, notes=(*answer.notes, *notes)) if notes else answer
 
 
 def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: Looked) -> Estimate | None:

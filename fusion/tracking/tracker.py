@@ -56,6 +56,7 @@ from scenes.words import counted
 from touch.arrays.readings import readings_of
 from touch.contacts import Felt, feel
 from touch.gels.slip import in_palm
+from vision.filling import as_measured
 from vision.look.looked import Looked
 from vision.look.warm import Looker
 from vision.noise import believed_of
@@ -130,10 +131,12 @@ class Tracker:
         """The object in this frame."""
         state = self._state
         frame, unused = through_one_lens(frame, state, self.settings)
+        frame, filled = as_measured(frame, self.settings.first.look.filling)
         if state.belief is None:
             told = self._asked or frame.beliefs or Beliefs()
             self._believe(believed_of(frame, told, self.settings.first.look.noise))
-            return self._begin(frame)
+            answer = self._begin(frame)
+            return replace(answer, notes=(*answer.notes, *filled))
         if self.live and self._aside is None:
             self._aside = Aside()
             state.renewal.hurry(frame.index, self.settings.renewal)  # a search that ran when it was saved is not kept

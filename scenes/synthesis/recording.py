@@ -191,9 +191,13 @@ class _Recording:
             if self.kind == "hand":
                 assert self.hand is not None
                 grasp, camera_from_hand = self._placed(rng)
-                yield self._held(index, grasp, camera_from_hand, rng, errors)
+                yield self._delivered(self._held(index, grasp, camera_from_hand, rng, errors))
             else:
-                yield self._loose(index, rng, errors)
+                yield self._delivered(self._loose(index, rng, errors))
+
+    def _delivered(self, frame: Frame) -> Frame:
+        recorder = self.preset.recorder
+        return frame if recorder is None else recorder.recorded(frame)
 
     def _placed(self, rng: np.random.Generator) -> tuple[Grasp, Array]:
         assert self.hand is not None
@@ -243,7 +247,7 @@ class _Recording:
             frame = self._held(
                 index, step.grasp, step.camera_from_hand, rng, errors[index], seen, forces_seed, step.smear
             )
-            frame = in_world(frame, step.camera_from_world)
+            frame = self._delivered(in_world(frame, step.camera_from_world))
             return frame if index == 0 else replace(frame, prior=None)
 
         threads = thread_count()

@@ -15,6 +15,7 @@ from scenes.geometry.cameras import Camera, is_reading
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs, usual_beliefs
 from scenes.recordings.frames import Frame
+from vision.filling import FillingSettings
 from vision.look.colours import Coloured, PartingSettings
 from vision.look.hand import HandView, HandViewSettings, view_hand
 from vision.look.looked import Looked, RowSettings, no_pixels, no_planes, nothing_seen
@@ -71,6 +72,7 @@ class LookSettings:
     hand: HandViewSettings = field(default_factory=HandViewSettings)
     mask: MaskSettings = field(default_factory=MaskSettings)
     noise: NoiseSettings = field(default_factory=NoiseSettings)
+    filling: FillingSettings = field(default_factory=FillingSettings)
     rows: RowSettings = field(default_factory=RowSettings)
 
 

@@ -18,6 +18,7 @@ from scenes.geometry.cameras import Camera
 from scenes.synthesis.noise.colour_camera import ColourCamera
 from scenes.synthesis.noise.depth import DepthNoise
 from scenes.synthesis.noise.presets import PRESETS, NoisePreset, RobotNoise, TouchNoise
+from scenes.synthesis.noise.recorder import Recorder
 from scenes.synthesis.optics.settings import Imager, Matcher, Pattern, PatternCamera, StereoCamera
 
 TUNING, REPORT = "tuning", "report"
@@ -184,7 +185,24 @@ DAYLIGHT = NoisePreset(
     WORKSHOP.touch,
     WORKSHOP.robot,
 )
-OWN_PRESETS = {one.name: one for one in (WORKSHOP, WORN, ROUGH, CRUDE, DOTS, STUDIO, PASSIVE, DAYLIGHT)}
+# Depth as recorders leave it: smoothed as a maker's viewer does by default, holes filled, registered to a larger image.
+SMOOTHED = replace(PRESETS["d435"], name="smoothed", touch=PRESETS["lab"].touch, robot=PRESETS["lab"].robot)
+SMOOTHED = replace(SMOOTHED, recorder=Recorder(weight=0.5, rounds=2, step=20 / 32))
+FILLED = replace(DOTS, name="filled", recorder=Recorder(median=5, fill="farthest"))
+REGISTERED = replace(PRESETS["lab"], name="registered", recorder=Recorder(registered=1.6))
+RETOUCHED = replace(PRESETS["d455"], name="retouched", recorder=Recorder(median=3, weight=0.35, rounds=1, step=0.9))
+RETOUCHED = replace(RETOUCHED, touch=WORKSHOP.touch, robot=WORKSHOP.robot)
+PATCHED = replace(PRESETS["xtion"], name="patched", recorder=Recorder(weight=0.7, rounds=3, step=0.3, fill="left"))
+PATCHED = replace(PATCHED, touch=WORKSHOP.touch, robot=WORKSHOP.robot)
+ALIGNED = replace(WORKSHOP, name="aligned")
+ALIGNED = replace(ALIGNED, recorder=Recorder(registered=2.1, beside=-0.032, turned=(-0.006, 0.002, -0.001)))
+OWN_PRESETS = {
+    one.name: one
+    for one in (
+        *(WORKSHOP, WORN, ROUGH, CRUDE, DOTS, STUDIO, PASSIVE, DAYLIGHT),
+        *(SMOOTHED, FILLED, REGISTERED, RETOUCHED, PATCHED, ALIGNED),
+    )
+}
 
 
 @dataclass(frozen=True)
@@ -315,6 +333,9 @@ FAMILIES: dict[str, Family] = {
             objects=TUNED_TOOLS,
             levels=OPEN_LEVELS,
         ),
+        _tuned("smoothed", "smoothed", "depth that a camera maker's viewer has smoothed", hand="five-finger"),
+        _tuned("filled", "filled", "depth whose holes its recorder has filled", hand="five-finger"),
+        _tuned("registered", "registered", "depth registered to a larger colour image", hand="five-finger"),
         # ---- only reported
         _held(RECORDED, "", "recorded frames with a true pose, no mask", touch=(), objects=(), levels=NO_LEVELS),
         _held("harsh", "worn", "a worn robot, a bad camera", hand="stout"),
@@ -322,6 +343,9 @@ FAMILIES: dict[str, Family] = {
         _held("d455", "d455", "active stereo of a longer baseline", hand="stout"),
         _held("daylight", "daylight", "stereo without a projector, of a longer baseline", hand="stout"),
         _held("xtion", "xtion", "structured light from its optics", hand="stout"),
+        _held("retouched", "retouched", "active stereo whose recorder smooths it", hand="stout"),
+        _held("patched", "patched", "structured light that is smoothed, its holes filled", hand="stout"),
+        _held("aligned", "aligned", "depth registered to a colour image of twice as many pixels a side", hand="stout"),
         _held("azure-kinect", "azure-kinect", "time of flight from its optics", hand="stout"),
         _held("l515", "l515", "scanned time of flight from its optics", hand="stout"),
         _held("ycb", "workshop", "scanned household objects", hand="stout", objects=YCB_OBJECTS),

@@ -13,6 +13,7 @@ from fusion.benchmarks.real.trials import Trial
 from fusion.estimation.estimate import estimate
 from scenes.recordings.beliefs import usual_beliefs
 from scenes.recordings.frames import Frame
+from vision.filling import as_measured
 from vision.noise import believed_of
 from vision.picture.predictor import Predictor
 
@@ -42,6 +43,7 @@ def excess(one: Recorded, frame: Frame, trial: Trial) -> float:
     """
     if one.reference is None:
         return float("nan")
+    frame, _ = as_measured(frame)
     beliefs = believed_of(frame, frame.beliefs or usual_beliefs())
     costs = Predictor(frame, one.model, beliefs.depth).costs(np.array([trial.pose, one.reference]))
     return float(costs[0] - costs[1])

@@ -29,6 +29,7 @@ from scenes.synthesis.noise.depth import (
     quantised,
     smooth_field,
 )
+from scenes.synthesis.noise.recorder import Recorder
 from scenes.synthesis.optics.known_cameras import KNOWN_CAMERAS
 from scenes.synthesis.optics.settings import OpticalCamera
 from scenes.synthesis.optics.units import CameraUnit, draw_unit
@@ -39,6 +40,7 @@ __all__ = [
     "DepthNoise",
     "LastingErrors",
     "NoisePreset",
+    "Recorder",
     "RobotNoise",
     "TouchNoise",
     "axial_sigma",
@@ -116,6 +118,8 @@ class NoisePreset:
     robot: RobotNoise = field(default_factory=RobotNoise)
     # A colour camera beside depth; None where the image is in perfect registration, as a depth camera's own is.
     colour: ColourCamera | None = None
+    # What is done to depth before it is stored; None where it stays as the camera had it.
+    recorder: Recorder | None = None
 
 
 # A fingertip force/torque sensor of 12 mm after taring: offsets of 20 mN and 0.1 N mm, drifting by a tenth of that.

@@ -1,0 +1,133 @@
+"""Readings that a recorder put into holes; the compiled loops against NumPy."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from fusion import estimate
+from fusion.tracking.tracker import Tracker
+from scenes.geometry.cameras import Camera
+from scenes.recordings.frames import Frame
+from scenes.synthesis import library
+from scenes.synthesis.noise.presets import PRESETS
+from scenes.synthesis.noise.recorder import Recorder
+from scenes.synthesis.recording import synthesize_frames
+from scenes.synthesis.settings import SynthesisSettings
+from vision import filling_kernels as kernels
+from vision.filling import FillingSettings, as_measured
+
+S = FillingSettings()
+
+
+def seen(depth):
+    depth = np.asarray(depth, dtype=np.float32)
+    height, width = depth.shape
+    return Frame(0, depth=depth, camera=Camera(100.0, 100.0, width / 2, height / 2, width, height))
+
+
+def scene(rng, shadow=12, noise=1e-3):
+    """A square before a wall; its shadow to the left, without readings; truth of what is missing."""
+    z = np.full((90, 120), 0.9)
+    z[25:65, 50:90] = 0.6
+    z = z + noise * rng.standard_normal(z.shape)
+    lost = np.zeros(z.shape, dtype=bool)
+    lost[25:65, 50 - shadow : 50] = True
+    return np.where(lost, 0.0, z).astype(np.float32), lost
+
+
+def filled_from_left(depth):
+    out = depth.copy()
+    for u in range(1, out.shape[1]):
+        out[:, u] = np.where(out[:, u] > 0, out[:, u], out[:, u - 1])
+    return out
+
+
+def steps_by_numpy(depth, stride):
+    steps = gaps = 0
+    for row in depth[::stride]:
+        at = np.flatnonzero(row > 0)
+        near, jump = np.minimum(row[at][1:], row[at][:-1]), np.abs(np.diff(row[at]))
+        wide = (jump > S.step) & (near <= S.farthest)
+        steps, gaps = steps + wide.sum(), gaps + (wide & (np.diff(at) > 1)).sum()
+    return steps, gaps
+
+
+def runs_by_numpy(depth):
+    out = depth.copy()
+    for v, row in enumerate(depth):
+        cuts = np.flatnonzero(np.diff(row) != 0) + 1
+        bounds = np.concatenate([[0], cuts, [len(row)]])
+        for begin, end in pairwise(bounds):
+            if not (S.run <= end - begin <= S.longest and row[begin] > 0 and begin > 0 and end < len(row)):
+                continue
+            sides = [row[begin - 1], row[end]]
+            steps = [x > 0 and abs(x - row[begin]) > S.step and min(x, row[begin]) <= S.farthest for x in sides]
+            same = [x > 0 and abs(x - row[begin]) <= S.step for x in sides]
+            if (steps[0] and same[1]) or (steps[1] and same[0]):
+                out[v, begin:end] = 0.0
+    return out
+
+
+def test_steps_and_runs_are_those_of_numpy(rng):
+    values = np.array([0.0, 0.4, 0.41, 0.5, 0.9, 2.0, 2.5], dtype=np.float32)
+    for _ in range(30):
+        depth = np.repeat(rng.choice(values, (9, 30)), rng.integers(1, 6), axis=1)
+        assert kernels.count_steps(depth, S.step, S.farthest, 2) == steps_by_numpy(depth, 2)
+        out = depth.copy()
+        dropped = kernels.drop_runs(depth, S.step, S.farthest, S.run, S.longest, out)
+        expected = runs_by_numpy(depth)
+        assert np.array_equal(out, expected)
+        assert dropped == ((depth > 0) & (expected == 0)).sum()
+
+
+def test_what_was_filled_in_beside_edges_is_a_hole_again(rng):
+    depth, lost = scene(rng)
+    found, notes = as_measured(seen(filled_from_left(depth)))
+    assert np.array_equal((found.depth == 0) & lost, lost)
+    assert (found.depth[~lost] == 0).sum() <= lost[:, 0].size  # and of each row the reading that it came from
+    assert notes == (
+        f"the depth image has no holes: {(found.depth == 0).sum()} readings filled in beside edges are not used",
+    )
+    again, nothing = as_measured(found)
+    assert again is found
+    assert nothing == ()
+
+
+def test_images_with_holes_and_rendered_ones_are_left_alone(rng):
+    for depth in (scene(rng)[0], scene(rng, shadow=0)[0], scene(rng, shadow=0, noise=0.0)[0], np.zeros((40, 40))):
+        frame = seen(depth)
+        found, notes = as_measured(frame)
+        assert found is frame
+        assert notes == ()
+    blind = Frame(0)
+    assert as_measured(blind) == (blind, ())
+
+
+def test_a_face_that_is_all_one_value_stays():
+    """Boxes that face the camera, rendered without noise, and planes that slope along columns."""
+    v = np.mgrid[:90, :120][0]
+    depth = np.where((v > 30) & (v < 60), 0.5, 0.5 + 1e-3 * v + 0.3)
+    depth[:, 30:70] = 0.6 + 5e-4 * v[:, 30:70]
+    frame = seen(depth)
+    assert as_measured(frame)[0] is frame
+
+
+@pytest.fixture(scope="module")
+def filled():
+    """A frame by a camera that sees shadows, whose recorder filled its holes."""
+    settings = SynthesisSettings(camera=Camera(285.0, 285.0, 159.5, 119.5, 320, 240))
+    depth = replace(PRESETS["lab"].depth, shadow=True)
+    noise = replace(PRESETS["lab"], depth=depth, recorder=Recorder(fill="farthest"))
+    return synthesize_frames(library.make("mug"), None, 1, 0.3, noise=noise, seed=2, settings=settings)[0]
+
+
+def test_answers_say_that_holes_were_filled(filled):
+    model = library.make("mug")
+    answer = estimate(filled, model)
+    assert sum("filled in beside edges" in note for note in answer.notes) == 1
+    track = Tracker(model)
+    assert any("filled in beside edges" in note for note in track.step(filled).notes)
+    assert not any("filled in" in note for note in track.step(replace(filled, index=1)).notes)
+    assert not any("filled in" in note for note in estimate(filled, model, use="touch").notes)
