@@ -14,30 +14,48 @@ from scenes._numba import LENT
 
 
 @numba.njit(cache=True, nogil=True, **LENT)
-def count_steps(depth: NDArray[np.float32], step: float, farthest: float, stride: int) -> tuple[int, int]:
-    """Steps in every `stride`-th row, and those of them across missing readings."""
+def look_at_rows(
+    depth: NDArray[np.float32], step: float, farthest: float, stride: int
+) -> tuple[int, int, int, int, int, int]:
+    """Of every `stride`-th row: steps, and those of them across missing readings; neighbours on one surface (no step
+    between them, no farther than `farthest`), and those of them that are equal; changes from neighbour to neighbour
+    that follow another one, equal ones passed over, and those of them that go back.
+    """
     height, width = depth.shape
-    steps = gaps = 0
+    steps = gaps = pairs = equal = changes = turns = 0
     for v in range(0, height, stride):
-        last, at = np.float32(0.0), -1
+        last, at, slope = np.float32(0.0), -1, np.float32(0.0)
         for u in range(width):
             here = depth[v, u]
             if not here > 0.0:
                 continue
-            if at >= 0 and abs(here - last) > step and min(here, last) <= farthest:
-                steps += 1
-                gaps += u - at > 1
+            change, beside = here - last, u - at == 1
+            if at >= 0 and abs(change) > step:
+                near = min(here, last) <= farthest
+                steps += near
+                gaps += near and not beside
+                slope = np.float32(0.0)
+            elif at < 0 or not beside or here > farthest:
+                slope = np.float32(0.0)
+            else:
+                pairs += 1
+                equal += change == 0.0
+                if change != 0.0:
+                    if slope != 0.0:
+                        changes += 1
+                        turns += change * slope < 0.0
+                    slope = change
             last, at = here, u
-    return steps, gaps
+    return steps, gaps, pairs, equal, changes, turns
 
 
 @numba.njit(cache=True, nogil=True, **LENT)
 def drop_runs(
     depth: NDArray[np.float32], step: float, farthest: float, run: int, longest: int, out: NDArray[np.float32]
 ) -> int:
-    """Zeros in out (h, w), a copy of depth, where `run` to `longest` readings of one value lie in a row on either side
-    of a step between neighbours, beginning at it, and are followed by another reading of the same surface; returns how
-    many.
+    """Zeros in out (h, w), a copy of depth, where `run` or more readings of one value lie in a row on either side of a
+    step between neighbours, beginning at it; returns how many. longest: only runs up to so many readings that are
+    followed by another reading of the same surface; 0 is any.
     """
     height, width = depth.shape
     dropped = 0
@@ -53,11 +71,14 @@ def drop_runs(
                 while 0 <= end < width and depth[v, end] == value:
                     end += way
                 long = abs(end - begin)
-                if not (run <= long <= longest and 0 <= end < width):
+                if long < run:
                     continue
-                beyond = depth[v, end]
-                if not (beyond > 0.0 and abs(beyond - value) <= step):
-                    continue
+                if longest > 0:
+                    if long > longest or not 0 <= end < width:
+                        continue
+                    beyond = depth[v, end]
+                    if not (beyond > 0.0 and abs(beyond - value) <= step):
+                        continue
                 for i in range(long):
                     dropped += out[v, begin + way * i] > 0.0
                     out[v, begin + way * i] = 0.0

@@ -44,40 +44,52 @@ def filled_from_left(depth):
     return out
 
 
-def steps_by_numpy(depth, stride):
-    steps = gaps = 0
+def rows_by_numpy(depth, stride):
+    counts = np.zeros(6, dtype=int)
     for row in depth[::stride]:
         at = np.flatnonzero(row > 0)
-        near, jump = np.minimum(row[at][1:], row[at][:-1]), np.abs(np.diff(row[at]))
-        wide = (jump > S.step) & (near <= S.farthest)
-        steps, gaps = steps + wide.sum(), gaps + (wide & (np.diff(at) > 1)).sum()
-    return steps, gaps
+        slope = 0.0
+        for before, here in pairwise(at):
+            change, beside = row[here] - row[before], here - before == 1
+            if abs(change) > S.step:
+                near = min(row[here], row[before]) <= S.farthest
+                counts += [near, near and not beside, 0, 0, 0, 0]
+                slope = 0.0
+            elif not beside or row[here] > S.farthest:
+                slope = 0.0
+            else:
+                turns = slope != 0 and change != 0
+                counts += [0, 0, 1, change == 0, turns, turns and np.sign(change) != np.sign(slope)]
+                slope = change if change != 0 else slope
+    return tuple(counts)
 
 
-def runs_by_numpy(depth):
+def runs_by_numpy(depth, longest):
     out = depth.copy()
     for v, row in enumerate(depth):
         cuts = np.flatnonzero(np.diff(row) != 0) + 1
         bounds = np.concatenate([[0], cuts, [len(row)]])
         for begin, end in pairwise(bounds):
-            if not (S.run <= end - begin <= S.longest and row[begin] > 0 and begin > 0 and end < len(row)):
+            if end - begin < S.run or not row[begin] > 0:
                 continue
-            sides = [row[begin - 1], row[end]]
+            sides = [row[begin - 1] if begin else 0.0, row[end] if end < len(row) else 0.0]
             steps = [x > 0 and abs(x - row[begin]) > S.step and min(x, row[begin]) <= S.farthest for x in sides]
             same = [x > 0 and abs(x - row[begin]) <= S.step for x in sides]
-            if (steps[0] and same[1]) or (steps[1] and same[0]):
+            goes_on = (steps[0] and same[1]) or (steps[1] and same[0])
+            if (any(steps) and not longest) or (goes_on and end - begin <= longest):
                 out[v, begin:end] = 0.0
     return out
 
 
-def test_steps_and_runs_are_those_of_numpy(rng):
-    values = np.array([0.0, 0.4, 0.41, 0.5, 0.9, 2.0, 2.5], dtype=np.float32)
+@pytest.mark.parametrize("longest", [0, 5])
+def test_rows_and_runs_are_those_of_numpy(rng, longest):
+    values = np.array([0.0, 0.4, 0.41, 0.405, 0.5, 0.9, 2.0, 2.5], dtype=np.float32)
     for _ in range(30):
         depth = np.repeat(rng.choice(values, (9, 30)), rng.integers(1, 6), axis=1)
-        assert kernels.count_steps(depth, S.step, S.farthest, 2) == steps_by_numpy(depth, 2)
+        assert kernels.look_at_rows(depth, S.step, S.farthest, 2) == rows_by_numpy(depth, 2)
         out = depth.copy()
-        dropped = kernels.drop_runs(depth, S.step, S.farthest, S.run, S.longest, out)
-        expected = runs_by_numpy(depth)
+        dropped = kernels.drop_runs(depth, S.step, S.farthest, S.run, longest, out)
+        expected = runs_by_numpy(depth, longest)
         assert np.array_equal(out, expected)
         assert dropped == ((depth > 0) & (expected == 0)).sum()
 
@@ -90,6 +102,10 @@ def test_what_was_filled_in_beside_edges_is_a_hole_again(rng):
     assert notes == (
         f"the depth image has no holes: {(found.depth == 0).sum()} readings filled in beside edges are not used",
     )
+    wide = filled_from_left(depth)
+    wide[25:65, 90:] = 0.9  # nothing was seen up to the image's border
+    much, _ = as_measured(seen(wide))
+    assert (much.depth[25:65, 90:] == 0).all()
     again, nothing = as_measured(found)
     assert again is found
     assert nothing == ()
