@@ -2,13 +2,13 @@
 
 A depth camera sees no second time what stands behind an edge: stereo and projected light leave a shadow there, time of
 flight mixes the two. An image whose steps nearly all lie between neighbours had its holes filled, by viewers mostly
-with the nearest, the left or the farthest reading beside the hole; along a row that is a run of one value that begins
-at a step. It says what the filter believes and not where the surface is, but looks like background or object that was
-seen. Such runs are made holes again.
+with the nearest, the left or the farthest reading beside the hole; along a row or a column that is a run of one value
+that begins at a step. It says what the filter believes and not where the surface is, but looks like background or
+object that was seen. Such runs are made holes again.
 
 Images that were rendered without noise have bare steps, too, and runs of one value where a surface faces the camera.
 Noise goes up and down from reading to reading, smooth surfaces do not; where an image shows none, only runs that are
-short and go on as the same surface are taken for filled in.
+short, lie along a row and go on as the same surface are taken for filled in.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ class FillingSettings:
     step: float = 0.015
     farthest: float = 1.5
     # Rows of which steps are counted (every so many px), and steps (their number) without which nothing is told.
-    stride: int = 4
-    fewest: int = 12
+    stride: int = 8
+    fewest: int = 6
     # Share of the steps across a gap up to which an image was filled: families of formulas have 0.06 and more, those
     # of optics 0.11 and more, filled ones 0.
     gaps: float = 0.02
@@ -59,6 +59,10 @@ def as_measured(frame: Frame, settings: FillingSettings | None = None) -> tuple[
     noisy = turns >= s.turning * changes > 0 and equal <= s.equal * pairs
     bare = depth.copy()
     dropped = kernels.drop_runs(depth, s.step, s.farthest, s.run, 0 if noisy else s.longest, bare)
+    if noisy:
+        columns, turned = np.ascontiguousarray(depth.T), np.ascontiguousarray(bare.T)
+        dropped += kernels.drop_runs(columns, s.step, s.farthest, s.run, 0, turned)
+        bare = np.ascontiguousarray(turned.T)
     if not dropped:
         return frame, ()
     note = f"the depth image has no holes: {counted(dropped, 'reading')} filled in beside edges are not used"

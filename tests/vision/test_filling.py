@@ -106,6 +106,8 @@ def test_what_was_filled_in_beside_edges_is_a_hole_again(rng):
     wide[25:65, 90:] = 0.9  # nothing was seen up to the image's border
     much, _ = as_measured(seen(wide))
     assert (much.depth[25:65, 90:] == 0).all()
+    turned, _ = as_measured(seen(filled_from_left(depth).T))
+    assert (turned.depth.T[lost] == 0).all()
     again, nothing = as_measured(found)
     assert again is found
     assert nothing == ()
