@@ -1,14 +1,21 @@
-"""The joint solution's compiled rows again, in plain NumPy."""
+"""A joint problem of a drill before a camera, and the joint solution's compiled rows again, in plain NumPy."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from fusion.estimation.solve.problem import JointProblem
+from fusion.estimation.solve.settings import JointSettings
 from fusion.estimation.solve.system import FIXED, SCALE, XI
 from scenes.evidence import align as alignment
 from scenes.evidence import table as evidence
-from scenes.evidence.table import FACING, GATE_ABOVE, GATE_BELOW, NORMAL, OFFSET, POINT
+from scenes.evidence.align import Prior
+from scenes.evidence.table import FACING, GATE_ABOVE, GATE_BELOW, NORMAL, OFFSET, POINT, TOUCH, VISION
 from scenes.geometry import poses as se3
+from scenes.geometry.cameras import Camera
+from scenes.recordings.beliefs import Beliefs
+
+CAMERA = Camera(570.0, 570.0, 319.5, 239.5, 640, 480)
 
 
 def robust(square, gate):
@@ -88,3 +95,41 @@ def terms(system, pose, unknown):
         gradient[where] += g
         normal[where, where] += h
     return cost, gradient, normal
+
+
+def made_problem(drill, rng, camera=CAMERA, prior=True, hand=None, noise=0.001):
+    """A drill before a camera: pixels of its near side, contacts with normals around it."""
+    pose = se3.make_pose(se3.random_rotations(1, rng)[0], [0.02, -0.03, 0.5])
+    points, normals = drill.sample_surface(400, seed=int(rng.integers(2**31)))
+    points, normals = se3.apply(pose, points), normals @ pose[:3, :3].T
+    rays = points / np.linalg.norm(points, axis=1, keepdims=True)
+    near = np.sum(normals * rays, axis=1) < -0.3
+    seen_points = (points + noise * rng.normal(size=points.shape))[near][:80]
+    seen = evidence.make(
+        seen_points,
+        0.002,
+        VISION,
+        gate_above=2.5,
+        gate_below=5.0,
+        rays=seen_points / np.linalg.norm(seen_points, axis=1, keepdims=True),
+    )
+    seen = away_from_kinks(drill, seen, pose)
+    felt = evidence.make(
+        points[~near][:8] + noise * rng.normal(size=(8, 3)), 1e-3, TOUCH, normals=normals[~near][:8], sigma_normal=0.1
+    )
+    felt = away_from_kinks(drill, felt, pose)
+    believed = Prior.isotropic(se3.perturb(pose, 0.01 * rng.normal(size=6), drill.centroid), 0.2, 0.02)
+    # the widening of normals at bent places is a weight that is not differentiated: off, derivatives are exact
+    exact = JointSettings(bend=0.0)
+    problem = JointProblem(drill, seen, felt, believed if prior else None, hand, Beliefs(), camera, settings=exact)
+    return problem, pose
+
+
+def away_from_kinks(model, table, pose, share=0.01):
+    local = se3.apply(se3.inverse(pose), table.points)
+    cell = (local - model.field.origin) / model.field.spacing
+    good = (np.abs(cell - np.round(cell)) > share).all(axis=1)
+    _, gradient = model.field.distance_and_gradient(local)
+    turned = table.rows[:, 3:6] @ pose[:3, :3]
+    good &= (table.rows[:, evidence.FACING] == 0) | (np.sum(gradient * turned, axis=1) < -1e-2)
+    return table.take(good)

@@ -225,11 +225,12 @@ def marginalised(settled: Settled) -> JointResult:
     """
     system, here, unknown, free = settled.system, settled.pose, settled.unknown, settled.free
     problem = system.problem
+    either = system.mesh_or_bias(here, unknown)
     system.terms(here, unknown)
     misfit = system.misfit()
     whole = (settled.normal + np.diag(system.width))[:free, :free]
-    variance = system.mesh_variance()
-    mesh = mesh_spread(problem.model, variance, problem.settings)
+    variance, share = system.mesh_variance(), problem.settings.mesh_share
+    mesh = mesh_spread(problem.model, (1.0 - share) * variance + share * max(either, variance), problem.settings)
     unsolved = system.excess_spread(whole, misfit) + mesh
     return JointResult(
         here,

@@ -167,6 +167,15 @@ class System:
         square *= min(1.0, free / 6.0)
         return ((s.believed_blocks - 2.0) * believed + square) / (s.believed_blocks + free - 2.0)
 
+    def mesh_or_bias(self, pose: Array, unknown: Array) -> float:
+        """`mesh_variance` at pose (4, 4) and unknowns (size,), if the smooth bias of depth there is the mesh's, too.
+        Moves where `terms` last was.
+        """
+        unbiased = unknown.copy()
+        unbiased[FIXED:] = 0.0
+        self.terms(pose, unbiased)
+        return self.mesh_variance()
+
     def _block_means(self) -> tuple[Array, Array]:
         """How far (b,) m blocks of the image are off on average, where `terms` last was, and their weights (b,) 1/m^2;
         none where no pixel tells.

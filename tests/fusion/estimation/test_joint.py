@@ -7,28 +7,25 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from joint_twin import CAMERA, made_problem
 
 from fusion.estimation.solve import rigs
-from fusion.estimation.solve.joint import expected, rigs_beside, settle, solve, strained
+from fusion.estimation.solve.joint import expected, marginalised, rigs_beside, settle, solve, strained
 from fusion.estimation.solve.kernels import mark_near
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import _averaged, solve_modes
-from fusion.estimation.solve.settings import JointSettings, Level
+from fusion.estimation.solve.settings import Level
 from fusion.estimation.solve.system import FIXED, POSE, SCALE, XI, System, _blocks, exceeding
 from scenes.evidence import table as evidence
-from scenes.evidence.align import Prior
 from scenes.evidence.row_kernels import loss_floor
 from scenes.evidence.row_kernels import robust as compiled_robust
-from scenes.evidence.table import NO_GATE, TOUCH, VISION
+from scenes.evidence.table import NO_GATE
 from scenes.geometry import poses
-from scenes.geometry.cameras import Camera
 from scenes.recordings.beliefs import Beliefs, DepthModel
 from scenes.synthesis import library
 from touch.contacts import feel
 from vision.look.look import look
 from vision.look.looked import RowSettings
-
-CAMERA = Camera(570.0, 570.0, 319.5, 239.5, 640, 480)
 
 
 def test_inducing_pixels_are_near_some_pixel(rng):
@@ -48,44 +45,6 @@ def test_the_loss_is_the_kernels(square, gate):
     theirs = compiled_robust(square, gate, loss_floor(gate), 0.0)
     assert loss[0] == pytest.approx(theirs[0], rel=1e-9, abs=1e-9)
     assert belongs[0] == pytest.approx(theirs[1], rel=1e-9, abs=1e-12)
-
-
-def made_problem(drill, rng, camera=CAMERA, prior=True, hand=None, noise=0.001):
-    """A drill before a camera: pixels of its near side, contacts with normals around it."""
-    pose = poses.make_pose(poses.random_rotations(1, rng)[0], [0.02, -0.03, 0.5])
-    points, normals = drill.sample_surface(400, seed=int(rng.integers(2**31)))
-    points, normals = poses.apply(pose, points), normals @ pose[:3, :3].T
-    rays = points / np.linalg.norm(points, axis=1, keepdims=True)
-    near = np.sum(normals * rays, axis=1) < -0.3
-    seen_points = (points + noise * rng.normal(size=points.shape))[near][:80]
-    seen = evidence.make(
-        seen_points,
-        0.002,
-        VISION,
-        gate_above=2.5,
-        gate_below=5.0,
-        rays=seen_points / np.linalg.norm(seen_points, axis=1, keepdims=True),
-    )
-    seen = away_from_kinks(drill, seen, pose)
-    felt = evidence.make(
-        points[~near][:8] + noise * rng.normal(size=(8, 3)), 1e-3, TOUCH, normals=normals[~near][:8], sigma_normal=0.1
-    )
-    felt = away_from_kinks(drill, felt, pose)
-    believed = Prior.isotropic(poses.perturb(pose, 0.01 * rng.normal(size=6), drill.centroid), 0.2, 0.02)
-    # the widening of normals at bent places is a weight that is not differentiated: off, derivatives are exact
-    exact = JointSettings(bend=0.0)
-    problem = JointProblem(drill, seen, felt, believed if prior else None, hand, Beliefs(), camera, settings=exact)
-    return problem, pose
-
-
-def away_from_kinks(model, table, pose, share=0.01):
-    local = poses.apply(poses.inverse(pose), table.points)
-    cell = (local - model.field.origin) / model.field.spacing
-    good = (np.abs(cell - np.round(cell)) > share).all(axis=1)
-    _, gradient = model.field.distance_and_gradient(local)
-    turned = table.rows[:, 3:6] @ pose[:3, :3]
-    good &= (table.rows[:, evidence.FACING] == 0) | (np.sum(gradient * turned, axis=1) < -1e-2)
-    return table.take(good)
 
 
 def numeric_gradient(system, pose, unknown, steps):
@@ -420,6 +379,27 @@ def test_a_surface_that_is_off_smoothly_speaks_of_the_mesh(drill, rng):
     # and is no sign of the mesh
     assert solve(unseen, pose, Level()).mesh_variance == 0.0
     assert solve(problem, pose, Level()).mesh_variance > 0.0
+
+
+def test_what_a_smooth_bias_explains_may_be_the_mesh(drill, rng):
+    """The bias takes up a wave of the surface; half of its variance is the mesh's, and widens the pose alone."""
+    problem, pose = made_problem(drill, rng, prior=False, noise=0.0002)
+    local = poses.apply(poses.inverse(pose), problem.seen.points)
+    wave = 0.004 * np.sin(local[:, np.argmax(np.ptp(local, axis=0))] / 0.02)
+    rows = problem.seen.rows.copy()
+    rows[:, :3] *= 1.0 + (wave / np.linalg.norm(problem.seen.points, axis=1))[:, None]
+    off = replace(problem, seen=replace(problem.seen, rows=rows))
+    settled = settle(off, pose, Level())
+    found, left = marginalised(settled), settled.system.mesh_variance()
+    either = settled.system.mesh_or_bias(settled.pose, settled.unknown)
+    assert either > 2.0 * left
+    share, parts = off.settings.mesh_share, off.settings.mesh_parts
+    alone = marginalised(settle(replace(off, settings=replace(off.settings, mesh_share=0.0)), pose, Level()))
+    assert found.mesh_variance == pytest.approx(left)
+    assert np.array_equal(found.pose, alone.pose)
+    more = np.diag(found.unsolved - alone.unsolved)
+    assert more[3:] == pytest.approx(np.full(3, share * (either - left) / parts))
+    assert more[:3] == pytest.approx(more[3:] / drill.radius**2)
 
 
 def test_what_exceeds_is_what_another_covariance_lacks(rng):
