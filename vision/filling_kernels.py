@@ -1,7 +1,7 @@
 """Steps of a depth image that have no gap, and runs of one value beside them, compiled; twins in NumPy in the tests.
 
-depth: (h, w) float32 m, 0 = no reading. A step: readings that follow one another along a row, differ by more than
-`step` (m), and the nearer of which is no farther than `farthest` (m).
+depth: (h, w) float32 m, 0 or farther than any camera sees = no reading. A step: readings that follow one another along
+a row, differ by more than `step` (m), and the nearer of which is no farther than `farthest` (m).
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes._numba import LENT
+from scenes.geometry.cameras import FARTHEST_READING
 
 
 @numba.njit(cache=True, nogil=True, **LENT)
@@ -27,7 +28,7 @@ def look_at_rows(
         last, at, slope = np.float32(0.0), -1, np.float32(0.0)
         for u in range(width):
             here = depth[v, u]
-            if not here > 0.0:
+            if not 0.0 < here < FARTHEST_READING:
                 continue
             change, beside = here - last, u - at == 1
             if at >= 0 and abs(change) > step:
