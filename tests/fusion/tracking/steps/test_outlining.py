@@ -53,16 +53,17 @@ def read_in(answer):
 
 
 def test_tracks_are_nearer_across_the_ray_with_it(sequences, drill):
-    with_it, without = [], []
+    with_it, without, read = [], [], 0
     for frames in sequences:
         seen = followed(frames, drill)
         blind = followed([replace(frame, rgb=None) for frame in frames], drill)
-        assert sum(read_in(answer) > 0 for answer in seen[1:]) >= FRAMES // 2
+        read += sum(read_in(answer) > 0 for answer in seen[1:])
         assert not any(read_in(answer) for answer in blind)
         assert min(np.linalg.eigvalsh(answer.covariance).min() for answer in seen) > 0.0
         with_it.append(across_mm(seen, frames, drill))
         without.append(across_mm(blind, frames, drill))
     assert np.mean(with_it) < np.mean(without)  # half a millimetre, and 0.6
+    assert read >= 0.75 * len(SEEDS) * (FRAMES - 1)  # an outline that contradicts depth is left out: one in ten
 
 
 def test_a_black_image_changes_nothing(frames, drill):
