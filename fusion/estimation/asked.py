@@ -14,6 +14,7 @@ from scenes.evidence.align import Prior
 from scenes.geometry import poses as se3
 from scenes.recordings.beliefs import Beliefs, usual_beliefs
 from scenes.recordings.frames import Frame
+from vision.filling import as_measured
 from vision.noise import believed_of
 
 Array = NDArray[np.float64]
@@ -21,8 +22,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Asked:
-    """One question: senses allowed, prior, tolerance (m, rad), seed; and how it is answered. or_none: only when the
-    rows alone are within the tolerance.
+    """One question: senses allowed, prior, tolerance (m, rad), seed; and how it is answered.
+
+    viewed: the frame with what vision may use of it, without what a recorder filled in; filled: a note of that.
+    or_none: only when the rows alone are within the tolerance.
     """
 
     senses: frozenset[str]
@@ -31,6 +34,8 @@ class Asked:
     seed: int
     beliefs: Beliefs
     settings: EstimateSettings
+    viewed: Frame
+    filled: tuple[str, ...] = ()
     or_none: bool = False
 
     @staticmethod
@@ -46,8 +51,10 @@ class Asked:
         """As `estimate` takes it, checked; what is not said is the frame's own, and as noisy as it shows."""
         settings, senses = settings or EstimateSettings(), check_senses(use)
         believed = as_prior(prior if prior is not None else frame.prior, settings)
-        known = believed_of(frame, beliefs or frame.beliefs or usual_beliefs(), settings.look.noise)
-        return Asked(senses, believed, tolerance, seed, known, settings)
+        sees = "vision" in senses
+        viewed, filled = as_measured(frame, settings.look.filling) if sees else (frame.without_vision(), ())
+        known = believed_of(viewed, beliefs or frame.beliefs or usual_beliefs(), settings.look.noise)
+        return Asked(senses, believed, tolerance, seed, known, settings, viewed, filled)
 
 
 def check_senses(use: Iterable[str]) -> frozenset[str]:

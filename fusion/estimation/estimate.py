@@ -55,7 +55,6 @@ from scenes.recordings.validation import check_scale
 from scenes.threads import one_blas_thread
 from scenes.words import counted
 from touch.gels.localize import build_tables
-from vision.filling import as_measured
 from vision.look.looked import Looked
 from vision.picture.aspects import aspects_of
 from vision.plausibility import doubts
@@ -91,9 +90,7 @@ def estimate(
     check_limits(tolerance, budget_ms)
     check_scale(frame, model)
     check_print(model, settings.texture)
-    bare, filled = as_measured(frame, settings.look.filling)
-    asked = Asked.of(bare, prior, use, tolerance, seed, settings, beliefs)
-    frame, filled = (bare, filled) if "vision" in asked.senses else (frame, ())
+    asked = Asked.of(frame, prior, use, tolerance, seed, settings, beliefs)
     # built or read once per object, not part of a frame's time
     model.field, model.outer_vertices  # noqa: B018
     near_symmetries(model)
@@ -107,20 +104,16 @@ def estimate(
         build_tables(model)
     trace = Trace(budget_ms)
     with one_blas_thread():
-        looked = look_once(frame, model, asked, trace)
+        looked = look_once(model, asked, trace)
         if tolerance is not None and asked.senses == {"vision", "touch"} and frame.depth is not None:
             light = replace(settings, plan=replace(settings.plan, refined=settings.plan.tolerant))
             by_vision = replace(asked, senses=frozenset({"vision"}), settings=light, or_none=True)
             alone = _estimate(frame, model, by_vision, trace, looked)
             if alone is not None and good_enough(model, alone, tolerance, settings):
-                return _noted(trace.skipping(alone, "feel", "vision alone is within the tolerance"), filled)
+                return trace.skipping(alone, "feel", "vision alone is within the tolerance")
         answer = _estimate(frame, model, asked, trace, looked)
     assert answer is not None
-    return _noted(answer, filled)
-
-
-def _noted(answer: Estimate, notes: tuple[str, ...]) -> Estimate:
-    return replace(answer, notes=(*answer.notes, *notes)) if notes else answer
+    return answer
 
 
 def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: Looked) -> Estimate | None:
@@ -133,7 +126,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         nothing = posterior.no_answer(frame, model, believed, trace.stages, settings.modes, settings.verdict)
         first, how_sure = nothing.modes[0], settings.confidence
         near = within(model, first.pose, first.covariance, how_sure.tolerance, how_sure.felt.nearest)
-        notes = *nothing.notes, *_of_the_hand(frame)
+        notes = *nothing.notes, *_of_the_hand(frame), *asked.filled
         return replace(nothing, confidence=first.weight * near, sure_within=how_sure.tolerance, notes=notes)
 
     how, blur, might_be = settings.proposals, settings.proposals.blur(model), looked.pixels.points
@@ -288,6 +281,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
             *useless,
             *felt.untold,
             *_of_the_hand(frame),
+            *asked.filled,
         ),
         dropped=looked.dropped,
         start=start.pose if start is not None else None,

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fusion import estimate
+from fusion.estimation.steps.judge import judge
 from fusion.tracking.tracker import Tracker
 from scenes.geometry.cameras import Camera
 from scenes.recordings.frames import Frame
@@ -147,6 +148,9 @@ def test_answers_say_that_holes_were_filled(filled):
     model = library.make("mug")
     answer = estimate(filled, model)
     assert sum("filled in beside edges" in note for note in answer.notes) == 1
+    truth = filled.camera_from_object_truth
+    judged = [judge(one, model, truth[None]).costs[0] for one in (filled, as_measured(filled)[0])]
+    assert judged[0] == judged[1]  # given poses are judged by the same picture
     track = Tracker(model)
     assert any("filled in beside edges" in note for note in track.step(filled).notes)
     assert not any("filled in" in note for note in track.step(replace(filled, index=1)).notes)

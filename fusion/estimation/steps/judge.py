@@ -67,7 +67,7 @@ def judge(
     check_scale(frame, model)
     with one_blas_thread():
         trace = Trace()
-        sensed = sense(frame, model, asked, trace, look_once(frame, model, asked, trace))
+        sensed = sense(frame, model, asked, trace, look_once(model, asked, trace))
         if sensed.nothing:
             raise InputError(f"judge: {frame.where or f'frame {frame.index}'}: expected some evidence, got none")
         fitted, before = _fitted(sensed, given)

@@ -67,12 +67,11 @@ class Sensed:
         return len(self.rows) == 0 or (self.pool.prior is None and not len(self.looked.pixels) and not self.contacts)
 
 
-def look_once(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace) -> Looked:
+def look_once(model: ObjectModel, asked: Asked, trace: Trace) -> Looked:
     """What the camera saw, once for all that is asked about it."""
     settings, start = asked.settings.look, asked.prior.pose if asked.prior is not None else None
-    viewed = frame if "vision" in asked.senses else frame.without_vision()
     with trace.stage("look", "vision" in asked.senses, "vision not asked for") as stage:
-        looked = look(viewed, model, asked.beliefs, start, settings)
+        looked = look(asked.viewed, model, asked.beliefs, start, settings)
         count = len(looked.rows(asked.beliefs.depth, settings.rows))
         stage.note(count, f"{len(looked.pixels)} object pixels, {len(looked.of_hand)} of the hand{looked.how}")
     return looked
@@ -81,7 +80,7 @@ def look_once(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace) -> L
 def sense(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: Looked) -> Sensed:
     """Feel, and lay out what judges poses."""
     settings, beliefs, believed = asked.settings, asked.beliefs, asked.prior
-    viewed = frame if "vision" in asked.senses else frame.without_vision()
+    viewed = asked.viewed
     touched = frame if "touch" in asked.senses else frame.without_touch()
     seen = looked.rows(beliefs.depth, settings.look.rows)
     with trace.stage("feel", "touch" in asked.senses, "touch not asked for") as stage:

@@ -13,7 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from scenes.errors import InputError, unknown
 from scenes.geometry import poses
+from scenes.geometry.cameras import is_reading
 from scenes.recordings.frames import Frame
 from scenes.synthesis.noise import recorder_kernels as kernels
 
@@ -44,13 +46,22 @@ class Recorder:
     beside: float = 0.015
     turned: tuple[float, float, float] = (0.002, -0.003, 0.004)
 
+    def __post_init__(self) -> None:
+        """Refuse what no recorder does."""
+        if self.median < 0 or (self.median and self.median % 2 == 0):
+            raise InputError(f"recorder: expected an odd number of pixels for median, or 0, got {self.median}")
+        if not (0.0 < self.weight <= 1.0 and self.rounds >= 0 and self.step > 0.0 and self.registered >= 0.0):
+            raise InputError(f"recorder: expected a weight above 0 and up to 1, and no negative size, got {self}")
+        if self.fill not in FILLS:
+            raise unknown("fill", self.fill, FILLS)
+
     def recorded(self, frame: Frame) -> Frame:
         """The frame as it is delivered. A colour image that depth is registered to has no picture: none is drawn from
         where it stands.
         """
         if frame.depth is None or frame.camera is None:
             return frame
-        depth = np.nan_to_num(np.asarray(frame.depth, dtype=np.float64))
+        depth = np.where(is_reading(frame.depth), frame.depth, 0.0).astype(np.float64)
         if self.median > 1:
             depth = median_of_readings(depth, self.median)
         if self.weight < 1.0:

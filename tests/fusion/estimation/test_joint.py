@@ -357,16 +357,19 @@ def test_rigs_that_end_apart_widen_the_answer_and_move_it_only_near_by(drill):
     assert np.linalg.norm(spun.pose[:3, 3] - best.pose[:3, 3]) == pytest.approx(0.025 * share, rel=0.01)
 
 
-def test_a_surface_that_is_off_smoothly_speaks_of_the_mesh(drill, rng):
-    problem, pose = made_problem(drill, rng, prior=False, noise=0.0002)
-    bent = poses.apply(poses.inverse(pose), problem.seen.points)
-    # four millimetres up and down along the object's longest side
-    wave = 0.004 * np.sin(bent[:, np.argmax(np.ptp(bent, axis=0))] / 0.02)
+def waved(problem, pose):
+    """The problem where the surface is four millimetres up and down along the object's longest side."""
+    local = poses.apply(poses.inverse(pose), problem.seen.points)
+    wave = 0.004 * np.sin(local[:, np.argmax(np.ptp(local, axis=0))] / 0.02)
     rows = problem.seen.rows.copy()
     rows[:, :3] *= 1.0 + (wave / np.linalg.norm(problem.seen.points, axis=1))[:, None]
-    off = replace(problem, seen=replace(problem.seen, rows=rows))
+    return replace(problem, seen=replace(problem.seen, rows=rows))
+
+
+def test_a_surface_that_is_off_smoothly_speaks_of_the_mesh(drill, rng):
+    problem, pose = made_problem(drill, rng, prior=False, noise=0.0002)
     found = []
-    for one in (problem, off):
+    for one in (problem, waved(problem, pose)):
         system = System(one, pose, Level())
         system.terms(pose, np.zeros(system.size))
         found.append(system.mesh_variance())
@@ -384,11 +387,7 @@ def test_a_surface_that_is_off_smoothly_speaks_of_the_mesh(drill, rng):
 def test_what_a_smooth_bias_explains_may_be_the_mesh(drill, rng):
     """The bias takes up a wave of the surface; half of its variance is the mesh's, and widens the pose alone."""
     problem, pose = made_problem(drill, rng, prior=False, noise=0.0002)
-    local = poses.apply(poses.inverse(pose), problem.seen.points)
-    wave = 0.004 * np.sin(local[:, np.argmax(np.ptp(local, axis=0))] / 0.02)
-    rows = problem.seen.rows.copy()
-    rows[:, :3] *= 1.0 + (wave / np.linalg.norm(problem.seen.points, axis=1))[:, None]
-    off = replace(problem, seen=replace(problem.seen, rows=rows))
+    off = waved(problem, pose)
     settled = settle(off, pose, Level())
     found, left = marginalised(settled), settled.system.mesh_variance()
     either = settled.system.mesh_or_bias(settled.pose, settled.unknown)

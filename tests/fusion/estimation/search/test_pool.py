@@ -149,7 +149,7 @@ def test_without_a_start_what_explains_the_image_at_a_glance_ends_the_search(dri
 def sensed(lab_frame, drill):
     """What judges poses of one frame."""
     asked = Asked.of(lab_frame)
-    return sense(lab_frame, drill, asked, Trace(), look_once(lab_frame, drill, asked, Trace()))
+    return sense(lab_frame, drill, asked, Trace(), look_once(drill, asked, Trace()))
 
 
 def test_what_was_fitted_is_not_fitted_again(sensed, lab_frame, monkeypatch):

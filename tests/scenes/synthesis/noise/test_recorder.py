@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from scenes.errors import InputError
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.recordings.frames import Contacts, Frame
@@ -133,3 +134,18 @@ def test_recorded_frames_agree_with_their_truth():
 def test_frames_without_an_image_are_left_alone():
     frame = Frame(0, contacts=Contacts(np.zeros((1, 3))))
     assert Recorder(median=3, registered=2.0).recorded(frame) is frame
+
+
+def test_what_no_recorder_does_is_refused():
+    for wrong in ({"median": 4}, {"weight": 0.0}, {"step": -1.0}, {"registered": -2.0}):
+        with pytest.raises(InputError, match="recorder: expected"):
+            Recorder(**wrong)
+    with pytest.raises(InputError, match="farthest"):
+        Recorder(fill="right")
+
+
+def test_what_is_no_reading_is_filled(depth):
+    told = np.where(depth > 0, depth, np.inf).astype(np.float32)
+    filled = Recorder(fill="left").recorded(Frame(0, depth=told, camera=CAMERA)).depth
+    kernels.fill_from_left(depth)
+    assert np.allclose(filled, depth)
