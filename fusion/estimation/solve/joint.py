@@ -125,7 +125,7 @@ def settle(
     that one says that this one ends. facing: a system that knows which way the surface faces each pixel.
     """
     system = System(problem, pose, level, facing)
-    here, unknown = (pose, system.start()) if after is None else _onwards(after, level)
+    here, unknown = (pose, system.start(pose)) if after is None else _onwards(after, level)
     free = system.size if problem.ties_depth else SCALE
     here, unknown, cost, normal, log_det = system.descend(here, unknown, free)
     return Settled(system, here, unknown, cost, normal, -cost - 0.5 * log_det, level)

@@ -15,6 +15,7 @@ from fusion.estimation.solve import newton_kernels as kernels
 from fusion.estimation.solve.kernels import number_blocks, prior_row
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.settings import Level
+from scenes.evidence.align import Prior, align
 from scenes.evidence.table import NORMAL, POINT
 from scenes.geometry import poses as se3
 from vision.look.hand import prior_spread
@@ -56,12 +57,26 @@ class System:
         self.seen_cost, self._used = 0.0, 0
         self._off: tuple[Array, Array] | None = None
 
-    def start(self) -> Array:
-        """The unknowns (size,) as first guessed: the calibration as the hand is seen."""
+    def start(self, pose: Array) -> Array:
+        """The unknowns (size,) as first guessed from pose (4, 4): the calibration as the hand is seen; without it, if
+        it costs less, as contacts have it together. Each by itself, all would be taken for false ones where a rig
+        is off by more than they are said to be, and a false one pulls at nothing.
+        """
         unknown = np.zeros(self.size)
         if self.problem.hand is not None:
             unknown[XI] = np.linalg.solve(self.white_xi, self.problem.hand.xi)
-        return unknown
+            return unknown
+        felt = self.problem.felt
+        if not (self.problem.has_robot and self.problem.camera is not None and felt.on.any()):
+            return unknown
+        root = np.linalg.inv(self.white_xi)
+        rigid = Prior(pose, np.asarray(root.T @ root, dtype=np.float64))
+        widened = felt.widened(float(np.sqrt(np.square(self.white_xi[3:]).sum() / 3.0)))
+        model = self.problem.model
+        moved = align(model, widened, pose[None], rigid).poses[0]
+        together = unknown.copy()
+        together[XI] = np.linalg.solve(self.white_xi, -se3.difference(moved, pose, model.centroid))
+        return together if self.terms(pose, together)[0] < self.terms(pose, unknown)[0] else unknown
 
     @property
     def _arguments(self) -> tuple:

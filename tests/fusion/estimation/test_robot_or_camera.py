@@ -81,3 +81,18 @@ def test_depth_without_noise_is_no_surer_than_believed(exact_frame, drill):
     wider = np.linalg.det(doubting.covariance) / np.linalg.det(believing.covariance)
     assert wider > 1.2**6
     assert estimate(frame, drill, use=("vision",)).covariance == pytest.approx(doubting.covariance)
+
+
+@pytest.mark.parametrize("off", [(0.0, 0.006, 0.003), (0.005, 0.005, 0.005), (0.0, 0.0, 0.008)])
+def test_contacts_that_are_off_together_are_no_false_ones(exact_frame, drill, off):
+    """Sharp contacts of a rig that is off by more than they say of themselves, while nobody knows the hand: one by one
+    each would be a false one.
+    """
+    points, normals = drill.sample_surface(8, 7)
+    place = exact_frame.camera_from_object_truth
+    felt = Contacts(poses.apply(place, points) + np.array(off), normals @ place[:3, :3].T, 0.0004, 0.05)
+    start = poses.perturb(place, 0.01 * np.ones(6), drill.centroid)
+    bare = replace(exact_frame, rgb=None, prior=start, hand=None, joints=None, world_from_hand=None)
+    answer = estimate(replace(bare, contacts=felt, camera_from_world=np.eye(4)), drill)
+    assert answer.verdict == "ok"
+    assert not any(contact.outlier for contact in answer.contacts)
