@@ -129,3 +129,20 @@ def test_medians_are_numpys(rng, count):
         found = median(values)
         assert np.array_equal(found, np.median(values, axis=0))
         assert found.dtype == values.dtype
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.3])
+def test_what_goes_on_behind_a_plane_is_counted_where_most_of_the_image_is_behind(rng, bend):
+    x, y = rng.uniform(-0.5, 0.5, size=(2, 2500))
+    z = 0.8 + bend * x * x + 0.003 * rng.normal(size=len(x))
+    points, tolerance = np.stack([x * z, y * z, z], axis=1), rng.uniform(0.006, 0.009, size=len(x))
+    normal, offset, cell, far = np.array([0.0, 0.0, -1.0]), 0.8, 8.0, 6.0
+    found = pieces_of.runs_on_behind(points, tolerance, normal, offset, cell, far)
+    height = (points @ normal + offset) / tolerance
+    on, behind = np.abs(height) < 1.0, (height <= -1.0) & (height > -far)
+    seen = points[:, :2] / points[:, 2:]
+    step = np.sqrt(np.prod(np.ptp(seen, axis=0)) * cell / len(points))
+    _, place = np.unique(np.floor((seen - seen.min(axis=0)) / step).astype(int), axis=0, return_inverse=True)
+    count = [np.bincount(place.ravel(), weights=which) for which in (on, behind)]
+    assert found == pytest.approx(count[1][count[1] > count[0]].sum() / on.sum(), abs=0.02)
+    assert (found > MaskSettings().plane_most_behind) == (bend > 0.0)

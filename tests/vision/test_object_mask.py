@@ -8,11 +8,12 @@ import pytest
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.geometry.rendering import Renderer
-from scenes.recordings.beliefs import DepthModel
+from scenes.recordings.beliefs import DepthModel, usual_beliefs
 from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis import library
 from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
+from vision.look.look import LookSettings, large_planes
 from vision.look.mask import MaskSettings, connected_pieces, find_plane, find_planes, object_mask, on_planes
 from vision.look.pixels import read_pixels
 from vision.look.regions import find_region
@@ -202,3 +203,27 @@ def test_a_hand_that_is_alone_in_the_image_is_no_wall():
     assert len(find_planes(frame, MaskSettings(), DepthModel(), 0.2))
     assert not len(find_planes(alone, MaskSettings(), DepthModel(), 0.1))
     assert object_mask(alone, model, start=place).sum() > 0.9 * frame.mask.sum()
+
+
+def test_a_plane_that_cuts_through_what_is_seen_is_no_wall():
+    """Many readings of a hand close to the camera lie near one plane or another, and it goes on behind them."""
+    camera = Camera(300.0, 300.0, 79.5, 59.5, 160, 120)
+    u = (np.indices((120, 160))[1] - 80) / 80.0
+    palm = Frame(0, camera=camera, depth=(0.6 + 0.1 * u + 0.05 * u * u).astype(np.float32))
+    usual = MaskSettings()
+    assert len(find_planes(palm, replace(usual, plane_most_behind=np.inf), DepthModel(), 0.1))
+    assert not len(find_planes(palm, usual, DepthModel(), 0.1))
+
+
+def test_what_hides_the_object_is_no_wall():
+    """An arm's flat side before the object fills much of the image: what is asked for is behind it."""
+    frame, _, model, place = wall_frame(0.5, 0.001)
+    before, behind = (place[:3, 3] + np.array([0.0, 0.0, z]) for z in (0.0, 0.9))
+    extent = 0.2
+    assert len(find_planes(frame, MaskSettings(), DepthModel(), extent, before)) == 1
+    assert not len(find_planes(frame, MaskSettings(), DepthModel(), extent, behind))
+    # what a start, or else the contacts, say
+    felt = Contacts(behind + 0.01 * np.eye(3))
+    for one, start in ((frame, poses.make_pose(None, behind)), (replace(frame, contacts=felt), None)):
+        assert not len(large_planes(one, model, usual_beliefs(), LookSettings(), start))
+    assert len(large_planes(frame, model, usual_beliefs(), LookSettings(), place)) == 1

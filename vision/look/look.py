@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from scenes.geometry import poses
 from scenes.geometry.cameras import Camera, is_reading
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs, usual_beliefs
@@ -98,7 +99,7 @@ def look(
         return nothing_seen(region, "region outside the image")
     hand = _find_hand(frame, beliefs, settings)
     if frame.mask is None and hand is None:
-        planes = large_planes(frame, model, beliefs, settings)
+        planes = large_planes(frame, model, beliefs, settings, start)
         bare = _sorted(frame, region, None, None, settings, planes, beliefs)
         if start is not None:
             return bare
@@ -130,9 +131,18 @@ def _box(frame: Frame, region: Region | None) -> tuple[int, int, int, int] | Non
     return (0, 0, frame.camera.width, frame.camera.height) if region is None else region.box(frame.camera)
 
 
-def large_planes(frame: Frame, model: ObjectModel, beliefs: Beliefs, settings: LookSettings) -> Array:
-    """(k, 6) planes that many readings lie on, too large to be the object's own face; see `find_planes`."""
-    return find_planes(frame, settings.mask, beliefs.depth, settings.plane_extent * model.diameter)
+def large_planes(
+    frame: Frame, model: ObjectModel, beliefs: Beliefs, settings: LookSettings, start: Array | None = None
+) -> Array:
+    """(k, 6) planes that many readings lie on, too large to be the object's own face; see `find_planes`. start (4, 4):
+    about where the object is; without one it is near what is felt.
+    """
+    meant = None
+    if start is not None:
+        meant = poses.apply(start, model.centroid[None])[0]
+    elif len(frame.contacts):
+        meant = median(poses.apply(frame.camera_from_world, frame.contacts.points))
+    return find_planes(frame, settings.mask, beliefs.depth, settings.plane_extent * model.diameter, meant)
 
 
 def _find_pieces(

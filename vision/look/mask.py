@@ -19,7 +19,7 @@ from scenes.recordings.beliefs import Beliefs, DepthModel
 from scenes.recordings.frames import Frame
 from vision.look import mask_kernels as kernels
 from vision.look.hand import HandView, HandViewSettings, view_hand
-from vision.look.piece_kernels import count_votes, mark_planes, number_pieces
+from vision.look.piece_kernels import count_votes, mark_planes, number_pieces, runs_on_behind
 from vision.look.pixels import Region, median, read_pixels
 from vision.look.regions import find_region
 
@@ -38,9 +38,9 @@ class MaskSettings:
     slack: float = 0.035
     # Pixels of the whole image among which the hand is looked for, where nobody has yet.
     most_hand: int = 8000
-    # A plane holds this share of the readings, and fills this share of the image, or is none: table and wall filled
-    # 29 % and more in all families and recordings, a hand and what it holds, alone in the image, 6 %. So many triples
-    # of points are tried, on so many points, of which every so manieth has a vote on them.
+    # A plane holds this share of the readings, and fills this share of the image: table and wall fill 29 % and more in
+    # all families and recordings, a hand and what it holds, alone in the image, 6 %. So many triples of points are
+    # tried, on so many points, of which every so manieth has a vote on them.
     plane_share: float = 0.2
     plane_image: float = 0.12
     plane_tries: int = 200
@@ -56,6 +56,13 @@ class MaskSettings:
     next_plane_share: float = 0.2
     # Readings scatter about a plane less than so many times as far as is believed of the camera: else it is no plane.
     plane_most_scatter: float = 5.0
+    # What goes on behind the first plane is cut by it: most of it, a share of its readings, in parts of the image of so
+    # many points, up to so many times its room behind it. Those of tuning families have 0.02, of `passive` 0.07.
+    plane_most_behind: float = 0.15
+    plane_part: float = 8.0
+    plane_behind: float = 6.0
+    # What is asked for is no farther behind a table (m) than its start is off (T1's are 33 mm): else it is none.
+    plane_hides: float = 0.035
     # Readings this near (m) to the rendered hand are the hand's: smooth bias at two sigmas, and the joints' errors.
     hand_margin: float = 0.006
     # The hand's outline is uncertain by this (m): joints wrong by 0.3 degrees over a finger, and the rest of the
@@ -180,26 +187,29 @@ def for_kernels(
     return np.ascontiguousarray(planes, np.float64), own, (settings.plane_margin, settings.plane_sigmas)
 
 
-def find_planes(frame: Frame, settings: MaskSettings, depth_model: DepthModel, extent: float) -> Array:
+def find_planes(
+    frame: Frame, settings: MaskSettings, depth_model: DepthModel, extent: float, meant: Array | None = None
+) -> Array:
     """(k, 6) table, wall and floor: planes that many readings lie on, most first, each of them larger than extent (m).
 
     A plane: see `find_plane`. Behind the first there is nothing; a further one may be a box's side, beside which more
-    is seen.
+    is seen. meant (3,): about where the object is, camera frame, behind none of them; None where nobody knows.
     """
     points, each = _some_points(frame, settings)
     found, left = np.zeros((0, 6)), points
     for k in range(settings.most_planes):
         share = settings.plane_share if not k else settings.next_plane_share * len(points) / max(len(left), 1)
-        plane = find_plane(left, settings, depth_model, share, each)
+        plane = find_plane(left, settings, depth_model, share, each, np.inf if k else settings.plane_most_behind)
         if plane is None:
             break
-        plane[5] = np.inf if not k else 0.0
+        in_front = meant is not None and plane[:3] @ meant + plane[3] < -settings.plane_hides
+        plane[5] = 0.0 if k or in_front else np.inf
         on = on_planes(left, plane[None], depth_model, settings)
         low, high = np.percentile(left[on], [5, 95], axis=0)
-        across = high - low
-        if float(np.linalg.norm(across)) <= extent:
+        if not in_front and float(np.linalg.norm(high - low)) <= extent:
             break
-        found, left = np.concatenate([found, plane[None]]), left[~on]
+        # in front is an arm's side
+        found, left = found if in_front else np.concatenate([found, plane[None]]), left[~on]
     return found
 
 
@@ -218,6 +228,7 @@ def find_plane(
     depth_model: DepthModel,
     least_share: float | None = None,
     each: float = 1.0,
+    most_behind: float = np.inf,
 ) -> Array | None:
     """(6,) the plane that most of the points (n, 3) lie on; None when there is no such plane, or when much is seen
     beyond it.
@@ -227,7 +238,7 @@ def find_plane(
 
     Unit normal towards the camera and offset, height = n . p + o; how many times as far as is believed of the camera
     they scatter about it, 1 at least; and how far behind it (m) there is nothing else, inf. least_share: of the points;
-    None for the settings'.
+    None for the settings'. most_behind: see `MaskSettings.plane_most_behind`.
     """
     if len(points) < 50:
         return None
@@ -262,6 +273,8 @@ def find_plane(
         return None
     scatter = _scatter(height, tolerance, points[:, 2], depth_model, settings)
     if chosen.sum() * each < settings.plane_image or scatter >= settings.plane_most_scatter:
+        return None
+    if runs_on_behind(points, tolerance, normal, offset, settings.plane_part, settings.plane_behind) >= most_behind:
         return None
     return np.concatenate([normal, [offset, scatter, np.inf]])
 

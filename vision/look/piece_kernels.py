@@ -127,6 +127,39 @@ def count_votes(points, tolerance, normals, offsets, every, votes):  # type: ign
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def runs_on_behind(points, tolerance, normal, offset, cell, far):  # type: ignore[no-untyped-def]
+    """How many of points (n, 3), as a share of those within tolerance (n,) of a plane, lie where in the image most are
+    beyond tolerance behind it, and no farther than `far` tolerances. cell: points of each part of the image, about.
+    """
+    count = len(points)
+    low_x = low_y = np.inf
+    high_x = high_y = -np.inf
+    for n in range(count):
+        x, y = points[n, 0] / points[n, 2], points[n, 1] / points[n, 2]
+        low_x, high_x, low_y, high_y = min(low_x, x), max(high_x, x), min(low_y, y), max(high_y, y)
+    wide, high = max(high_x - low_x, 1e-9), max(high_y - low_y, 1e-9)
+    step = math.sqrt(wide * high * cell / max(count, 1))
+    columns, rows = int(wide / step) + 1, int(high / step) + 1
+    on, behind = np.zeros((rows, columns)), np.zeros((rows, columns))
+    whole = 0.0
+    for n in range(count):
+        x, y = points[n, 0] / points[n, 2], points[n, 1] / points[n, 2]
+        i, j = min(int((y - low_y) / step), rows - 1), min(int((x - low_x) / step), columns - 1)
+        height = points[n, 0] * normal[0] + points[n, 1] * normal[1] + points[n, 2] * normal[2] + offset
+        if abs(height) < tolerance[n]:
+            on[i, j] += 1.0
+            whole += 1.0
+        elif height < 0.0 and height > -far * tolerance[n]:
+            behind[i, j] += 1.0
+    total = 0.0
+    for i in range(rows):
+        for j in range(columns):
+            if behind[i, j] > on[i, j]:
+                total += behind[i, j]
+    return total / max(whole, 1.0)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def are_near(first, second, distance):  # type: ignore[no-untyped-def]
     """Whether any of points (n, 3) is nearer than `distance` to any of others (m, 3)."""
     for n in range(len(first)):

@@ -91,7 +91,8 @@ class Looker:
         near[near] = self._near_surface(pixels.points[near], predicted)
         bare = frame.mask is None and hand_view is None and self.first.tidy
         if share is None:  # where nothing else tells what is not the object's
-            self.planes = large_planes(frame, self.model, self.beliefs, self.first) if bare else no_planes()
+            about = self.model, self.beliefs, self.first, predicted
+            self.planes = large_planes(frame, *about) if bare else no_planes()
         near[near] = ~on_planes(pixels.points[near], self.planes, self.beliefs.depth, self.first.mask)
         if frame.mask is not None:
             near &= frame.mask[pixels.uv[:, 1], pixels.uv[:, 0]]
