@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scenes.errors import MeshError
+from scenes.geometry import surface_kernels
 from scenes.words import counted
 
 if TYPE_CHECKING:
@@ -25,12 +26,15 @@ class RepairSettings:
 
     # Vertices nearer than this share of the diameter are one vertex (export round-off).
     merge_share: float = 1e-6
-    # Curved holes are closed by fans as long as the patches stay below this share of the surface: beyond, the shape
-    # would be an invention. A flat rim has one obvious lid, so those may be larger (a box modelled without its ends).
+    # Curved holes are closed by the patch of least area as long as patches stay below this share of the surface:
+    # beyond, the shape would be an invention. A flat rim has one obvious lid, so those may be larger (a box modelled
+    # without its ends, a scan of what stood on a table).
     max_patch_share: float = 0.1
     max_lid_share: float = 0.4
-    # A rim is flat when it leaves its plane by less than this share of its own size.
-    flat_share: float = 0.02
+    # A rim is flat when it leaves its plane by less than this share of its own size: a scan's ends in whole triangles.
+    flat_share: float = 0.1
+    # Rims of more corners are closed by a fan about their middle: a patch of least area takes their cube of steps.
+    longest_rim: int = 800
     # Where triangles meet without sharing vertices nothing leaks: winding numbers (no unit)
     # stay this near whole numbers.
     largest_leak: float = 0.02
@@ -93,7 +97,7 @@ def close(
     if not mesh.is_watertight and _encloses(mesh, settings.largest_leak):
         mended.append("edges that meet without sharing their vertices accepted (no gap between them)")
     elif not mesh.is_watertight:
-        vertices, faces, patched, lids, holes = _close_holes(vertices, faces, settings.flat_share)
+        vertices, faces, patched, lids, holes = _close_holes(vertices, faces, settings)
         area = max(float(mesh.area), 1e-300)
         share = (patched + lids) / (area + patched + lids)
         mesh = trimesh.Trimesh(vertices, faces, process=False)
@@ -282,8 +286,8 @@ def _loops(following: dict[int, list[int]]) -> Iterator[list[int]]:
             path = path[: first + 1]
 
 
-def _close_holes(vertices: Array, faces: Faces, flat_share: float) -> tuple[Array, Faces, float, float, int]:
-    """Close every boundary loop with a fan about its centre.
+def _close_holes(vertices: Array, faces: Faces, settings: RepairSettings) -> tuple[Array, Faces, float, float, int]:
+    """Close every boundary loop with the patch of least area that spans it.
 
     Returns also the area of the curved and of the flat patches, and how many there are.
     """
@@ -292,23 +296,38 @@ def _close_holes(vertices: Array, faces: Faces, flat_share: float) -> tuple[Arra
     for a, b in boundary:
         following.setdefault(int(b), []).append(int(a))  # reversed: the patch runs against its neighbours
     new_vertices, new_faces, curved, flat, holes = [vertices], [faces], 0.0, 0.0, 0
-    count = len(vertices)
+    count, whole = len(vertices), len(vertices)
+    edges = np.unique(_edge_numbers(faces, whole))
     for loop in _loops(following):
-        ring = vertices[loop]
+        ring, numbers = vertices[loop], np.asarray(loop, dtype=np.int64)
         holes += 1
-        centre = ring.mean(axis=0)
-        spokes = ring - centre
-        area = 0.5 * float(np.linalg.norm(np.cross(spokes, np.roll(spokes, -1, axis=0)), axis=1).sum())
-        sizes = np.linalg.svd(spokes, compute_uv=False)
-        if sizes[-1] <= flat_share * sizes[0]:
+        sizes = np.linalg.svd(ring - ring.mean(axis=0), compute_uv=False)
+        patch = np.zeros((max(len(loop) - 2, 0), 3), dtype=np.int64)
+        # a chord that is an edge of the mesh would have four sides
+        if len(loop) > settings.longest_rim or not surface_kernels.least_patch(
+            ring, _are_edges(numbers, edges, whole), 1e-9 * float(sizes[0]) ** 2 / len(loop), patch
+        ):
+            ring, numbers = np.concatenate([ring, ring.mean(axis=0)[None]]), np.append(numbers, count)
+            new_vertices.append(ring[-1:])
+            count += 1
+            patch = np.array([[n, (n + 1) % len(loop), len(loop)] for n in range(len(loop))])
+        new_faces.append(numbers[patch])
+        corner, one, other = np.moveaxis(ring[patch], 1, 0)
+        area = 0.5 * float(np.linalg.norm(np.cross(one - corner, other - corner), axis=1).sum())
+        if sizes[-1] <= settings.flat_share * sizes[0]:
             flat += area
         else:
             curved += area
-        if len(loop) == 3:
-            fan = np.array([loop])
-        else:
-            new_vertices.append(centre[None])
-            fan = np.array([[a, b, count] for a, b in zip(loop, [*loop[1:], loop[0]])])
-            count += 1
-        new_faces.append(fan)
     return np.concatenate(new_vertices), np.concatenate(new_faces), curved, flat, holes
+
+
+def _edge_numbers(faces: Faces, count: int) -> NDArray[np.int64]:
+    """(3 m,) a number for each edge of faces (m, 3), the same both ways, of `count` vertices."""
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    return np.asarray(edges[:, 0] * count + edges[:, 1])
+
+
+def _are_edges(rim: NDArray[np.int64], edges: NDArray[np.int64], count: int) -> NDArray[np.bool_]:
+    """(n, n) whether two corners of a rim (n,) are the ends of one of the edges, by number; see `_edge_numbers`."""
+    chords = np.minimum(rim, rim[:, None]) * count + np.maximum(rim, rim[:, None])
+    return np.isin(chords, edges)

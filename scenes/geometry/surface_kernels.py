@@ -1,5 +1,5 @@
-"""Compiled: which cells of a coarse grid a mesh's triangles come near, which points lie in one, mixing of cells, and
-distances in double precision from closest points in single.
+"""Compiled: which cells of a coarse grid a mesh's triangles come near, which points lie in one, mixing of cells,
+distances in double precision from closest points in single, and the patch of least area over a hole.
 """
 
 from __future__ import annotations
@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 
 import numba
+import numpy as np
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -102,3 +103,46 @@ def feet(points, face, corners, normals, upright, foot, distance, gradient, slan
         distance[n] = -length if side < 0.0 else length
         gradient[n, 0], gradient[n, 1], gradient[n, 2] = x / distance[n], y / distance[n], z / distance[n]
         slanted[n] = abs(side) < upright * length
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def least_patch(ring, taken, nothing, triangles):
+    """Fill triangles (n - 2, 3) with the corners in ring (n, 3) of the patch of least area that spans it, without the
+    chords that are taken (n, n); whether there is one.
+
+    Dynamic programming over the ring's chords (Barequet and Sharir, Filling gaps in the boundary of a polyhedron,
+    1995). Triangles of no area (length^2) more than `nothing` are shunned: they have no side to face.
+    """
+    n = ring.shape[0]
+    least, apex = np.zeros((n, n)), np.zeros((n, n), dtype=np.int64)
+    for length in range(2, n):
+        for i in range(n - length):
+            k, best = i + length, np.inf
+            ux, uy, uz = ring[k, 0] - ring[i, 0], ring[k, 1] - ring[i, 1], ring[k, 2] - ring[i, 2]
+            for j in range(i + 1, k):
+                vx, vy, vz = ring[j, 0] - ring[i, 0], ring[j, 1] - ring[i, 1], ring[j, 2] - ring[i, 2]
+                x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+                area = 0.5 * math.sqrt(x * x + y * y + z * z)
+                if area <= nothing:
+                    area += 1e6 * nothing
+                total = least[i, j] + least[j, k] + area
+                if total < best:
+                    best = total
+                    apex[i, k] = j
+            least[i, k] = best if not taken[i, k] or length == n - 1 else np.inf
+    if not least[0, n - 1] < np.inf:
+        return False
+    stack = np.zeros((n, 2), dtype=np.int64)
+    stack[0, 1] = n - 1
+    depth, count = 1, 0
+    while depth:
+        depth -= 1
+        i, k = stack[depth]
+        if k - i < 2:
+            continue
+        j = apex[i, k]
+        triangles[count, 0], triangles[count, 1], triangles[count, 2] = i, j, k
+        count += 1
+        stack[depth], stack[depth + 1] = (i, j), (j, k)
+        depth += 2
+    return True

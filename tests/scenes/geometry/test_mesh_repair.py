@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from scenes.errors import MeshError
 from scenes.geometry import mesh_repair
+from scenes.geometry.surface_kernels import least_patch
 from scenes.synthesis import library
 
 
@@ -199,3 +200,50 @@ def test_a_fin_without_volume_goes_and_leaves_no_hole():
     mesh, _ = closed(vertices, finned)
     assert mesh.is_watertight
     assert len(mesh.faces) == len(faces)
+
+
+def least_area(ring, i, k):
+    """Of the patches over corners i to k, by trying all."""
+    if k - i < 2:
+        return 0.0
+    parts = []
+    for j in range(i + 1, k):
+        area = 0.5 * np.linalg.norm(np.cross(ring[j] - ring[i], ring[k] - ring[i]))
+        parts.append(area + least_area(ring, i, j) + least_area(ring, j, k))
+    return min(parts)
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 2**32 - 1), st.integers(3, 9))
+def test_the_patch_over_a_rim_is_the_least_of_all(seed, corners):
+    ring = np.random.default_rng(seed).normal(size=(corners, 3))
+    patch = np.zeros((corners - 2, 3), dtype=np.int64)
+    assert least_patch(ring, np.zeros((corners, corners), dtype=bool), 1e-12, patch)
+    corner, one, other = np.moveaxis(ring[patch], 1, 0)
+    area = 0.5 * np.linalg.norm(np.cross(one - corner, other - corner), axis=1).sum()
+    assert area == pytest.approx(least_area(ring, 0, corners - 1))
+    # every side of the rim is a side of one triangle
+    sides = {tuple(sorted(side)) for t in patch.tolist() for side in zip(t, [*t[1:], t[0]])}
+    assert {tuple(sorted((n, (n + 1) % corners))) for n in range(corners)} <= sides
+
+
+def test_a_patch_has_no_chord_that_is_taken():
+    ring = np.array([[0.0, 0.0, 0.0], [1.0, 0.1, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
+    taken, patch = np.zeros((4, 4), dtype=bool), np.zeros((2, 3), dtype=np.int64)
+    for chord in ((0, 2), (1, 3)):
+        taken[chord] = True
+        found = least_patch(ring, taken, 1e-12, patch)
+        assert found == (chord == (0, 2))
+        assert not found or {1, 3} <= set(patch[0]) & set(patch[1])
+
+
+def test_a_scan_without_what_it_stood_on_is_closed_as_it_was():
+    """The rim of a scan ends in whole triangles: ragged, and still one lid."""
+    model = library.make("bottle")
+    mesh = trimesh.Trimesh(model.vertices, model.faces, process=False)
+    low = model.vertices[:, 2].min()
+    rest = model.faces[mesh.triangles_center[:, 2] > low + 0.004]
+    assert 0.01 < 1.0 - trimesh.Trimesh(model.vertices, rest).area / mesh.area < 0.3
+    whole, mended = closed(model.vertices, rest)
+    assert any("filled" in m for m in mended)
+    assert whole.volume == pytest.approx(mesh.volume, rel=0.05)
