@@ -78,3 +78,15 @@ def test_chances_of_things_of_which_one_is_meant(drill, right, chance, expected)
     assert sum(mode.weight for mode in told) == pytest.approx(1.0)
     assert told[0].pose is modes[0].pose
     assert told[1].pose is THERE
+
+
+def test_one_of_two_of_which_half_is_hidden_may_be_meant(drill):
+    """What shows less earns less: it is as clear by itself as an answer is."""
+    frame = seen(drill, HERE, THERE)
+    right = int(VIEW.fx * (THERE[0, 3] + 0.02) / THERE[2, 3] + VIEW.cx)
+    depth = frame.depth.copy()
+    depth[:, right:] = np.minimum(depth[:, right:], 0.45)
+    answer = estimate(replace(frame, depth=depth), drill)
+    assert answer.verdict == "ambiguous"
+    off = [min(np.linalg.norm(mode.pose[:3, 3] - one[:3, 3]) for mode in answer.modes) for one in (HERE, THERE)]
+    assert max(off) < 0.01

@@ -108,3 +108,11 @@ def test_the_answer_says_how_sure_it_is(lab_frame, drill):
     answer = estimate(lab_frame, drill)
     assert 0.0 <= answer.confidence <= 1.0
     assert answer.to_json()["confidence"] == pytest.approx(answer.confidence)
+
+
+def test_no_mode_is_much_surer_than_the_share_it_holds(drill):
+    """Another place of the surface has a quarter of the posterior, whose odds count twice, however good the first."""
+    turned = poses.make_pose(poses.exp_rotation([0.0, np.pi, 0.0]), [0.0, 0.0, 0.02])
+    modes = tuple(Mode(pose, weight, 0.0, 1e-8 * np.eye(6)) for pose, weight in ((np.eye(4), 0.75), (turned, 0.25)))
+    assert 0.5 < confidence(drill, modes, picture(agree=0.95, seen=0.95), (), 0.0) <= 0.9 + 1e-9
+    assert confidence(drill, modes[:1], picture(agree=0.95, seen=0.95), (), 0.0) <= 0.9 + 1e-9
