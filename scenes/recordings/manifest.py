@@ -14,9 +14,7 @@ from scenes.geometry.objects import METRES_PER_UNIT, ObjectModel
 from scenes.recordings import bop
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.telling import believed
-from scenes.recordings.writing import FORMAT, VERSION
-
-WORLDS = ("camera", "robot base")
+from scenes.recordings.writing import FORMAT, VERSION, WORLDS
 
 # models_info.json and the mesh may be rounded or sampled differently; more than this and a unit is wrong.
 LARGEST_DIAMETER_RATIO = 1.5

@@ -109,6 +109,23 @@ def test_depth_out_of_range_is_refused_not_wrapped(tmp_path):
     assert read_capture(tmp_path / "c")[0].depth[0, 0] == np.float32(7.0)
 
 
+@pytest.mark.parametrize("scale", [-1, 0, float("nan"), "1", True, 1e4, {0: -1.0}])
+def test_scales_and_worlds_that_reading_would_refuse_are_not_written(tmp_path, scale):
+    with pytest.raises(InputError, match=r"depth_scale: expected millimetres per count from 0\.0001 to 1000, got"):
+        write_capture(tmp_path / "c", [some_frame(0)], make("box"), depth_scale=scale)
+    with pytest.raises(InputError, match="world: expected one of camera, robot base, got 'robot'"):
+        write_capture(tmp_path / "c", [some_frame(0)], make("box"), world="robot")
+    assert not (tmp_path / "c").exists()
+
+
+def test_what_cannot_be_written_names_the_folder_asked_for(tmp_path):
+    with pytest.raises(InputError, match=rf"^{tmp_path / 'c'}: expected frame numbers .* got 0 again$"):
+        write_capture(tmp_path / "c", [some_frame(0), some_frame(0)], make("box"))
+    far = replace(some_frame(0), depth=np.full((48, 64), 7.0, dtype=np.float32))
+    with pytest.raises(CaptureError, match=rf"^{tmp_path / 'c/depth/000000.png'}: expected depths up to"):
+        write_capture(tmp_path / "c", [far], make("box"), depth_scale=0.1)
+
+
 def edit(path: Path, change) -> None:
     content = json.loads(path.read_text())
     content = change(content) or content

@@ -49,6 +49,11 @@ def test_a_depth_scale_that_makes_no_metres(capture, scale, recwarn):
         read_capture(capture)[0]
 
 
+def test_a_depth_scale_of_null_is_said_as_it_is(capture):
+    told = edited(capture, "scene_camera.json", lambda content: content["0"].update(depth_scale=None))
+    assert any("depth_scale: expected 1 finite number, got nothing (null)" in line for line in told)
+
+
 @pytest.mark.parametrize(("at", "name", "value"), [(2, "cx", 5000.0), (5, "cy", -300.0)])
 def test_a_principal_point_far_from_the_image(capture, at, name, value):
     told = edited(capture, "scene_camera.json", lambda content: content["0"]["cam_K"].__setitem__(at, value))
