@@ -132,6 +132,12 @@ class ObjectModel:
         check_size(model.diameter, where)
         return model
 
+    @property
+    def filled(self) -> tuple[str, ...]:
+        """In words, which surface the mesh did not have and was given; none where it was closed."""
+        made = ", ".join(how for how in self.mended if mesh_repair.FILLED in how)
+        return (f"the mesh is not closed as it is: {made}",) if made else ()
+
     @cached_property
     def diameter(self) -> float:
         """Largest distance between two vertices, metres."""

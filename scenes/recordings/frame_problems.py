@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.files.problems import Problem
+from scenes.geometry.cameras import Camera
 from scenes.recordings.frames import Frame
 
 Array = NDArray[np.float64]
@@ -35,7 +36,8 @@ def frame_problems(folder: Path, frame: Frame) -> list[Problem]:
     if not any(sensed) and not frame.tactile and not frame.gels:
         expected = "expected a depth image, a cloud, contacts, wrenches, tactile arrays or gels' images, found none"
         found.append(problem("", expected))
-    found += [problem("scene_camera.json", message) for message in _centre(frame)]
+    if frame.camera is not None:
+        found += [problem("scene_camera.json", message) for message in centre_problems(frame.camera)]
     if frame.hand is not None and frame.joints is not None:
         for joint, excess in frame.hand.limit_excess(frame.joints).items():
             found.append(problem("joints.csv", f"expected {joint} within its limits, got {excess:.3g} beyond"))
@@ -54,11 +56,8 @@ def frame_problems(folder: Path, frame: Frame) -> list[Problem]:
     return found
 
 
-def _centre(frame: Frame) -> list[str]:
-    """A principal point that no cut-out of a camera's image has."""
-    camera = frame.camera
-    if camera is None:
-        return []
+def centre_problems(camera: Camera) -> list[str]:
+    """In words, a principal point that no cut-out of a camera's image has."""
     places = (("cx", camera.cx, camera.width), ("cy", camera.cy, camera.height))
     return [
         f"expected a principal point near the image, got {name} {at:g} for {size} pixels"
