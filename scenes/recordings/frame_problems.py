@@ -41,6 +41,7 @@ def frame_problems(folder: Path, frame: Frame) -> list[Problem]:
     if frame.hand is not None and frame.joints is not None:
         for joint, excess in frame.hand.limit_excess(frame.joints).items():
             found.append(problem("joints.csv", f"expected {joint} within its limits, got {excess:.3g} beyond"))
+    found += [problem(f"tactile/{name}/{frame.index:06d}.csv", said) for name, said in _no_arrays(frame)]
     missing = frame.hand_lacks
     if missing and missing != NOWHERE:  # of single frames of a sequence the hand may not be known
         file = "hand_poses.csv" if missing == "pose" else "joints.csv"
@@ -54,6 +55,21 @@ def frame_problems(folder: Path, frame: Frame) -> list[Problem]:
         message = f"expected contacts that were each felt once, got {again} of {len(frame.contacts)} rows repeated"
         found.append(problem("contacts.csv", message))
     return found
+
+
+def _no_arrays(frame: Frame) -> list[tuple[str, str]]:
+    """Sensors with pressures that no array of the hand has reported, and what is wrong with each, in words: no estimate
+    is made of such a frame.
+    """
+    if frame.tactile and frame.hand is None:
+        return [(name, "expected a hand with this array, found no hand") for name in frame.tactile]
+    sensors = frame.hand.sensors if frame.hand is not None else {}
+    arrays = ", ".join(sensor.name for sensor in sensors.values() if sensor.taxels is not None) or "none"
+    return [
+        (name, f"expected an array of the hand ({arrays}), got {name}, of kind {sensors[name].kind}")
+        for name in frame.tactile
+        if name in sensors and sensors[name].taxels is None
+    ]
 
 
 def centre_problems(camera: Camera) -> list[str]:

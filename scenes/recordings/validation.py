@@ -17,10 +17,11 @@ from scenes.files.schema import complaints
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings import bop
-from scenes.recordings.captures import Capture
+from scenes.recordings.captures import CSV_FILES, Capture
 from scenes.recordings.frame_problems import NOWHERE, frame_problems
 from scenes.recordings.frames import Frame
 from scenes.recordings.manifest import frame_stamps
+from scenes.recordings.strays import strays
 
 __all__ = ["Problem", "check_scale", "check_usable", "scale_problem", "usable", "validate"]
 
@@ -66,6 +67,7 @@ def validate(folder: str | Path, trust_paths: bool = False) -> list[Problem]:
         return [*problems, Problem(str(folder), None, str(error))]
     problems += _by_schema(capture, problems)
     problems += _stamp_problems(capture)
+    problems += _strays(capture)
     model = _attempt(capture, problems)
     nowhere = True
     for number in capture.frame_ids:
@@ -95,6 +97,12 @@ def _by_schema(capture: Capture, known: list[Problem]) -> list[Problem]:
             if content is not None:
                 found += [Problem(str(path), None, complaint) for complaint in complaints(content, name)]
     return found
+
+
+def _strays(capture: Capture) -> list[Problem]:
+    """What is there under another name than is read."""
+    content = bop.read_json(capture.path / "capture.json", lambda problem: None)
+    return list(strays(capture.path, capture.frame_ids, content, CSV_FILES))
 
 
 def _stamp_problems(capture: Capture) -> list[Problem]:

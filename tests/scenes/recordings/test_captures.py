@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from made_frames import some_frame
+from made_frames import hand_with_array, some_frame
 
 from scenes.errors import CaptureError, InputError, PalpateError
 from scenes.files.images import read_mask
@@ -18,7 +18,6 @@ from scenes.files.ply import read_cloud, write_ply
 from scenes.recordings.captures import read_capture, write_capture
 from scenes.recordings.frames import Contacts, Frame
 from scenes.recordings.validation import validate
-from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.library import make
 
 
@@ -32,7 +31,7 @@ def same(a, b) -> None:
 @pytest.mark.parametrize("with_hand", [False, True])
 @pytest.mark.parametrize("unit", ["m", "mm"])
 def test_round_trip(tmp_path, world, with_hand, unit):
-    hand = five_finger_hand() if with_hand else None
+    hand = hand_with_array() if with_hand else None
     frames = [some_frame(i, hand, world) for i in (0, 7)]
     model = make("cylinder")
     write_capture(tmp_path / "c", frames, model, hand, world, depth_scale=0.1, model_unit=unit, notes={"seed": 3})
@@ -292,7 +291,7 @@ DAMAGES = {
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory) -> Path:
-    hand = five_finger_hand()
+    hand = hand_with_array()
     frames = [some_frame(i, hand) for i in (0, 1)]
     return write_capture(tmp_path_factory.mktemp("sound") / "c", frames, make("box"), hand)
 
