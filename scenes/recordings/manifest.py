@@ -69,8 +69,11 @@ def read_model(folder: Path, manifest: Manifest) -> ObjectModel:
 
 
 def recording_hint(folder: Path) -> str:
-    """What to say of a folder that is no capture but looks like a recording of another format, or holds one."""
+    """What to say of a folder that is no capture but holds one, or looks like a recording of another format."""
     for depth in ("", "*/", "*/*/"):
+        inside = next(iter(sorted(folder.glob(f"{depth}capture.json"))), None)
+        if inside is not None:
+            return f": a capture in it is {inside.parent}"
         found = next((path for name in RECORDINGS for path in sorted(folder.glob(depth + name))), None)
         if found is not None:
             return f": `palpate convert {found.parent} OUT` may make one of what looks like another format's recording"

@@ -149,7 +149,15 @@ def usable(
 
 
 def check_scale(frame: Frame, model: ObjectModel) -> None:
-    """Raise CaptureError, naming both sizes, when the model's unit and the frame's cannot both be metres."""
+    """Raise CaptureError, naming both sizes, when the model's unit and the frame's cannot both be metres; InputError for
+    what is no frame or no model.
+    """
+    for what, value, kind, how in (
+        ("frame", frame, Frame, "read_capture(folder)[0], or Frame(0, …)"),
+        ("model", model, ObjectModel, "ObjectModel.load(path)"),
+    ):
+        if not isinstance(value, kind):
+            raise InputError(f"{what}: expected {kind.__name__} ({how}), got {type(value).__name__}")
     message = scale_problem(frame, model)
     if message is not None:
         raise CaptureError(f"{frame.where or f'frame {frame.index}'}: {message}")
