@@ -20,6 +20,7 @@ from scenes.reconstruction.volume import DepthView, Reconstruction, Reconstructi
 from scenes.recordings.bop import read_poses
 from scenes.recordings.captures import Capture
 from scenes.recordings.frames import Frame
+from scenes.recordings.pose_rows import best_rows
 from vision.modelling import ModelViewSettings, hand_poses, still_poses, views_of
 
 Array = NDArray[np.float64]
@@ -111,7 +112,7 @@ def _poses(
 ) -> tuple[str, dict[int, Array]]:
     """Where the poses are from, and camera_from_object by frame."""
     if file is not None:
-        return "file", {row.im_id: row.pose for row in read_poses(file)}
+        return "file", {n: row.pose for n, row in best_rows(read_poses(file), capture, str(file)).items()}
     if source not in SOURCES:
         raise InputError(f"poses: expected {', '.join(SOURCES)} or a poses.csv, got {source!r}")
     if source in ("auto", "hand"):

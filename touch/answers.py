@@ -124,7 +124,7 @@ class LocalizeSettings:
     unlike_share: float = 0.25
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Localization:
     """pose (4, 4) contacts_frame_from_object of the first mode; modes; index: mean |distance| of all contacts to the
     surface there (m, the measure of T2 section 4.4); sigma: noise of the contacts, claimed or inferred (m); verdict;

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 NORMS = ("l1", "linf")
+# Coulomb's coefficient (no unit) of nothing that is touched dry: silicone has up to 3.
+MOST_FRICTION = 100.0
 
 
 @dataclass(frozen=True)
@@ -44,8 +46,8 @@ class WrenchSettings:
 
     def __post_init__(self) -> None:
         """Refuse what is no contact."""
-        if not (np.isfinite(self.friction) and self.friction >= 0):
-            raise InputError(f"friction: expected a number from 0, got {self.friction}")
+        if not 0 <= self.friction <= MOST_FRICTION:
+            raise InputError(f"friction: expected a number from 0 to {MOST_FRICTION:g}, got {self.friction:g}")
         if not (np.isfinite(self.soft_radius) and self.soft_radius >= 0):
             raise InputError(f"soft finger: expected a radius from 0, got {self.soft_radius}")
         if self.edges < 3:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from importlib import import_module
+from numbers import Integral
 
 import numpy as np
 
@@ -58,6 +59,12 @@ def localize(
     """
     if method not in METHODS:
         raise unknown("method", method, METHODS)
+    if not isinstance(model, ObjectModel):
+        raise InputError(f"model: expected ObjectModel (ObjectModel.load(path)), got {type(model).__name__}")
+    if not isinstance(contacts, Contacts):
+        raise InputError(f"contacts: expected Contacts (Contacts(points, normals)), got {type(contacts).__name__}")
+    if not isinstance(seed, Integral) or seed < 0:
+        raise InputError(f"seed: expected a whole number from 0, got {seed!r}")
     if len(contacts) == 0:
         raise InputError("localize: expected at least one contact, got none")
     if settings is not None and method != "multistart":

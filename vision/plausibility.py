@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scenes.geometry.cameras import is_reading
+from scenes.geometry.cameras import FARTHEST_READING, is_reading
 from scenes.recordings.beliefs import CalibrationModel, usual_beliefs
+from scenes.recordings.frame_problems import centre_problems
 from scenes.recordings.frames import Frame
+from scenes.words import counted
 from vision.look.hand import HandView, camera_from_hand, prior_information
 from vision.look.hand_kernels import seen_past
 
@@ -33,18 +35,24 @@ def doubts(
     hand: HandView | None,
     calibration: CalibrationModel | None = None,
     settings: PlausibilitySettings | None = None,
+    pixels: int | None = None,
 ) -> tuple[str, ...]:
     """In words, why mask, intrinsics, depth unit or camera-robot calibration of a frame may be wrong; none when all
     agrees.
 
-    hand: the hand as seen (vision.look.hand). Without a hand that the robot tells of, only the mask is looked at.
+    hand: the hand as seen (vision.look.hand). Without a hand that the robot tells of, only depth, mask and principal
+    point are looked at. pixels: how many were taken for the object, where that is known.
     """
     settings, calibration = settings or PlausibilitySettings(), calibration or usual_beliefs().calibration
     if frame.depth is None or frame.camera is None:
         return ()
-    found = []
-    if frame.mask is not None and not (is_reading(frame.depth) & frame.mask).any():
-        found.append("the mask holds no reading of depth: nothing that the camera sees is taken for the object")
+    found = [*no_depth(frame), *centre_problems(frame.camera)]
+    if frame.mask is not None and not no_depth(frame):
+        masked = np.count_nonzero(is_reading(frame.depth) & frame.mask)
+        if not masked:
+            found.append("the mask holds no reading of depth: nothing that the camera sees is taken for the object")
+        elif pixels == 0:
+            found.append(f"none of the mask's {counted(masked, 'reading')} may be the object's: vision is not used")
     if hand is None:
         return tuple(found)
     if len(hand.points):
@@ -56,6 +64,21 @@ def doubts(
     if count >= settings.fewest and past > settings.most_past:
         found.append(f"the camera sees past {past:.0%} of the hand: check intrinsics, depth unit and calibration")
     return tuple(found)
+
+
+def no_depth(frame: Frame) -> tuple[str, ...]:
+    """In words, why nothing of a frame's depth image is used; none when a pixel of it is a reading."""
+    depth = frame.depth
+    if depth is None or is_reading(depth).any():
+        return ()
+    kinds = {
+        "without a reading": depth == 0,
+        "not finite": ~np.isfinite(depth),
+        "below 0": np.isfinite(depth) & (depth < 0),
+        f"beyond {FARTHEST_READING:g} m": np.isfinite(depth) & (depth > 0),
+    }
+    told = ", ".join(f"{np.count_nonzero(of_it)} are {kind}" for kind, of_it in kinds.items() if of_it.any())
+    return (f"no usable depth: of {depth.size} pixels {told or 'none is one'}: vision is not used",)
 
 
 def _seen_past(frame: Frame, hand: HandView, settings: PlausibilitySettings) -> tuple[float, int]:

@@ -67,7 +67,7 @@ class Contribution:
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Estimate:
     """The answer for one frame. All poses are camera_from_object unless named otherwise (4x4, metres).
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fusion.estimation.answer import ContactResidual, Mode
+from scenes.errors import InputError
 from scenes.evidence.align import Prior
 from scenes.evidence.alike import Alike, alike
 from scenes.geometry.objects import ObjectModel
@@ -201,6 +202,12 @@ class ConfidenceSettings:
     # 96 % and not 94, at a mean NEES of 0.55 per degree of freedom and not 0.84; of `crude` 94 % and not 88.
     left_out: float = 0.05
 
+    def __post_init__(self) -> None:
+        """Refuse bounds of logarithms that are none."""
+        for name in ("finest", "bluntest", "narrowest", "widest"):
+            if not getattr(self, name) > 0.0:
+                raise InputError(f"{name}: expected a number above 0, got {getattr(self, name):g}")
+
     def none_of(self, right: float) -> float:
         """Probability that the first mode is not the right one, less what a region of 95 % need not hold."""
         return max(1.0 - right - self.left_out, 0.0)
@@ -310,7 +317,7 @@ def within_of(model: ObjectModel, same: Alike, tolerance: float, nearest: float)
     chance = 0.0
     for mode, mean in zip(same.near, same.near_means.tolist()):
         everywhere = any(mode is one for one in same.modes)
-        left = tolerance - mean if everywhere else math.sqrt(max(tolerance**2 - mean**2, 0.0))
+        left = tolerance - mean if everywhere else math.sqrt(max(tolerance * tolerance - mean**2, 0.0))
         chance += mode.weight * within(model, mode.pose, mode.covariance, left, nearest)
     return chance / same.near_weight
 
@@ -333,7 +340,8 @@ def below(mean: ArrayLike, variance: ArrayLike, tolerance: float, nearest: float
     usual = np.isfinite(mean) & (mean > 0.0) & (variance > 0.0)
     mean, variance, sure = np.where(usual, mean, 1.0), np.where(usual, variance, 1.0), mean <= 0.0
     root = np.sqrt(variance) / (3.0 * mean)
-    high = ((max(tolerance, 0.0) / nearest) ** 2 / mean) ** (1.0 / 3.0)
+    reach = max(tolerance, 0.0) / nearest
+    high = (reach * reach / mean) ** (1.0 / 3.0)  # a power of a huge number is an error, a product infinite
     return np.where(usual, _standard_normal((high - 1.0 + root**2) / root), sure)
 
 

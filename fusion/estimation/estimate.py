@@ -126,7 +126,8 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         nothing = posterior.no_answer(frame, model, believed, trace.stages, settings.modes, settings.verdict)
         first, how_sure = nothing.modes[0], settings.confidence
         near = within(model, first.pose, first.covariance, how_sure.tolerance, how_sure.felt.nearest)
-        notes = *nothing.notes, *_of_the_hand(frame), *asked.filled
+        unlikely = doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility, len(looked.pixels))
+        notes = *nothing.notes, *unlikely, *_of_the_hand(frame), *model.filled, *asked.filled
         return replace(nothing, confidence=first.weight * near, sure_within=how_sure.tolerance, notes=notes)
 
     how, blur, might_be = settings.proposals, settings.proposals.blur(model), looked.pixels.points
@@ -277,10 +278,11 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         notes=(
             why,
             *posterior.way_round(same, word, settings.confidence.tolerance, settings.verdict),
-            *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility),
+            *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility, len(looked.pixels)),
             *useless,
             *felt.untold,
             *_of_the_hand(frame),
+            *model.filled,
             *asked.filled,
         ),
         dropped=looked.dropped,

@@ -60,7 +60,8 @@ def is_within(
     own = model.symmetries.quotient(modes[0].pose[:3, :3], model.centroid)
     doubtful = own @ modes[0].covariance @ own.T
     turn, move = (float(np.linalg.eigvalsh(doubtful[k : k + 3, k : k + 3]).max()) for k in (0, 3))
-    return move <= tolerance[0] ** 2 and turn <= tolerance[1] ** 2
+    # of huge numbers a product is infinite where a power is an error
+    return move <= tolerance[0] * tolerance[0] and turn <= tolerance[1] * tolerance[1]
 
 
 def good_enough(

@@ -136,14 +136,15 @@ def answer_of(entry: dict[str, Any]) -> Estimate:
         ContactResidual(str(c["sensor"]), _number(c["residual_mm"]), _number(c["normal_deg"]), bool(c["outlier"]))
         for c in entry.get("contacts", [])
     )
+    modes = tuple(
+        Mode(_pose(m["pose"], "mode"), float(m["weight"]), _number(m.get("cost")), covariance)
+        for m in entry.get("modes", [])
+    )
     return Estimate(
         frame=int(entry["frame"]),
         pose=pose,
         covariance=covariance,
-        modes=tuple(
-            Mode(_pose(m["pose"], "mode"), float(m["weight"]), _number(m.get("cost")), covariance)
-            for m in entry.get("modes", [])
-        ),
+        modes=modes or (Mode(pose, 1.0, float("nan"), covariance),),  # a file that says none means its pose
         verdict=str(entry["verdict"]),
         unobservable=tuple(map(str, entry.get("unobservable", []))),
         hand_from_object=None if held is None else _pose(held, "hand_from_object"),

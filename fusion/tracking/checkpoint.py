@@ -59,6 +59,8 @@ def restore_tracker(tracker: Tracker, content: bytes, hand: Hand | None = None) 
     """Make `tracker`, new and with the same model, the one that was saved. Raises InputError for bytes that are none,
     and for those of a palpate whose trackers have other attributes; the tracker is then as it was.
     """
+    if not zipfile.is_zipfile(io.BytesIO(content)):  # NumPy would advise to unpickle it
+        raise InputError(f"a tracker's state: expected what save_tracker wrote, got {len(content)} other bytes")
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             state = json.loads(file["state"].tobytes())

@@ -21,6 +21,7 @@ from scenes.geometry.rendering import Renderer
 from scenes.recordings.bop import PoseRow
 from scenes.recordings.captures import Capture
 from scenes.recordings.frames import Frame
+from scenes.recordings.pose_rows import best_rows, rows_of
 
 Array = NDArray[np.float64]
 
@@ -40,15 +41,14 @@ def evaluate(
 ) -> dict[str, Any]:
     """{"frames": one dict of errors a frame, "summary": means, medians, areas and recall}.
 
-    Of several rows of one frame the best score counts; a frame with truth and no row is a miss (infinite error).
-    covariances: by frame, (6, 6) about the centroid, for the NEES. Raises CaptureError when the capture has no ground
-    truth, InputError when a row is of a frame that it does not have or translations tell of metres.
+    Rows of another object or scene than the capture's are passed over. Of several rows of one frame the best score
+    counts; a frame with truth and no row is a miss (infinite error). covariances: by frame, (6, 6) about the centroid,
+    for the NEES. Raises CaptureError when the capture has no ground truth, InputError when no row is the capture's, one
+    is of a frame that it does not have, or translations tell of metres.
     """
-    strangers = sorted({row.im_id for row in rows} - set(capture.frame_ids))
-    if strangers:
-        raise InputError(f"poses: expected frames of {capture.path}, got im_id {strangers[0]}, which it does not have")
+    rows = rows_of(rows, capture)
     _check_unit(rows, capture)
-    best = {row.im_id: row for row in sorted(rows, key=lambda row: row.score)}
+    best = best_rows(rows, capture)
     judge = Judge(model or capture.model, settings)
     renderer = Renderer({"object": (judge.model.vertices, judge.model.faces)})
     frames = []

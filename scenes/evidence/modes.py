@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 LEAST_VARIANCE, KNOWN = 1e-280, 1e-14
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Mode:
     """One pose that the data cannot tell from the others.
 

@@ -15,6 +15,9 @@ from scenes.errors import InputError, unknown
 
 T = TypeVar("T")
 
+# Sizes (of any unit) that no setting has in earnest are beyond these; squares and quotients of what is not stay finite.
+SIZES = (1e-12, 1e12)
+
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The content of a TOML file; raises InputError naming it."""
@@ -60,6 +63,9 @@ def _value(default: Any, value: Any, where: str, owner: Any, name: str) -> Any:
         number = float(_typed(value, (int, float), "a number", where))
         if math.isnan(number):
             raise InputError(f"{where}: expected a number, got nan")
+        low, high = SIZES
+        if math.isfinite(number) and number and not low <= abs(number) <= high:
+            raise InputError(f"{where}: expected 0 or a number from {low:g} to {high:g} in size, got {number:g}")
         return number
     if isinstance(default, str):
         return _typed(value, (str,), "a text", where)

@@ -131,6 +131,11 @@ def csv_header(file: str, rows: Any, columns: Sequence[CsvColumn], report: Repor
         got = ",".join(header)[:80]
         report(Problem(file, None, f"expected the column{'s'[: len(missing) > 1]} {', '.join(missing)}, got {got}"))
         return None
+    for column in columns:
+        if header.count(column.name) > 1:
+            report(
+                Problem(file, None, f"expected each column once, got {column.name} {header.count(column.name)} times")
+            )
     return header
 
 

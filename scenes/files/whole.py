@@ -15,6 +15,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from scenes.errors import PalpateError
+
 _LEFT = re.compile(r"\.(?P<kind>draft|old)-(?P<host>.*)-(?P<pid>\d+)-[^-]*$")
 KEPT = "kept"
 
@@ -48,7 +50,7 @@ def named(path: Path) -> Iterator[None]:
 def draft_folder(out: Path) -> Iterator[Path]:
     """A new hidden folder beside `out` to write into, gone at the end unless `put` has moved it there.
 
-    Drafts of dead processes are cleared away first. An OSError about a file in the draft names its place in `out`.
+    Drafts of dead processes are cleared away first. Errors about a file in the draft name its place in `out`.
     """
     sweep(out)
     with named(out):
@@ -57,6 +59,10 @@ def draft_folder(out: Path) -> Iterator[Path]:
     try:
         draft.chmod(0o755)
         yield draft
+    except PalpateError as error:
+        if str(draft) not in str(error):
+            raise
+        raise type(error)(str(error).replace(str(draft), str(out))) from error
     except OSError as error:
         wrong = Path(str(error.filename)) if error.filename is not None else draft
         place = out / wrong.relative_to(draft) if wrong.is_relative_to(draft) else wrong

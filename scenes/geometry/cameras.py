@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,10 @@ def is_reading(depth: NDArray[np.floating]) -> NDArray[np.bool_]:
         return np.asarray((depth > 0) & (depth < FARTHEST_READING))
 
 
+# Share of a focal length that is rounding and no skew.
+NEARLY_ZERO = 1e-6
+
+
 @dataclass(frozen=True)
 class Camera:
     """Intrinsics in pixels: focal lengths fx, fy, principal point cx, cy, image width and height."""
@@ -36,16 +41,27 @@ class Camera:
     def __post_init__(self) -> None:
         """Refuse intrinsics that no camera has."""
         values = (self.fx, self.fy, self.cx, self.cy)
+        if not all(isinstance(value, Real) for value in (*values, self.width, self.height)):
+            raise InputError(f"camera: expected numbers as fx, fy, cx, cy, width, height, got {self}")
         if not np.isfinite(values).all() or self.fx <= 0 or self.fy <= 0 or self.width < 1 or self.height < 1:
             raise InputError(f"camera: expected positive finite fx, fy, width, height, got {self}")
 
     @staticmethod
     def from_matrix(matrix: Array, width: int, height: int) -> Camera:
-        """From a (3, 3) or (9,) intrinsic matrix K."""
-        k = np.asarray(matrix, dtype=np.float64)
+        """From a (3, 3) or (9,) intrinsic matrix K: fx 0 cx, 0 fy cy, 0 0 1. Raises InputError for any other."""
+        try:
+            k = np.asarray(matrix, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"camera: expected a 3x3 intrinsic matrix of numbers: {error}") from error
         if k.shape not in ((3, 3), (9,)):
             raise InputError(f"camera: expected a 3x3 intrinsic matrix, got shape {k.shape}")
         k = k.reshape(3, 3)
+        tiny = NEARLY_ZERO * max(abs(float(k[0, 0])), 1.0)
+        if not (np.abs(k[2] - (0.0, 0.0, 1.0)) <= tiny).all():
+            hint = ": is it transposed?" if (np.abs(k[:, 2] - (0.0, 0.0, 1.0)) <= tiny).all() else ""
+            raise InputError(f"camera: expected a K whose last row is 0 0 1, got {k[2]}{hint}")
+        if not (abs(k[0, 1]) <= tiny and abs(k[1, 0]) <= tiny):
+            raise InputError(f"camera: expected a K without skew, got {k[0, 1]:.3g} and {k[1, 0]:.3g} beside fx and fy")
         return Camera(k[0, 0], k[1, 1], k[0, 2], k[1, 2], int(width), int(height))
 
     @property

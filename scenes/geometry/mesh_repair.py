@@ -20,6 +20,10 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 
+# Of what was mended in words: surface that was made up.
+FILLED = "filled"
+
+
 @dataclass(frozen=True)
 class RepairSettings:
     """What may be mended silently and what is refused. Values by judgement."""
@@ -107,7 +111,7 @@ def close(
                 f"{name}: expected a closed mesh, got {counted(holes, 'hole')}, {share:.0%} of its surface once closed"
                 f" ({len(left)} edges still open after filling): close it in a mesh editor"
             )
-        mended.append(f"{counted(holes, 'hole')} filled ({share:.1%} of the surface)")
+        mended.append(f"{counted(holes, 'hole')} {FILLED} ({share:.1%} of the surface)")
     bodies = mesh.split(only_watertight=False, repair=False) if mesh.body_count > 1 else [mesh]
     if mesh.volume < 0 or any(b.volume < 0 and _outermost(b, bodies) for b in bodies):
         if len(bodies) > 1:

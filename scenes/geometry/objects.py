@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.cache import Arrays, are_triangles, remembered_of_file
-from scenes.errors import MeshError, unknown
+from scenes.errors import InputError, MeshError, unknown
 from scenes.files.meshes import loaded
 from scenes.geometry import distance_field, mesh_repair, poses
 from scenes.geometry.distance_field import DistanceField
@@ -65,6 +65,9 @@ class ObjectModel:
         self.name = name
         self.vertices = np.ascontiguousarray(vertices, dtype=np.float64)
         self.faces = np.ascontiguousarray(faces, dtype=np.int64)
+        low, high = (int(self.faces.min()), int(self.faces.max())) if self.faces.size else (0, -1)
+        if low < 0 or high >= len(self.vertices):
+            raise InputError(f"{name}: expected vertex numbers 0..{len(self.vertices) - 1}, got {low}..{high}")
         self.symmetries = symmetries or Symmetries.none()
         self.mended = mended
         self.texture = texture
@@ -131,6 +134,12 @@ class ObjectModel:
         model = ObjectModel(name, vertices, faces, symmetries, tuple(mended))
         check_size(model.diameter, where)
         return model
+
+    @property
+    def filled(self) -> tuple[str, ...]:
+        """In words, which surface the mesh did not have and was given; none where it was closed."""
+        made = ", ".join(how for how in self.mended if mesh_repair.FILLED in how)
+        return (f"the mesh is not closed as it is: {made}",) if made else ()
 
     @cached_property
     def diameter(self) -> float:

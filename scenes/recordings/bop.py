@@ -192,6 +192,8 @@ def _past(text: str, at: int, mark: str) -> int:
 
 def numbers(value: Any, count: int, what: str) -> Array:
     """A flat (count,) array of finite numbers from JSON; raises InputError naming `what`."""
+    if value is None:  # NumPy makes NaN of it
+        raise InputError(f"{what}: expected {count} finite number{'s'[: count > 1]}, got nothing (null)")
     try:
         array = np.array(value, dtype=np.float64).ravel()
     except (TypeError, ValueError) as error:

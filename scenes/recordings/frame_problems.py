@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.files.problems import Problem
+from scenes.geometry.cameras import Camera
 from scenes.recordings.frames import Frame
 
 Array = NDArray[np.float64]
@@ -35,10 +36,12 @@ def frame_problems(folder: Path, frame: Frame) -> list[Problem]:
     if not any(sensed) and not frame.tactile and not frame.gels:
         expected = "expected a depth image, a cloud, contacts, wrenches, tactile arrays or gels' images, found none"
         found.append(problem("", expected))
-    found += [problem("scene_camera.json", message) for message in _centre(frame)]
+    if frame.camera is not None:
+        found += [problem("scene_camera.json", message) for message in centre_problems(frame.camera)]
     if frame.hand is not None and frame.joints is not None:
         for joint, excess in frame.hand.limit_excess(frame.joints).items():
             found.append(problem("joints.csv", f"expected {joint} within its limits, got {excess:.3g} beyond"))
+    found += [problem(f"tactile/{name}/{frame.index:06d}.csv", said) for name, said in _no_arrays(frame)]
     missing = frame.hand_lacks
     if missing and missing != NOWHERE:  # of single frames of a sequence the hand may not be known
         file = "hand_poses.csv" if missing == "pose" else "joints.csv"
@@ -54,11 +57,23 @@ def frame_problems(folder: Path, frame: Frame) -> list[Problem]:
     return found
 
 
-def _centre(frame: Frame) -> list[str]:
-    """A principal point that no cut-out of a camera's image has."""
-    camera = frame.camera
-    if camera is None:
-        return []
+def _no_arrays(frame: Frame) -> list[tuple[str, str]]:
+    """Sensors with pressures that no array of the hand has reported, and what is wrong with each, in words: no estimate
+    is made of such a frame.
+    """
+    if frame.tactile and frame.hand is None:
+        return [(name, "expected a hand with this array, found no hand") for name in frame.tactile]
+    sensors = frame.hand.sensors if frame.hand is not None else {}
+    arrays = ", ".join(sensor.name for sensor in sensors.values() if sensor.taxels is not None) or "none"
+    return [
+        (name, f"expected an array of the hand ({arrays}), got {name}, of kind {sensors[name].kind}")
+        for name in frame.tactile
+        if name in sensors and sensors[name].taxels is None
+    ]
+
+
+def centre_problems(camera: Camera) -> list[str]:
+    """In words, a principal point that no cut-out of a camera's image has."""
     places = (("cx", camera.cx, camera.width), ("cy", camera.cy, camera.height))
     return [
         f"expected a principal point near the image, got {name} {at:g} for {size} pixels"

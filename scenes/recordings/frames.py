@@ -9,6 +9,7 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, field
 from functools import lru_cache
+from numbers import Integral
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -73,7 +74,7 @@ class Contacts:
     ) -> None:
         """Check and keep; raises InputError for wrong shapes, points that are no places or a sigma that is none."""
         places = _numbers(points, "points")
-        if places.size and (places.ndim > 2 or places.shape[-1] != 3):
+        if places.size and (places.ndim not in (1, 2) or places.shape[-1] != 3):
             raise InputError(f"contacts: expected points of shape (n, 3), got {places.shape}")
         self.points = places.reshape(-1, 3) if places.size else np.zeros((0, 3))
         n = len(self.points)
@@ -193,7 +194,7 @@ def _nothing() -> Contacts:
     return Contacts(np.zeros((0, 3)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EmptyRegions:
     """Balls felt to be empty: points (n, 3) world, metres; radius (n,) metres; sensors, n names."""
 
@@ -205,7 +206,7 @@ class EmptyRegions:
         return len(self.points)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Wrench:
     """Raw force (3,) N and torque (3,) N m of one force/torque sensor, in the sensor's frame."""
 
@@ -214,7 +215,7 @@ class Wrench:
     torque: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Frame:
     """One instant of a capture.
 
@@ -230,7 +231,7 @@ class Frame:
     Checked when it is made, with one InputError that says what was expected, what came and where: images and camera are
     of one size, transforms rigid, depth in floating-point metres. A mask of two values (OpenCV's 0 and 255), float64
     depth, lists, and contacts as points (n, 3) are taken as what they mean. Readings and rows that are no numbers are
-    left to the estimator, which drops and counts them.
+    left to the estimator, which drops and counts them. A frame equals itself and no other.
     """
 
     index: int
@@ -258,6 +259,8 @@ class Frame:
     def __post_init__(self) -> None:
         """Check every part that is there and bring it to the type above."""
         where = self.where or f"frame {self.index}"
+        if not isinstance(self.index, Integral) or isinstance(self.index, bool):
+            raise InputError(f"frame: expected its number first, a whole one, got {type(self.index).__name__}")
 
         def put(name: str, check: Callable[..., Any], *more: Any) -> None:
             value = getattr(self, name)

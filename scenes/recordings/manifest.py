@@ -14,9 +14,7 @@ from scenes.geometry.objects import METRES_PER_UNIT, ObjectModel
 from scenes.recordings import bop
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.telling import believed
-from scenes.recordings.writing import FORMAT, VERSION
-
-WORLDS = ("camera", "robot base")
+from scenes.recordings.writing import FORMAT, VERSION, WORLDS
 
 # models_info.json and the mesh may be rounded or sampled differently; more than this and a unit is wrong.
 LARGEST_DIAMETER_RATIO = 1.5
@@ -71,8 +69,11 @@ def read_model(folder: Path, manifest: Manifest) -> ObjectModel:
 
 
 def recording_hint(folder: Path) -> str:
-    """What to say of a folder that is no capture but looks like a recording of another format, or holds one."""
+    """What to say of a folder that is no capture but holds one, or looks like a recording of another format."""
     for depth in ("", "*/", "*/*/"):
+        inside = next(iter(sorted(folder.glob(f"{depth}capture.json"))), None)
+        if inside is not None:
+            return f": a capture in it is {inside.parent}"
         found = next((path for name in RECORDINGS for path in sorted(folder.glob(depth + name))), None)
         if found is not None:
             return f": `palpate convert {found.parent} OUT` may make one of what looks like another format's recording"

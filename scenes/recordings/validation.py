@@ -17,10 +17,11 @@ from scenes.files.schema import complaints
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings import bop
-from scenes.recordings.captures import Capture
+from scenes.recordings.captures import CSV_FILES, Capture
 from scenes.recordings.frame_problems import NOWHERE, frame_problems
 from scenes.recordings.frames import Frame
 from scenes.recordings.manifest import frame_stamps
+from scenes.recordings.strays import strays
 
 __all__ = ["Problem", "check_scale", "check_usable", "scale_problem", "usable", "validate"]
 
@@ -38,6 +39,8 @@ NEAREST_RATIO = 50.0
 LARGEST_SCENE_RATIO = 50.0
 # Focal lengths (of the image's larger side) between a fisheye's and a telescope's; anything else is not in pixels.
 FOCAL_LENGTHS = (0.1, 50.0)
+# Nothing that is held or holds is farther from the camera or from what is felt (m); a millimetre read as a metre is.
+FARTHEST_HELD = 20.0
 # A joint that is farther than this (rad) beyond its limits was given in degrees.
 FULL_TURN = 2.0 * np.pi
 # A median depth (m) that no room has, and an image of millimetres has from 10 cm on; beyond are no readings at all.
@@ -64,6 +67,7 @@ def validate(folder: str | Path, trust_paths: bool = False) -> list[Problem]:
         return [*problems, Problem(str(folder), None, str(error))]
     problems += _by_schema(capture, problems)
     problems += _stamp_problems(capture)
+    problems += _strays(capture)
     model = _attempt(capture, problems)
     nowhere = True
     for number in capture.frame_ids:
@@ -93,6 +97,12 @@ def _by_schema(capture: Capture, known: list[Problem]) -> list[Problem]:
             if content is not None:
                 found += [Problem(str(path), None, complaint) for complaint in complaints(content, name)]
     return found
+
+
+def _strays(capture: Capture) -> list[Problem]:
+    """What is there under another name than is read."""
+    content = bop.read_json(capture.path / "capture.json", lambda problem: None)
+    return list(strays(capture.path, capture.frame_ids, content, CSV_FILES))
 
 
 def _stamp_problems(capture: Capture) -> list[Problem]:
@@ -139,7 +149,15 @@ def usable(
 
 
 def check_scale(frame: Frame, model: ObjectModel) -> None:
-    """Raise CaptureError, naming both sizes, when the model's unit and the frame's cannot both be metres."""
+    """Raise CaptureError, naming both sizes, when the model's unit and the frame's cannot both be metres; InputError for
+    what is no frame or no model.
+    """
+    for what, value, kind, how in (
+        ("frame", frame, Frame, "read_capture(folder)[0], or Frame(0, …)"),
+        ("model", model, ObjectModel, "ObjectModel.load(path)"),
+    ):
+        if not isinstance(value, kind):
+            raise InputError(f"{what}: expected {kind.__name__} ({how}), got {type(value).__name__}")
     message = scale_problem(frame, model)
     if message is not None:
         raise CaptureError(f"{frame.where or f'frame {frame.index}'}: {message}")
@@ -149,8 +167,9 @@ def scale_problem(frame: Frame, model: ObjectModel) -> str | None:
     """What makes one suspect a wrong unit in this frame, with both sizes; None when all agree.
 
     Compared with the image: the focal lengths. With the hand's limits: the joints. With the object's diameter: the
-    extents of most contacts and of the cloud, and the noise of most contacts. With the poses known from ground truth
-    and prior: the nearest depths around the object's projection and the contacts' distance from it.
+    extents of most contacts and of the cloud, and the noise of most contacts. With the camera's place and the contacts:
+    the hand's. With the poses known from ground truth and prior: the nearest depths around the object's projection, the
+    contacts' distance from it and the camera's.
     """
     camera = frame.camera
     if camera is not None and frame.depth is not None:
@@ -178,9 +197,26 @@ def scale_problem(frame: Frame, model: ObjectModel) -> str | None:
         extent, few = _extent(frame.cloud), len(frame.cloud) < FEWEST_POINTS
         if extent > LARGEST_SCENE_RATIO * diameter or (extent < diameter / SUSPICIOUS_RATIO and not few):
             return _says("a cloud that spreads over", extent, "an object of", diameter)
+    far = _far_hand(frame)
+    if far is not None:
+        return far
     known = (("ground truth", frame.camera_from_object_truth), ("prior", frame.prior))
     found = (_pose_problem(frame, pose, model, source) for source, pose in known if pose is not None)
     return next((message for message in found if message is not None), None) or _depth_problem(frame)
+
+
+def _far_hand(frame: Frame) -> str | None:
+    """What makes the hand's pose one of another unit: it is where no camera and no contact is."""
+    if frame.world_from_hand is None or frame.hand is None:
+        return None
+    place = frame.world_from_hand[:3, 3]
+    seen_from = [] if frame.camera is None else [("the camera", poses.inverse(frame.camera_from_world)[:3, 3])]
+    felt = [("the contacts", np.median(frame.contacts.points, axis=0))] if len(frame.contacts) else []
+    for what, other in (*seen_from, *felt):
+        away = float(np.linalg.norm(place - other))
+        if away > FARTHEST_HELD:
+            return f"expected the hand where {what} can be, got it {away:.4g} m away: is its pose in metres?"
+    return None
 
 
 def _depth_problem(frame: Frame) -> str | None:
@@ -204,6 +240,9 @@ def _pose_problem(frame: Frame, pose: Array, model: ObjectModel, source: str) ->
     if source == "prior" and frame.camera is not None and centre[2] <= 0:
         said = f"expected a prior of an object before the camera, got one {-centre[2]:.3g} m behind it"
         return f"{said}: is it inverted, or of a camera that looks along -z?"
+    away = float(np.linalg.norm(centre))
+    if frame.camera is not None and away > max(FARTHEST_HELD, SUSPICIOUS_RATIO * diameter):
+        return f"expected an object that the camera can see, got one, by the {source}, {away:.4g} m away: mm read as m?"
     if len(frame.contacts):
         felt = poses.apply(frame.camera_from_world, frame.contacts.points)
         away = float(np.linalg.norm(felt - centre, axis=1).min())
@@ -264,7 +303,7 @@ def _depths_at(frame: Frame, centre: Array, diameter: float) -> tuple[float, flo
     # a median needs no more than every so many of them
     step = int(np.sqrt(max(rows.stop - rows.start, 0) * max(columns.stop - columns.start, 0) / MOST_READINGS)) + 1
     patch = frame.depth[rows, columns][::step, ::step]
-    patch = patch[np.isfinite(patch) & (patch > 0)]
+    patch = patch[np.isfinite(patch) & (patch > 0) & (patch < MILLIMETRES[1])]
     if len(patch) < FEWEST_POINTS:
         return None
     nearest, middle = _quantile(patch, SHOWN), _quantile(patch, 0.5)

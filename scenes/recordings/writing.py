@@ -24,6 +24,7 @@ from scenes.robot.hands import Hand
 FORMAT = "palpate-capture"
 VERSION = 1
 OBJECT_ID = 1
+WORLDS = ("camera", "robot base")
 
 
 def write_capture(
@@ -48,6 +49,9 @@ def write_capture(
     that holds anything else, InputError for frames that do not fit.
     """
     folder = Path(folder)
+    if world not in WORLDS:
+        raise unknown("world", world, WORLDS)
+    _check_scales(depth_scale)
     if model_unit not in METRES_PER_UNIT:
         raise unknown("unit", model_unit, METRES_PER_UNIT)
     refuse_foreign_folder(folder)
@@ -96,6 +100,15 @@ def refuse_foreign_folder(folder: Path) -> None:
         raise CaptureError(f"{folder}: expected a folder to write to, found a file")
 
 
+def _check_scales(depth_scale: float | Mapping[int, float]) -> None:
+    """Raise InputError for millimetres per count that reading would refuse."""
+    for scale in depth_scale.values() if isinstance(depth_scale, Mapping) else (depth_scale,):
+        low, high = bop.DEPTH_SCALES
+        number = isinstance(scale, int | float | np.integer | np.floating) and not isinstance(scale, bool)
+        if not (number and low <= scale <= high):
+            raise InputError(f"depth_scale: expected millimetres per count from {low:g} to {high:g}, got {scale!r}")
+
+
 def _write_model(folder: Path, model: ObjectModel, unit: str, object_id: int) -> None:
     (folder / "models").mkdir()
     vertices, faces, colours = coloured_mesh(model.vertices, model.faces, model.texture)
@@ -128,7 +141,8 @@ class _Recorder:
         seen: set[int] = set()
         for frame in frames:
             if frame.index in seen or frame.index < 0:
-                raise InputError(f"{self.folder}: expected frame numbers from 0, each once, got {frame.index} again")
+                again = " again" if frame.index in seen else ""
+                raise InputError(f"{self.folder}: expected frame numbers from 0, each once, got {frame.index}{again}")
             if seen and frame.beliefs != self.beliefs:
                 raise InputError(f"{self.folder}: expected frames of the same beliefs, got others in {frame.index}")
             seen.add(frame.index)
@@ -159,10 +173,10 @@ class _Recorder:
     def _scale(self, number: int) -> float:
         """Millimetres per count of the frame's depth image."""
         if not isinstance(self.depth_scale, Mapping):
-            return self.depth_scale
+            return float(self.depth_scale)
         if number not in self.depth_scale:
             raise InputError(f"frame {number}: expected a depth_scale of every frame with a camera, found none of this")
-        return self.depth_scale[number]
+        return float(self.depth_scale[number])
 
     def _frame(self, frame: Frame) -> None:
         number, key = f"{frame.index:06d}", str(frame.index)

@@ -4,12 +4,16 @@ those of an object that is carried.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.geometry.rendering import Renderer
 from scenes.recordings.frames import Contacts, EmptyRegions, Frame, Wrench
+from scenes.robot.hands import Hand
+from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.library import make
 
 CAMERA = Camera(80.0, 82.0, 31.5, 23.5, 64, 48)
@@ -24,6 +28,15 @@ def touching(hand, sensor: str, place: np.ndarray, turned: np.ndarray) -> np.nda
     return poses.make_pose(translation=place - at) @ turned
 
 
+def hand_with_array(count: int = 4, name: str = "") -> Hand:
+    """The five-finger hand of which the sensor of that name, else the second, has `count` taxels in a row."""
+    plain = five_finger_hand()
+    name = name or list(plain.sensors)[1]
+    taxels = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (count, 1))
+    taxels[:, 0] = 0.002 * np.arange(count)
+    return Hand(plain.robot, {**plain.sensors, name: replace(plain.sensors[name], kind="array", taxels=taxels)})
+
+
 def some_frame(index: int, hand=None, world: str = "camera") -> Frame:
     rng = np.random.default_rng(index)
     truth = poses.make_pose(poses.random_rotations(1, rng)[0], [0.01, -0.02, 0.6])
@@ -33,6 +46,7 @@ def some_frame(index: int, hand=None, world: str = "camera") -> Frame:
     normals[1] = np.nan
     depth = np.where(rng.random((48, 64)) < 0.9, 0.6 + 0.05 * rng.random((48, 64)), 0.0)
     names = ["a", "a", "b"] if hand is None else list(hand.sensors)[:3]
+    arrays = [] if hand is None else [name for name in names if hand.sensors[name].taxels is not None]
     return Frame(
         index=index,
         camera=CAMERA,
@@ -50,7 +64,7 @@ def some_frame(index: int, hand=None, world: str = "camera") -> Frame:
         ),
         no_contact=EmptyRegions(rng.normal(size=(2, 3)), np.array([0.01, 0.02]), ["a", "b"]),
         wrenches=() if hand is None else (Wrench(names[0], rng.normal(size=3), rng.normal(size=3)),),
-        tactile={} if hand is None else {names[1]: rng.random(4)},
+        tactile={name: rng.random(4) for name in arrays},
         prior=poses.displaced(truth, 0.3, 0.03, np.zeros(3), rng),
         camera_from_object_truth=truth,
     )

@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_frames import plain_view
 
 from fusion import estimate
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
+from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
 from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis import library
@@ -105,3 +107,41 @@ def test_a_mask_that_shows_nothing_is_said(lab_frame, drill):
     assert any("mask holds no reading" in note for note in answer.notes)
     assert not any("mask" in note for note in estimate(lab_frame, drill).notes)
     assert "mask holds no reading" in doubts(replace(empty, hand=None), None)[0]
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [(np.nan, "not finite"), (-1.0, "below 0"), (0.0, "without a reading"), (1e30, "beyond 1000 m")],
+)
+def test_depth_without_a_reading_is_said(value, told):
+    """Touch answers alone, or nothing does; either way the note says what became of the image."""
+    frame = replace(plain_view("drill"), camera_from_object_truth=None, prior=None)
+    frame = replace(frame, depth=np.full_like(frame.depth, value))
+    for one in (frame, frame.without_touch()):
+        notes = [note for note in estimate(one, library.make("drill")).notes if "no usable depth" in note]
+        assert notes == [f"no usable depth: of 76800 pixels 76800 are {told}: vision is not used"]
+
+
+def test_a_mask_where_the_object_cannot_be_is_said():
+    frame = plain_view("drill")
+    depth, mask = frame.depth.copy(), np.zeros(frame.depth.shape, bool)
+    depth[:5, :5], mask[:5, :5] = 1.5, True
+    answer = estimate(replace(frame, depth=depth, mask=mask), library.make("drill"))
+    assert "none of the mask's 25 readings may be the object's: vision is not used" in answer.notes
+
+
+def test_a_principal_point_far_from_the_image_is_said():
+    frame = plain_view("drill")
+    wrong = replace(frame, camera=replace(frame.camera, cx=5000.0))
+    assert "got cx 5000 for 320 pixels" in str(doubts(wrong, None))
+
+
+def test_surface_that_a_mesh_did_not_have_is_said():
+    whole = library.make("drill")
+    open_one = ObjectModel.from_mesh(whole.vertices, whole.faces[1:], "drill")
+    (told,) = open_one.filled
+    assert told.startswith("the mesh is not closed as it is: 1 hole filled (")
+    frame = plain_view("drill")
+    assert told in estimate(frame, open_one).notes
+    assert told in estimate(replace(frame.without_vision().without_touch(), prior=None), open_one).notes
+    assert whole.filled == ()

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scenes.errors import InputError
 from scenes.geometry import poses as se3
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
@@ -34,6 +35,11 @@ class OutlineSettings:
     # border between so many steps of the rays on either side of where it moved to.
     follows: float = 0.9
     across: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Refuse distances that no neighbour is within."""
+        if not self.around > 0.0:
+            raise InputError(f"around: expected steps above 0, got {self.around:g}")
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from scenes.errors import InputError
+
 # Share of an upright box's area below which a grid lies along the outline's own axes, of rays as of aspects. By
 # judgement: a compact thing keeps its grid, a stick aslant would be met by a tenth of it.
 SLENDER = 0.7
@@ -161,3 +163,8 @@ class PredictionSettings:
     # is the table's or wall's.
     plane_margin: float = 0.004
     plane_sigmas: float = 2.0
+
+    def __post_init__(self) -> None:
+        """Refuse steps that lead nowhere."""
+        if self.hand_step < 1:
+            raise InputError(f"hand_step: expected whole pixels from 1, got {self.hand_step}")

@@ -334,7 +334,7 @@ def _poses(capture: Capture, result: Path | None) -> dict[int, Any]:
         if not known:
             raise InputError(f"{capture.path}: expected ground truth or --result, found neither")
         return known
-    known = _result_poses(result)
+    known = _result_poses(result, capture)
     strangers = sorted(set(known) - set(capture.frame_ids))
     if strangers:
         raise InputError(f"{result}: expected frames of {capture.path}, got {strangers[0]}, which it does not have")
@@ -343,10 +343,11 @@ def _poses(capture: Capture, result: Path | None) -> dict[int, Any]:
     return known
 
 
-def _result_poses(path: Path) -> dict[int, Any]:
+def _result_poses(path: Path, capture: Capture) -> dict[int, Any]:
     from fusion.results.files import find_result, read_result
     from scenes.errors import CaptureError
     from scenes.recordings.bop import read_poses
+    from scenes.recordings.pose_rows import best_rows
 
     result = find_result(path)
     if result is not None:
@@ -355,8 +356,7 @@ def _result_poses(path: Path) -> dict[int, Any]:
         path = path / "poses.csv"
         if not path.is_file():
             raise CaptureError(f"{path.parent}: expected result.json or poses.csv in it, found neither")
-    # of several rows of one frame the best score counts
-    return {row.im_id: row.pose for row in sorted(read_poses(path), key=lambda row: row.score)}
+    return {number: row.pose for number, row in best_rows(read_poses(path), capture, str(path)).items()}
 
 
 def _stamps(capture: Capture, fps: float | None) -> dict[int, int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fusion.cli.options import add_object, add_trust, number, show_table, write_json
+from fusion.cli.options import add_object, add_trust, number, show_table, warn, write_json
 from fusion.results.runs import load_object
 
 FRAME_HEADS = (
@@ -38,6 +38,8 @@ def run(args: argparse.Namespace) -> int:
     from fusion.truth.evaluate import evaluate, read_covariances
     from scenes.recordings.bop import read_poses
     from scenes.recordings.captures import read_capture
+    from scenes.recordings.pose_rows import rows_of
+    from scenes.words import counted
 
     rows = read_poses(args.poses)
     beside = args.poses.with_name("result.json")
@@ -45,7 +47,10 @@ def run(args: argparse.Namespace) -> int:
     covariances = read_covariances(source) if source is not None else None
     capture = read_capture(args.capture, args.trust_paths)
     model = load_object(args.object, args.unit) if args.object else None
-    found = evaluate(rows, capture, covariances, model=model)
+    own = rows_of(rows, capture, str(args.poses))
+    if len(own) < len(rows):
+        warn(f"{args.poses}: {counted(len(rows) - len(own), 'row')} of other objects or scenes passed over")
+    found = evaluate(own, capture, covariances, model=model)
     if len(found["frames"]) <= 20:
         cells = [[number(float(f[key]), digits) for key, _, digits in FRAME_HEADS] for f in found["frames"]]
         show_table([head for _, head, _ in FRAME_HEADS], cells)

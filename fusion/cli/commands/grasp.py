@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -108,6 +109,9 @@ def _answers(args: argparse.Namespace) -> tuple[Capture, ObjectModel, list[Frame
     result = find_result(args.source)
     if result is not None:
         content, answers = read_result(result)
+        unknown = next((one.frame for one in answers if not all(map(isfinite, one.covariance.ravel()))), None)
+        if unknown is not None:
+            raise InputError(f"{result}: expected covariances, found none of frame {unknown}")
         capture = read_capture(capture_of(result, content, args.capture), args.trust_paths)
         model = load_object(args.object, args.unit) if args.object else capture.model
         return capture, model, [capture.frame(answer.frame) for answer in answers], answers

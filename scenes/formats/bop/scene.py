@@ -31,6 +31,7 @@ from scenes.recordings.captures import Capture, write_capture
 from scenes.recordings.frames import Frame
 from scenes.recordings.manifest import Manifest, read_model
 from scenes.recordings.telling import beliefs_json, believed
+from scenes.words import counted
 
 Array = NDArray[np.float64]
 
@@ -81,7 +82,7 @@ def convert(folder: Path, out: Path, choice: Choice | None = None, model: Object
         for number in sorted(entries):
             row = rows.get(number)
             if truths and row is None:
-                dropped.add("images", f"object {object_id} is not in scene_gt.json")
+                dropped.add("images", _why_no_row(truths.get(number), object_id, choice.instance))
                 continue
             frame = _frame(folder, number, entries[number], row, truths.get(number), placed, dropped)
             if frame is not None:
@@ -165,6 +166,14 @@ def _row(folder: Path, number: int, entry: Any, object_id: int, instance: int | 
         )
     at = instance or 0
     return rows[at] if at < len(rows) else None
+
+
+def _why_no_row(entry: Any, object_id: int, instance: int | None) -> str:
+    """Why an image is not of the chosen object, by its entry of scene_gt.json."""
+    count = sum(row.get("obj_id") == object_id for row in entry or ())
+    if count == 0:
+        return f"object {object_id} is not in scene_gt.json"
+    return f"object {object_id} is there {counted(count, 'time')}, without --instance {instance} (from 0)"
 
 
 def _camera(folder: Path, number: int, entry: Any) -> bop.SceneCamera:

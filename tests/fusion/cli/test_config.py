@@ -186,3 +186,37 @@ def test_versions_and_the_doctor(tmp_path, capsys):
     assert printed.endswith("all is well\n")
     checks = json.loads((tmp_path / "d.json").read_text())["checks"]
     assert {"numpy", "OpenCV", "threads", "compiled kernels", "cache of lattices"} <= {c["what"] for c in checks}
+
+
+@pytest.mark.parametrize(
+    ("table", "line", "told"),
+    [
+        ("estimate.prediction", "hand_step = 0", "prediction: hand_step: expected whole pixels from 1, got 0"),
+        ("estimate.contour.outline", "around = 0", "around: expected steps above 0, got 0"),
+        ("estimate.confidence", "bluntest = -1.0", "bluntest: expected a number above 0, got -1"),
+        ("estimate.confidence", "widest = -0.5", "widest: expected a number above 0, got -0.5"),
+        ("estimate.joint", "spacing = 1e-320", "spacing: expected 0 or a number from 1e-12 to 1e+12 in size"),
+        ("estimate.contour", "another = 1e308", "another: expected 0 or a number from 1e-12 to 1e+12 in size"),
+    ],
+)
+def test_numbers_that_break_what_is_computed_are_refused(tmp_path, table, line, told):
+    with pytest.raises(InputError, match=re.escape(told)):
+        read_config(written(tmp_path, f"[{table}]\n{line}\n"))
+
+
+@pytest.mark.parametrize("flags", [("--tolerance", "1e157,1"), ("--sure-within", "1e160")])
+def test_limits_that_hold_everything_are_taken(capture, tmp_path, flags):
+    assert main(["estimate", str(capture), "--out", str(tmp_path), "--no-report", "-q", *flags]) == 0
+
+
+def test_a_result_without_modes_means_its_pose(capture, tmp_path, capsys):
+    assert main(["estimate", str(capture), "--out", str(tmp_path), "--no-report", "-q"]) == 0
+    content = json.loads((tmp_path / "result.json").read_text())
+    content["frames"][0]["modes"] = []
+    (tmp_path / "result.json").write_text(json.dumps(content))
+    asked = ["grasp", str(tmp_path), "--capture", str(capture), "--out", str(tmp_path), "--no-report", "-q"]
+    assert main(asked) == 0
+    assert "expected a number from 0 to 100, got 1e+308" in refused(capsys, *asked, "--friction", "1e308")
+    content["frames"][0]["covariance"] = None
+    (tmp_path / "result.json").write_text(json.dumps(content))
+    assert "expected covariances, found none of frame 0" in refused(capsys, *asked)

@@ -161,6 +161,12 @@ def test_evaluation(tmp_path):
     assert summary["recall_add_s_5mm"] == pytest.approx(2 / 3)
     assert summary["nees_over_6"] == pytest.approx(16.0 / 6, abs=1e-3)
     json.dumps(json_number(found), allow_nan=False)
+    foreign = [PoseRow(0, 1, 2, 1.0, truth, 0.1), PoseRow(0, 77, 2, 1.0, worse, 0.1)]
+    assert json_number(evaluate([*rows, *foreign], capture)["frames"]) == json_number(evaluate(rows, capture)["frames"])
+    with pytest.raises(InputError, match=r"expected rows of obj_id 1 \(.*\), got obj_id 2$"):
+        evaluate(foreign, capture)
+    with pytest.raises(InputError, match=r"expected rows of one scene .*, got scene_id 0, 4: say which"):
+        evaluate([*rows, PoseRow(4, 1, 1, 1.0, truth, 0.1)], capture)
     with pytest.raises(InputError, match="got im_id 9"):
         evaluate([PoseRow(0, 9, 1, 1.0, truth, 0.1)], capture)
     metres = truth.copy()
@@ -170,6 +176,17 @@ def test_evaluation(tmp_path):
     blind = write_capture(tmp_path / "blind", [replace(frames[0], camera_from_object_truth=None)], make("drill"))
     with pytest.raises(CaptureError, match="expected ground truth"):
         evaluate(rows[:1], read_capture(blind))
+
+
+def test_rows_of_another_scene_are_not_a_captures(tmp_path):
+    frame, model = plain_view("drill"), make("drill")
+    truth = frame.camera_from_object_truth
+    capture = read_capture(write_capture(tmp_path / "c", [frame], model, notes={"scene_id": 48}))
+    other = poses.make_pose(translation=[0.0, 0.0, 0.4]) @ truth
+    rows = [PoseRow(48, frame.index, 1, 0.2, truth, 0.1), PoseRow(49, frame.index, 1, 0.9, other, 0.1)]
+    assert evaluate(rows, capture)["frames"][0]["add_mm"] < 1e-6
+    with pytest.raises(InputError, match=r"expected rows of scene_id 48 \(.*\), got scene_id 49"):
+        evaluate(rows[1:], capture)
 
 
 def test_contacts_join_the_cloud_at_their_share(exact_frame):

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from bags import HEIGHT, SECOND, START, WIDTH, Messages
 from image_folders import images, sequence
-from made_frames import plain_view
+from made_frames import hand_with_array, plain_view
 
 from fusion.cli.main import main
 from scenes.files.off import write_off
@@ -22,7 +22,6 @@ from scenes.geometry import poses
 from scenes.recordings.bop import read_poses
 from scenes.recordings.captures import read_capture, write_capture
 from scenes.recordings.validation import validate
-from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.library import make
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "formats.md"
@@ -77,7 +76,7 @@ def place(tmp_path_factory):
     _export(model, folder)
     given = docs_commands.files(PAGE)
     (folder / "topics.json").write_text(given["topics.json"])
-    hand = five_finger_hand()
+    hand = hand_with_array(6, "index_tip")
     hand.save(folder / "hand")
     (folder / "recordings").mkdir()
     topics = json.loads(given["topics.json"])

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from bags import HEIGHT, KINDS, MATRIX, MS, START, WIDTH, Messages, write_map
 from commands import run
+from made_frames import hand_with_array
 
 from scenes.geometry import poses
 from scenes.recordings.captures import read_capture
@@ -110,6 +111,11 @@ def sensors_of(hand: Hand) -> tuple[str, tuple[str, int]]:
     first, second = list(hand.sensors)[:2]
     taxels = hand.sensors[second].taxels
     return first, (second, 6 if taxels is None else len(taxels))
+
+
+@pytest.fixture(scope="session")
+def hand():
+    return hand_with_array(6)
 
 
 @pytest.fixture(scope="session")

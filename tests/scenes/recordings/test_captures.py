@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from made_frames import some_frame
+from made_frames import hand_with_array, some_frame
 
 from scenes.errors import CaptureError, InputError, PalpateError
 from scenes.files.images import read_mask
@@ -18,7 +18,6 @@ from scenes.files.ply import read_cloud, write_ply
 from scenes.recordings.captures import read_capture, write_capture
 from scenes.recordings.frames import Contacts, Frame
 from scenes.recordings.validation import validate
-from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.library import make
 
 
@@ -32,7 +31,7 @@ def same(a, b) -> None:
 @pytest.mark.parametrize("with_hand", [False, True])
 @pytest.mark.parametrize("unit", ["m", "mm"])
 def test_round_trip(tmp_path, world, with_hand, unit):
-    hand = five_finger_hand() if with_hand else None
+    hand = hand_with_array() if with_hand else None
     frames = [some_frame(i, hand, world) for i in (0, 7)]
     model = make("cylinder")
     write_capture(tmp_path / "c", frames, model, hand, world, depth_scale=0.1, model_unit=unit, notes={"seed": 3})
@@ -107,6 +106,23 @@ def test_depth_out_of_range_is_refused_not_wrapped(tmp_path):
         write_capture(tmp_path / "c", [far], make("box"), depth_scale=0.1)
     write_capture(tmp_path / "c", [far], make("box"), depth_scale=1.0)
     assert read_capture(tmp_path / "c")[0].depth[0, 0] == np.float32(7.0)
+
+
+@pytest.mark.parametrize("scale", [-1, 0, float("nan"), "1", True, 1e4, {0: -1.0}])
+def test_scales_and_worlds_that_reading_would_refuse_are_not_written(tmp_path, scale):
+    with pytest.raises(InputError, match=r"depth_scale: expected millimetres per count from 0\.0001 to 1000, got"):
+        write_capture(tmp_path / "c", [some_frame(0)], make("box"), depth_scale=scale)
+    with pytest.raises(InputError, match="world: expected one of camera, robot base, got 'robot'"):
+        write_capture(tmp_path / "c", [some_frame(0)], make("box"), world="robot")
+    assert not (tmp_path / "c").exists()
+
+
+def test_what_cannot_be_written_names_the_folder_asked_for(tmp_path):
+    with pytest.raises(InputError, match=rf"^{tmp_path / 'c'}: expected frame numbers .* got 0 again$"):
+        write_capture(tmp_path / "c", [some_frame(0), some_frame(0)], make("box"))
+    far = replace(some_frame(0), depth=np.full((48, 64), 7.0, dtype=np.float32))
+    with pytest.raises(CaptureError, match=rf"^{tmp_path / 'c/depth/000000.png'}: expected depths up to"):
+        write_capture(tmp_path / "c", [far], make("box"), depth_scale=0.1)
 
 
 def edit(path: Path, change) -> None:
@@ -275,7 +291,7 @@ DAMAGES = {
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory) -> Path:
-    hand = five_finger_hand()
+    hand = hand_with_array()
     frames = [some_frame(i, hand) for i in (0, 1)]
     return write_capture(tmp_path_factory.mktemp("sound") / "c", frames, make("box"), hand)
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_frames import some_frame
+from made_frames import hand_with_array, some_frame
 
 from scenes.errors import CaptureError, InputError
 from scenes.recordings import bop
@@ -16,6 +17,11 @@ from scenes.recordings.frames import Contacts, Frame
 from scenes.recordings.manifest import frame_stamps
 from scenes.recordings.validation import check_usable, scale_problem, validate
 from scenes.synthesis.library import make
+
+
+@pytest.fixture(scope="module")
+def hand():
+    return hand_with_array()
 
 
 @pytest.fixture
@@ -47,6 +53,11 @@ def test_a_depth_scale_that_makes_no_metres(capture, scale, recwarn):
     assert not [warning for warning in recwarn if issubclass(warning.category, RuntimeWarning)]
     with pytest.raises(CaptureError, match="depth_scale"):
         read_capture(capture)[0]
+
+
+def test_a_depth_scale_of_null_is_said_as_it_is(capture):
+    told = edited(capture, "scene_camera.json", lambda content: content["0"].update(depth_scale=None))
+    assert any("depth_scale: expected 1 finite number, got nothing (null)" in line for line in told)
 
 
 @pytest.mark.parametrize(("at", "name", "value"), [(2, "cx", 5000.0), (5, "cy", -300.0)])
@@ -151,3 +162,55 @@ def test_a_missing_model_is_named_once(capture):
     model.unlink()
     (line,) = said(capture)
     assert line.count(str(model)) == 1
+
+
+def test_pressures_of_what_is_no_array(capture, hand):
+    """Such a frame is left out of an estimate."""
+    _, array, third = list(hand.sensors)[:3]
+    shutil.copytree(capture / "tactile" / array, capture / "tactile" / third)
+    (told,) = said(capture)
+    assert told.endswith(
+        f"{third}/000000.csv, frame 0: expected an array of the hand ({array}), got {third}, of kind point"
+    )
+    content = json.loads((capture / "capture.json").read_text())
+    content["hand"] = None
+    (capture / "capture.json").write_text(json.dumps(content))
+    (capture / "wrenches.csv").unlink()
+    assert any("expected a hand with this array, found no hand" in line for line in said(capture))
+
+
+def test_names_that_nobody_reads(capture):
+    """A file, a column or a key that is written like one that is missing was meant to be that."""
+    (capture / "contacts.csv").rename(capture / "contact.csv")
+    (capture / "rgb/000000.png").rename(capture / "rgb/000000.PNG")
+    shutil.copy(next((capture / "mask_visib").iterdir()), capture / "mask_visib/000009_000000.png")
+    table = (capture / "contact.csv").read_text()
+    shutil.copytree(capture / "clouds", capture / "Clouds")
+    shutil.rmtree(capture / "clouds")
+    (capture / "notes.txt").write_text("where and when")
+    (capture / "depth/.hidden").write_text("")
+    told = edited(capture, "capture.json", lambda content: content.update(belief={}, hands=content.pop("hand")))
+    for expected in (
+        "contact.csv: expected contacts.csv, got contact.csv: it is not read",
+        "Clouds: expected clouds, got Clouds: it is not read",
+        "rgb/000000.PNG: expected a name like 000000.png, got 000000.PNG: it is not read",
+        "mask_visib/000009_000000.png, frame 9: expected a frame of the capture, which has none of this number",
+        "capture.json: expected 'beliefs', got 'belief'",
+        "capture.json: expected 'hand', got 'hands'",
+    ):
+        assert any(line.endswith(expected) for line in told), (expected, told)
+    assert not any("notes.txt" in line or "hidden" in line for line in told)
+    (capture / "contact.csv").unlink()
+    (capture / "contacts.csv").write_text(table.replace(",nx,", ",n_x,").replace(",sigma_point,", ",sigma_pt,"))
+    told = edited(
+        capture, "capture.json", lambda content: content["object"].update(units=content["object"].pop("unit"))
+    )
+    for expected in ("the column nx, got n_x", "the column sigma_point, got sigma_pt", "object: expected 'unit', got"):
+        assert any(expected in line for line in told), (expected, told)
+
+
+def test_a_column_that_is_there_twice(capture):
+    lines = (capture / "contacts.csv").read_text().splitlines()
+    twice = [lines[0] + ",x", *(line + ",1.0" for line in lines[1:])]
+    (capture / "contacts.csv").write_text("\n".join(twice))
+    assert any("contacts.csv: expected each column once, got x 2 times" in line for line in said(capture))

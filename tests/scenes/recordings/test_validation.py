@@ -108,3 +108,22 @@ def test_one_contact_of_nonsense_is_no_wrong_unit():
     points = np.array([[0.0, 0.0, 0.5], [0.03, 0.0, 0.5], [0.0, 0.04, 0.52], [0.0, 0.0, 0.0], [9.0, 9.0, 9.0]])
     assert scale_problem(Frame(0, contacts=Contacts(points)), model) is None
     assert "mm read as m?" in (scale_problem(Frame(0, contacts=Contacts(1e3 * points)), model) or "")
+
+
+def test_hands_and_objects_that_no_camera_sees_are_of_another_unit():
+    hand, model = five_finger_hand(), make("box")
+    frame = some_frame(0, hand)
+    assert scale_problem(frame, model) is None
+    far = frame.world_from_hand.copy()
+    far[:3, 3] = [100.0, 50.0, 480.0]
+    told = scale_problem(replace(frame, world_from_hand=far), model)
+    assert "expected the hand where the camera can be, got it 492.8 m away" in (told or "")
+    blind = replace(frame, camera=None, depth=None, rgb=None, mask=None, world_from_hand=far)
+    assert "expected the hand where the contacts can be" in (scale_problem(blind, model) or "")
+    base = poses.make_pose(translation=[0.0, 0.0, -480.0])  # a robot far from where its map begins
+    moved = replace(frame, camera_from_world=base, world_from_hand=poses.make_pose(translation=[0.1, 0.0, 480.5]))
+    assert scale_problem(replace(moved, contacts=Contacts.none(), cloud=None, cloud_colours=None), model) is None
+    truth = frame.camera_from_object_truth.copy()
+    truth[:3, 3] = [0.0, 0.0, 700.0]
+    told = scale_problem(replace(frame, camera_from_object_truth=truth), model)
+    assert "by the ground truth, 700 m away: mm read as m?" in (told or "")

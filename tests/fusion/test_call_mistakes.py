@@ -1,0 +1,89 @@
+"""What is given to the library in another form than it takes: one line says what was expected."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_frames import plain_view
+
+from fusion import Tracker, estimate
+from fusion.tracking.checkpoint import restore_tracker
+from scenes.errors import CaptureError, InputError
+from scenes.formats.bop.scene import Choice, convert
+from scenes.geometry.cameras import Camera
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.captures import read_capture, write_capture
+from scenes.recordings.frames import Contacts, Frame
+from scenes.synthesis.library import make
+from touch import localize
+
+K = np.array([[285.0, 0.0, 159.5], [0.0, 286.0, 119.5], [0.0, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("matrix", "told"),
+    [
+        (K + [[0, 3, 0], [0, 0, 0], [0, 0, 0]], "expected a K without skew, got 3 and 0"),
+        (K.T, "expected a K whose last row is 0 0 1, .*: is it transposed"),
+        (2 * K, r"expected a K whose last row is 0 0 1, got \[0. 0. 2.\]$"),
+        (np.full((3, 3), np.nan), "expected a K whose last row is 0 0 1"),
+        ("fx", "expected a 3x3 intrinsic matrix of numbers"),
+    ],
+)
+def test_intrinsics_that_are_none(matrix, told):
+    with pytest.raises(InputError, match=told):
+        Camera.from_matrix(matrix, 320, 240)
+
+
+def test_intrinsics_as_they_come():
+    for matrix in (K, K.astype(np.float32), K.ravel().tolist()):
+        assert Camera.from_matrix(matrix, 320, 240) == Camera(285.0, 286.0, 159.5, 119.5, 320, 240)
+
+
+def test_arguments_of_another_kind():
+    frame, model = plain_view("drill"), make("drill")
+    for call, told in (
+        (lambda: Camera("a", 1, 1, 1, 1, 1), "camera: expected numbers as fx, fy"),
+        (lambda: Contacts(3.0), r"expected points of shape \(n, 3\), got \(\)"),
+        (lambda: Frame("a"), "frame: expected its number first, a whole one, got str"),
+        (lambda: ObjectModel("x", model.vertices, model.faces + 1), r"x: expected vertex numbers 0\.\.\d+, got 1\.\."),
+        (lambda: estimate(frame, "mesh.ply"), r"model: expected ObjectModel \(ObjectModel.load\(path\)\), got str"),
+        (lambda: estimate("capture", model), "frame: expected Frame .*, got str"),
+        (lambda: localize(model, np.zeros((3, 3))), "contacts: expected Contacts .*, got ndarray"),
+        (lambda: localize("drill", frame.contacts), "model: expected ObjectModel .*, got str"),
+        (lambda: localize(model, frame.contacts, seed=-1), "seed: expected a whole number from 0, got -1"),
+        (lambda: restore_tracker(Tracker(model), b"junk"), "expected what save_tracker wrote, got 4 other bytes"),
+    ):
+        with pytest.raises(InputError, match=told):
+            call()
+
+
+def test_what_holds_arrays_equals_itself_alone():
+    """Comparing arrays has no one truth value; before, these raised."""
+    frame, other = plain_view("box"), plain_view("box")
+    model = make("box")
+    answer, again = estimate(frame, model), estimate(other, model)
+    assert frame == frame
+    assert frame != other
+    assert answer == answer
+    assert answer != again
+    assert answer.modes == answer.modes
+    assert len({answer, again, frame, other}) == 4
+
+
+def test_an_instance_that_is_not_there_is_said_as_such(tmp_path):
+    capture = write_capture(tmp_path / "c", [plain_view("box")], make("box"))
+    from scenes.formats.bop.scene import export
+
+    export(read_capture(capture), tmp_path / "bop")
+    scene = next((tmp_path / "bop").glob("*/*/scene_camera.json")).parent
+    with pytest.raises(CaptureError, match=r"object 1 is there 1 time, without --instance 1 \(from 0\)"):
+        convert(scene, tmp_path / "again", Choice(1, 1))
+
+
+def test_a_folder_of_captures_says_so(tmp_path):
+    write_capture(tmp_path / "all/one", [replace(plain_view("box"), prior=None)], make("box"))
+    with pytest.raises(CaptureError, match=r"found no capture.json: a capture in it is .*all/one$"):
+        read_capture(tmp_path / "all")
