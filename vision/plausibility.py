@@ -46,9 +46,11 @@ def doubts(
     settings, calibration = settings or PlausibilitySettings(), calibration or usual_beliefs().calibration
     if frame.depth is None or frame.camera is None:
         return ()
-    found = [*no_depth(frame), *centre_problems(frame.camera)]
-    if frame.mask is not None and not no_depth(frame):
-        masked = np.count_nonzero(is_reading(frame.depth) & frame.mask)
+    # where some were taken, there are readings
+    empty = () if pixels else no_depth(frame)
+    found = [*empty, *centre_problems(frame.camera)]
+    if frame.mask is not None and not empty:
+        masked = int(np.count_nonzero(is_reading(frame.depth) & frame.mask))
         if not masked:
             found.append("the mask holds no reading of depth: nothing that the camera sees is taken for the object")
         elif pixels == 0:
@@ -77,7 +79,7 @@ def no_depth(frame: Frame) -> tuple[str, ...]:
         "below 0": np.isfinite(depth) & (depth < 0),
         f"beyond {FARTHEST_READING:g} m": np.isfinite(depth) & (depth > 0),
     }
-    told = ", ".join(f"{np.count_nonzero(of_it)} are {kind}" for kind, of_it in kinds.items() if of_it.any())
+    told = ", ".join(f"{int(np.count_nonzero(of_it))} are {kind}" for kind, of_it in kinds.items() if of_it.any())
     return (f"no usable depth: of {depth.size} pixels {told or 'none is one'}: vision is not used",)
 
 

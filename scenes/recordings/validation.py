@@ -149,8 +149,9 @@ def usable(
 
 
 def check_scale(frame: Frame, model: ObjectModel) -> None:
-    """Raise CaptureError, naming both sizes, when the model's unit and the frame's cannot both be metres; InputError for
-    what is no frame or no model.
+    """Raise CaptureError, naming both sizes, when the model's unit and the frame's cannot both be metres.
+
+    Raises InputError for what is no frame or no model.
     """
     for what, value, kind, how in (
         ("frame", frame, Frame, "read_capture(folder)[0], or Frame(0, …)"),

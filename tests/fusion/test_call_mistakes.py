@@ -25,7 +25,7 @@ K = np.array([[285.0, 0.0, 159.5], [0.0, 286.0, 119.5], [0.0, 0.0, 1.0]])
 @pytest.mark.parametrize(
     ("matrix", "told"),
     [
-        (K + [[0, 3, 0], [0, 0, 0], [0, 0, 0]], "expected a K without skew, got 3 and 0"),
+        (K + np.diag([3.0, 0.0], 1), "expected a K without skew, got 3 and 0"),
         (K.T, "expected a K whose last row is 0 0 1, .*: is it transposed"),
         (2 * K, r"expected a K whose last row is 0 0 1, got \[0. 0. 2.\]$"),
         (np.full((3, 3), np.nan), "expected a K whose last row is 0 0 1"),
