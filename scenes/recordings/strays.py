@@ -17,6 +17,8 @@ from scenes.files.tables import CsvColumn
 
 # Files and folders that are read where they are.
 JSON_FILES = ("capture.json", "scene_camera.json", "rgb_camera.json", "scene_gt.json", "prior.json")
+# Results may be written beside what they are of.
+WRITTEN = ("poses.csv", "result.json", "result.jsonl", "report.html")
 # Folders of numbered files: how their names end, and how many numbers are in them.
 NUMBERED = {"depth": (".png", 1), "rgb": (".png", 1), "clouds": (".ply", 1), "mask_visib": (".png", 2)}
 FOLDERS = (*NUMBERED, "models", "tactile")
@@ -62,7 +64,8 @@ def _misspelt(names: Iterable[str], known: Iterable[str]) -> Iterator[tuple[str,
 def _names(folder: Path, files: Sequence[str], folders: Sequence[str]) -> Iterator[Problem]:
     there = sorted(folder.iterdir())
     for kind, known in ((Path.is_file, files), (Path.is_dir, folders)):
-        for got, meant in _misspelt([path.name for path in there if kind(path)], known):
+        own = [path.name for path in there if kind(path) and path.name not in WRITTEN]
+        for got, meant in _misspelt(own, known):
             yield Problem(str(folder / got), None, f"expected {meant}, got {got}: it is not read")
 
 
