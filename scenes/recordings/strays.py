@@ -17,8 +17,8 @@ from scenes.files.tables import CsvColumn
 
 # Files and folders that are read where they are.
 JSON_FILES = ("capture.json", "scene_camera.json", "rgb_camera.json", "scene_gt.json", "prior.json")
-# Results may be written beside what they are of.
-WRITTEN = ("poses.csv", "result.json", "result.jsonl", "report.html")
+# Results may be written beside what they are of, and BOP scenes have a file that nobody here reads.
+WRITTEN = ("poses.csv", "result.json", "result.jsonl", "report.html", "scene_gt_info.json")
 # Folders of numbered files: how their names end, and how many numbers are in them.
 NUMBERED = {"depth": (".png", 1), "rgb": (".png", 1), "clouds": (".ply", 1), "mask_visib": (".png", 2)}
 FOLDERS = (*NUMBERED, "models", "tactile")

@@ -209,6 +209,13 @@ def test_names_that_nobody_reads(capture):
         assert any(expected in line for line in told), (expected, told)
 
 
+def test_what_others_write_beside_a_capture_is_no_misnamed_part(capture):
+    (capture / "scene_gt.json").unlink(missing_ok=True)
+    for name in ("poses.csv", "result.json", "scene_gt_info.json"):
+        (capture / name).write_text("")
+    assert not any("it is not read" in line for line in said(capture))
+
+
 def test_a_column_that_is_there_twice(capture):
     lines = (capture / "contacts.csv").read_text().splitlines()
     twice = [lines[0] + ",x", *(line + ",1.0" for line in lines[1:])]
