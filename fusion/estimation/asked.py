@@ -24,7 +24,8 @@ Array = NDArray[np.float64]
 class Asked:
     """One question: senses allowed, prior, tolerance (m, rad), seed; and how it is answered.
 
-    viewed: the frame with what vision may use of it, without what a recorder filled in; filled: a note of that.
+    viewed: the frame with what vision may use of it, without what a recorder filled in, and without what is felt where
+    touch is not asked for: it would say where to look; filled: a note of that.
     or_none: only when the rows alone are within the tolerance.
     """
 
@@ -53,6 +54,7 @@ class Asked:
         believed = as_prior(prior if prior is not None else frame.prior, settings)
         sees = "vision" in senses
         viewed, filled = as_measured(frame, settings.look.filling) if sees else (frame.without_vision(), ())
+        viewed = viewed if "touch" in senses else viewed.without_touch()
         known = believed_of(viewed, beliefs or frame.beliefs or usual_beliefs(), settings.look.noise)
         return Asked(senses, believed, tolerance, seed, known, settings, viewed, filled)
 

@@ -13,6 +13,8 @@ from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
 from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis import library
+from scenes.synthesis.hands import five_finger_hand
+from scenes.synthesis.recording import synthesize_frames
 from vision.look.look import look
 from vision.look.regions import find_region
 from vision.plausibility import doubts
@@ -145,3 +147,17 @@ def test_surface_that_a_mesh_did_not_have_is_said():
     assert told in estimate(frame, open_one).notes
     assert told in estimate(replace(frame.without_vision().without_touch(), prior=None), open_one).notes
     assert whole.filled == ()
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_vision_alone_is_not_told_where_to_look_by_touch(known):
+    """Contacts say where the object is, and what is felt where touch is not asked for would be a hint of the truth."""
+    model = library.make("mug")
+    frame = synthesize_frames(model, five_finger_hand(), 1, 0.3, noise="lab", seed=5)[0]
+    bare = replace(frame, prior=None, mask=None)
+    bare = bare if known else replace(bare, hand=None, joints=None, world_from_hand=None)
+    assert len(bare.contacts)
+    felt, unfelt = (estimate(one, model, use=("vision",)) for one in (bare, bare.without_touch()))
+    assert np.array_equal(felt.pose, unfelt.pose)
+    assert np.array_equal(felt.covariance, unfelt.covariance)
+    assert felt.notes == unfelt.notes

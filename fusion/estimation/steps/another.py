@@ -37,8 +37,8 @@ class AnotherSettings:
     # there the nearest 7.8; no right answer of the tuning families, which have no copies, has another by this.
     as_likely: float = 7.5
     # Or nats that it costs itself, at most: what is half hidden earns less than what is not. Copies in another
-    # generator's scenes of two cost -22.9 at most, other things beside 104 answers of the tuning families -17.4 at
-    # least, half of all right answers less than -27.
+    # generator's scenes of two cost -22.9 at most, other things beside 58 answers of the tuning families -17.4 at
+    # least; half of these answers themselves less than -25.
     clear: float = -20.0
     # Chance of being right (no unit) that it would be given, were it the answer: from here on.
     least: float = 0.5
