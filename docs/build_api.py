@@ -53,8 +53,8 @@ ROOMS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
         {
             "vision.look.look": ("look",),
             "vision.look.looked": ("Looked",),
-            "vision.look.mask": ("object_mask",),
-            "vision.look.hand": ("view_hand", "HandView"),
+            "vision.look.mask.mask": ("object_mask",),
+            "vision.look.hand.hand": ("view_hand", "HandView"),
             "vision.published.icp": ("icp", "IcpResult"),
             "vision.published.registration": ("register",),
             "vision.tracking.by_vision": ("track_by_vision",),

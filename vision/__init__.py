@@ -22,10 +22,10 @@ except ImportError as error:  # another's "scenes" came first, and refuses in wo
 
 if TYPE_CHECKING:
     from scenes.recordings.beliefs import DepthModel
-    from vision.look.hand import HandView, view_hand
+    from vision.look.hand.hand import HandView, view_hand
     from vision.look.look import look
     from vision.look.looked import Looked
-    from vision.look.mask import object_mask
+    from vision.look.mask.mask import object_mask
     from vision.tracking.by_vision import track_by_vision
     from vision.visibility import Visibility
 
@@ -47,13 +47,13 @@ logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 _HOMES = {
     "DepthModel": "scenes.recordings.beliefs",
-    "HandView": "vision.look.hand",
+    "HandView": "vision.look.hand.hand",
     "Looked": "vision.look.looked",
     "Visibility": "vision.visibility",
-    "object_mask": "vision.look.mask",
+    "object_mask": "vision.look.mask.mask",
     "look": "vision.look.look",
     "track_by_vision": "vision.tracking.by_vision",
-    "view_hand": "vision.look.hand",
+    "view_hand": "vision.look.hand.hand",
 }
 
 

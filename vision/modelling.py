@@ -18,8 +18,9 @@ from scenes.geometry.objects import ObjectModel
 from scenes.reconstruction.volume import DepthView
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
-from vision.look.hand import view_hand
-from vision.look.mask import MaskSettings, object_mask
+from vision.look.hand.hand import view_hand
+from vision.look.mask.mask import object_mask
+from vision.look.mask.settings import MaskSettings
 from vision.look.pixels import read_pixels
 
 Array = NDArray[np.float64]

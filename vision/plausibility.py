@@ -11,8 +11,8 @@ from scenes.recordings.beliefs import CalibrationModel, usual_beliefs
 from scenes.recordings.frame_problems import centre_problems
 from scenes.recordings.frames import Frame
 from scenes.words import counted
-from vision.look.hand import HandView, camera_from_hand, prior_information
-from vision.look.hand_kernels import seen_past
+from vision.look.hand.hand import HandView, camera_from_hand, prior_information
+from vision.look.hand.hand_kernels import seen_past
 
 
 @dataclass(frozen=True)

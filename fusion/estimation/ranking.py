@@ -20,7 +20,7 @@ from scenes.recordings.frames import Frame
 from touch.arrays.ranking import pattern_costs
 from touch.arrays.readings import readings_of
 from touch.arrays.rows import taxel_rows
-from vision.look.hand import HandView
+from vision.look.hand.hand import HandView
 from vision.sight import Sight
 
 Array = NDArray[np.float64]

@@ -9,8 +9,8 @@ from scenes.geometry import poses
 from scenes.geometry.cameras import Camera, is_reading
 from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import Beliefs, CalibrationModel
-from vision.look.hand import camera_from_hand, prior_information, prior_spread, view_hand
-from vision.look.hand_kernels import explained, pulls, seen_past
+from vision.look.hand.hand import camera_from_hand, prior_information, prior_spread, view_hand
+from vision.look.hand.hand_kernels import explained, pulls, seen_past
 from vision.look.pixels import read_pixels
 
 FULL = (0, 0, 640, 480)

@@ -5,9 +5,10 @@ import pytest
 
 from scenes.geometry.cameras import is_reading
 from scenes.recordings.beliefs import DepthModel
-from vision.look import mask_kernels as kernels
-from vision.look import piece_kernels as pieces_of
-from vision.look.mask import MaskSettings, for_kernels, on_planes
+from vision.look.mask import mask_kernels as kernels
+from vision.look.mask import piece_kernels as pieces_of
+from vision.look.mask.planes import for_kernels, on_planes
+from vision.look.mask.settings import MaskSettings
 from vision.look.pixels import median
 
 LENS = 110.0, 120.0, 41.2, 28.9

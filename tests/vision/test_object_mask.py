@@ -14,7 +14,9 @@ from scenes.synthesis import library
 from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
 from vision.look.look import LookSettings, large_planes
-from vision.look.mask import MaskSettings, connected_pieces, find_plane, find_planes, object_mask, on_planes
+from vision.look.mask.mask import connected_pieces, object_mask
+from vision.look.mask.planes import find_plane, find_planes, on_planes
+from vision.look.mask.settings import MaskSettings
 from vision.look.pixels import read_pixels
 from vision.look.regions import find_region
 

@@ -5,7 +5,8 @@ import pytest
 
 from scenes.geometry.cameras import Camera, is_reading
 from scenes.recordings.beliefs import DepthModel
-from vision.look.mask import MaskSettings, for_kernels, on_planes
+from vision.look.mask.planes import for_kernels, on_planes
+from vision.look.mask.settings import MaskSettings
 from vision.look.pixel_kernels import CHOSEN, OTHER
 from vision.look.pixels import Pixels, Region, read_pixels, sort_pixels
 

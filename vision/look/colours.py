@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.look.piece_kernels import are_near
+from vision.look.mask.piece_kernels import are_near
 from vision.look.pixels import median
 
 Array = NDArray[np.float64]

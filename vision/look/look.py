@@ -18,10 +18,12 @@ from scenes.recordings.beliefs import Beliefs, usual_beliefs
 from scenes.recordings.frames import Frame
 from vision.filling import FillingSettings
 from vision.look.colours import Coloured, PartingSettings
-from vision.look.hand import HandView, HandViewSettings, view_hand
+from vision.look.hand.hand import HandView, HandViewSettings, view_hand
 from vision.look.looked import Looked, RowSettings, no_pixels, no_planes, nothing_seen
-from vision.look.mask import MaskSettings, connected_pieces, find_planes, for_kernels, object_mask
-from vision.look.piece_kernels import list_cells, surface_points
+from vision.look.mask.mask import connected_pieces, object_mask
+from vision.look.mask.piece_kernels import list_cells, surface_points
+from vision.look.mask.planes import find_planes, for_kernels
+from vision.look.mask.settings import MaskSettings
 from vision.look.pixel_kernels import CHOSEN, OTHER
 from vision.look.pixels import Pixels, Region, median, read_pixels, sort_pixels
 from vision.look.points import all_points

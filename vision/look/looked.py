@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scenes.evidence import table as tables
 from scenes.evidence.table import VISION, Evidence
 from scenes.recordings.beliefs import DepthModel
-from vision.look.hand import HandView
+from vision.look.hand.hand import HandView
 from vision.look.pixels import Pixels, Region
 
 Array = NDArray[np.float64]
@@ -43,7 +43,7 @@ class Looked:
     pixels: may be the object; of_hand: explained by the hand; others: seen beyond or beside the region (for free
     space). region: where the object is looked for. hand: the aligned hand. dropped: counts by reason. is_cloud: the
     points come from a cloud, not from pixels of a camera. told_apart: a mask or the hand's model removed what hides the
-    object. how: a word on what was taken away first. planes (k, 6): table and walls, see `vision.look.mask.find_plane`.
+    object. how: a word on what was taken away first. planes (k, 6): table and walls, see `find_plane`.
     """
 
     pixels: Pixels

@@ -7,7 +7,7 @@ import math
 import numba
 
 from scenes.geometry.cameras import FARTHEST_READING
-from vision.look.piece_kernels import is_on_plane
+from vision.look.mask.piece_kernels import is_on_plane
 
 # What a pixel of the grid is: without a reading, chosen, another.
 CHOSEN, OTHER = 1, 2

@@ -17,10 +17,10 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
 from scenes.robot.posed import PosedHand
-from vision.look.hand import HandView, camera_from_hand, fit_hand, view_hand
+from vision.look.hand.hand import HandView, camera_from_hand, fit_hand, view_hand
 from vision.look.look import LookSettings, large_planes, look
 from vision.look.looked import Looked, no_pixels, no_planes, nothing_seen
-from vision.look.mask import on_planes
+from vision.look.mask.planes import on_planes
 from vision.look.pixels import Pixels, Region, read_pixels
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.geometry.cameras import Camera
-from vision.look.hand import HandView
+from vision.look.hand.hand import HandView
 from vision.picture.kernels import spread
 
 Array = NDArray[np.float64]

@@ -163,7 +163,7 @@ def compare_pixels(met, index, u, v, image, camera, noise, limits, expected, see
 
     met (k,): depth (m) at which ray `index` (k,), in order, meets the object, inf for none. u, v (n side^2,): pixels.
     image: depth (h, w); mask (h, w) or (0, 0); least and largest depth (m) of the hand at every so many pixels or
-    (0, 0); planes (k, 6), see vision.look.mask.find_plane. noise: floor, growth, depth it grows from, bias and scale of
+    (0, 0); planes (k, 6), see `find_plane`. noise: floor, growth, depth it grows from, bias and scale of
     a DepthModel.
     limits: tolerance (sigmas), fading (sigmas), share past beside an edge, reach of an edge (px), step of the hand (px)
     and its margin (m), margin (m) and sigmas of the plane.

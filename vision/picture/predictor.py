@@ -21,7 +21,7 @@ from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import DepthModel
 from scenes.recordings.frames import Frame
-from vision.look.hand import HandView
+from vision.look.hand.hand import HandView
 from vision.look.pixels import Pixels
 from vision.picture import columns, kernels, scoring_kernels
 from vision.picture.aspects import aspects_of, finer, glimpsed, sums_of
@@ -162,7 +162,7 @@ class Predictor:
         parts: int = 0,
     ) -> None:
         """hand: the robot's own as seen in this frame; what it hides is no wonder. planes (k, 6): of table and walls,
-        see vision.look.mask.find_plane.
+        see vision.look.mask.planes.find_plane.
 
         pieces (h, w) at every settings.piece_step pixels, from 0, -1 for none: connected surfaces of the image, given
         where neither a mask nor a model of the hand tells what hides the object, so that what is seen may be that.

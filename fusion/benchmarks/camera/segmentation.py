@@ -16,7 +16,7 @@ from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis import library
 from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
-from vision.look.mask import object_mask
+from vision.look.mask.mask import object_mask
 from vision.look.points import CROP_MARGIN
 
 Array = NDArray[np.float64]

@@ -20,7 +20,7 @@ from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
-from vision.look.hand import HandView
+from vision.look.hand.hand import HandView
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from fusion.estimation.solve.settings import Level
 from scenes.evidence.align import Prior, align
 from scenes.evidence.table import NORMAL, POINT
 from scenes.geometry import poses as se3
-from vision.look.hand import prior_spread
+from vision.look.hand.hand import prior_spread
 
 Array = NDArray[np.float64]
 

@@ -25,7 +25,7 @@ from scenes.words import counted
 from touch.contacts import Felt, feel
 from touch.held import Held
 from vision.look.colours import parted_by_colour
-from vision.look.hand import HandView, camera_from_hand
+from vision.look.hand.hand import HandView, camera_from_hand
 from vision.look.look import coloured_pieces, look, surfaces
 from vision.look.looked import Looked
 from vision.look.pixels import Pixels

@@ -17,7 +17,7 @@ from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import CalibrationModel
 from scenes.recordings.frames import Frame
-from vision.look.hand import camera_from_hand
+from vision.look.hand.hand import camera_from_hand
 from vision.tracking.by_vision import ConstantVelocity
 
 Array = NDArray[np.float64]

@@ -6,8 +6,6 @@ the object, colour; nothing is learned. Camera frame, metres.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,9 +15,11 @@ from scenes.geometry.nearest import Nearest
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs, DepthModel
 from scenes.recordings.frames import Frame
-from vision.look import mask_kernels as kernels
-from vision.look.hand import HandView, HandViewSettings, view_hand
-from vision.look.piece_kernels import count_votes, mark_planes, number_pieces, runs_on_behind
+from vision.look.hand.hand import HandView, HandViewSettings, view_hand
+from vision.look.mask import mask_kernels as kernels
+from vision.look.mask.piece_kernels import number_pieces
+from vision.look.mask.planes import find_plane, for_kernels, some_points
+from vision.look.mask.settings import MaskSettings
 from vision.look.pixels import Region, median, read_pixels
 from vision.look.regions import find_region
 
@@ -28,76 +28,6 @@ Mask = NDArray[np.bool_]
 
 # Points of a piece, about, from which its distances are told.
 SAMPLES = 300
-
-
-@dataclass(frozen=True)
-class MaskSettings:
-    """What is taken for table, hand and object. Tuned on generated captures."""
-
-    # Room around a start's ball in which the object is looked for, metres: T1's coarse starts are 33 mm off.
-    slack: float = 0.035
-    # Pixels of the whole image among which the hand is looked for, where nobody has yet.
-    most_hand: int = 8000
-    # A plane holds this share of the readings, and fills this share of the image: table and wall fill 29 % and more in
-    # all families and recordings, a hand and what it holds, alone in the image, 6 %. So many triples of points are
-    # tried, on so many points, of which every so manieth has a vote on them.
-    plane_share: float = 0.2
-    plane_image: float = 0.12
-    plane_tries: int = 200
-    plane_points: int = 3000
-    plane_voters: int = 3
-    # Room over the plane (m) that is still the plane's: smooth bias and scale of depth at two sigmas; and sigmas of the
-    # independent noise on top.
-    plane_margin: float = 0.006
-    plane_sigmas: float = 3.0
-    # Table, wall and floor; of all readings a further plane holds this share: with half of that a hand and what it
-    # holds were one (tuning family `stranger`).
-    most_planes: int = 3
-    next_plane_share: float = 0.2
-    # Readings scatter about a plane less than so many times as far as is believed of the camera: else it is no plane.
-    plane_most_scatter: float = 5.0
-    # What goes on behind the first plane is cut by it: most of it, a share of its readings, in parts of the image of so
-    # many points, up to so many times its room behind it. Those of tuning families have 0.02, of `passive` 0.07.
-    plane_most_behind: float = 0.15
-    plane_part: float = 8.0
-    plane_behind: float = 6.0
-    # What is asked for is no farther behind a table (m) than its start is off (T1's are 33 mm): else it is none.
-    plane_hides: float = 0.035
-    # Readings this near (m) to the rendered hand are the hand's: smooth bias at two sigmas, and the joints' errors.
-    hand_margin: float = 0.006
-    # The hand's outline is uncertain by this (m): joints wrong by 0.3 degrees over a finger, and the rest of the
-    # calibration's error after alignment. Beside it depth alone does not tell hand from object.
-    hand_outline: float = 0.001
-    # With colour the uncertain strip is this much wider, because colour decides inside it (px).
-    colour_strip: int = 6
-    # Colour is asked when hand and object differ by this many standard deviations, each known from so many pixels, and
-    # from no more than so many; a channel's share varies by at least `colour_floor` within one thing (shading, white
-    # balance).
-    colour_apart: float = 3.0
-    colour_pixels: int = 60
-    colour_most: int = 2000
-    # The object's colour is looked for this near to the hand's outline (px): what is held is there, clutter rarely.
-    colour_around: int = 25
-    colour_floor: float = 0.012
-    # The truth is no farther (m) from a coarse start than this, anywhere on the object (T1: 33 mm and 16 degrees).
-    reach: float = 0.045
-    # Neighbouring readings that differ by more (m, and as a share of depth) belong to different things.
-    step: float = 0.008
-    step_share: float = 0.01
-    # Pieces smaller than this (px) are noise.
-    smallest: int = 25
-    # A held object's pieces are this near (m) to the hand, or to what the fingers felt; clutter is not.
-    held: float = 0.015
-    # A piece far from the hand counts when its middle is this near (m) to the object at the coarse start.
-    explained: float = 0.015
-    # The largest piece that the hand may be behind, or whose middle is no farther (m) from the object at the start than
-    # starts are off, counts when it is this many times larger than all others together.
-    larger: float = 1.0
-    may_be: float = 0.033
-    # Pieces that together are less than this share of what the object shows on average are rests of the hand, or what
-    # nine tenths of hiding leave. Then the largest piece within the object's diameter of the hand counts when it alone
-    # is more than that: the far end of a hammer that the hand holds from behind.
-    fair_share: float = 0.1
 
 
 def object_mask(
@@ -152,7 +82,7 @@ def _candidates(
     assert frame.camera is not None
     camera = frame.camera
     z, good = np.zeros((box[3] - box[1], box[2] - box[0])), np.zeros((box[3] - box[1], box[2] - box[0]), dtype=bool)
-    points, each = _some_points(frame, settings)
+    points, each = some_points(frame, settings)
     plane = find_plane(points, settings, depth_model, each=each)
     off = for_kernels(np.zeros((0, 6)) if plane is None else plane[None], depth_model, settings)
     ball = (0.0, 0.0, 0.0, np.inf) if region is None else (*(float(x) for x in region.centre), float(region.radius))
@@ -165,132 +95,6 @@ def _candidates(
         distance = model.field.distance(poses.apply(poses.inverse(start), points))
         good[good] = np.abs(distance) < settings.reach
     return z, good
-
-
-def on_planes(points: Array, planes: Array, depth_model: DepthModel, settings: MaskSettings) -> Mask:
-    """(...) whether points (..., 3) are on one of planes (k, 6), within what a camera makes of it, or behind the first.
-
-    A plane: see `find_plane`.
-    """
-    on = np.zeros(points.shape[:-1], dtype=bool)
-    if len(planes):
-        flat = np.ascontiguousarray(points, np.float64).reshape(-1, 3)
-        mark_planes(flat, *for_kernels(planes, depth_model, settings), on.reshape(-1))
-    return on
-
-
-def for_kernels(
-    planes: Array, depth_model: DepthModel, settings: MaskSettings
-) -> tuple[Array, tuple[float, float, float], tuple[float, float]]:
-    """Planes (k, 6), a depth camera's noise and the margins of a plane, as compiled loops take them."""
-    own = depth_model.axial_floor, depth_model.axial_growth, depth_model.axial_from
-    return np.ascontiguousarray(planes, np.float64), own, (settings.plane_margin, settings.plane_sigmas)
-
-
-def find_planes(
-    frame: Frame, settings: MaskSettings, depth_model: DepthModel, extent: float, meant: Array | None = None
-) -> Array:
-    """(k, 6) table, wall and floor: planes that many readings lie on, most first, each of them larger than extent (m).
-
-    A plane: see `find_plane`. Behind the first there is nothing; a further one may be a box's side, beside which more
-    is seen. meant (3,): about where the object is, camera frame, behind none of them; None where nobody knows.
-    """
-    points, each = _some_points(frame, settings)
-    found, left = np.zeros((0, 6)), points
-    for k in range(settings.most_planes):
-        share = settings.plane_share if not k else settings.next_plane_share * len(points) / max(len(left), 1)
-        plane = find_plane(left, settings, depth_model, share, each, np.inf if k else settings.plane_most_behind)
-        if plane is None:
-            break
-        in_front = meant is not None and plane[:3] @ meant + plane[3] < -settings.plane_hides
-        plane[5] = 0.0 if k or in_front else np.inf
-        on = on_planes(left, plane[None], depth_model, settings)
-        low, high = np.percentile(left[on], [5, 95], axis=0)
-        if not in_front and float(np.linalg.norm(high - low)) <= extent:
-            break
-        # in front is an arm's side
-        found, left = found if in_front else np.concatenate([found, plane[None]]), left[~on]
-    return found
-
-
-def _some_points(frame: Frame, settings: MaskSettings) -> tuple[Array, float]:
-    """(n, 3) points of the whole image, thinned, and the share of the image that each stands for."""
-    assert frame.depth is not None
-    assert frame.camera is not None
-    box = (0, 0, frame.camera.width, frame.camera.height)
-    read = read_pixels(frame.depth, frame.camera, box, settings.plane_points)
-    return read.points, read.area / max(frame.camera.width * frame.camera.height, 1)
-
-
-def find_plane(
-    points: Array,
-    settings: MaskSettings,
-    depth_model: DepthModel,
-    least_share: float | None = None,
-    each: float = 1.0,
-    most_behind: float = np.inf,
-) -> Array | None:
-    """(6,) the plane that most of the points (n, 3) lie on; None when there is no such plane, or when much is seen
-    beyond it.
-
-    A hand and what it holds are none: each, the share of the image that a point stands for, says how much of it the
-    plane fills, and what scatters as far as a hand does is no camera's noise.
-
-    Unit normal towards the camera and offset, height = n . p + o; how many times as far as is believed of the camera
-    they scatter about it, 1 at least; and how far behind it (m) there is nothing else, inf. least_share: of the points;
-    None for the settings'. most_behind: see `MaskSettings.plane_most_behind`.
-    """
-    if len(points) < 50:
-        return None
-    tolerance = settings.plane_margin + settings.plane_sigmas * depth_model.independent_sigma(points[:, 2])
-    rng = np.random.default_rng(0)
-    corners = points[rng.integers(len(points), size=(settings.plane_tries, 3))]
-    normals = poses.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(normals, axis=1)
-    normals = normals[length > 1e-6] / length[length > 1e-6, None]
-    offsets = -np.einsum("ni,ni->n", normals, corners[length > 1e-6][:, 0])
-    if not len(normals):
-        return None
-    votes = np.zeros(len(normals), dtype=np.int64)
-    count_votes(np.ascontiguousarray(points), tolerance, normals, offsets, settings.plane_voters, votes)
-    best = int(votes.argmax())
-    normal, offset = normals[best], offsets[best]
-    chosen = np.abs(points @ normal + offset) < tolerance
-    if chosen.sum() < 50:
-        return None
-    for _ in range(3):
-        middle = points[chosen].mean(axis=0)
-        _, _, axes = np.linalg.svd(points[chosen] - middle, full_matrices=False)
-        normal = axes[2] * (1.0 if axes[2] @ middle <= 0 else -1.0)
-        offset = -float(normal @ middle)
-        chosen = np.abs(points @ normal + offset) < tolerance
-        if chosen.sum() < 50:
-            return None
-    height = points @ normal + offset
-    beyond = float((height < -2 * tolerance).mean())
-    share = float(chosen.mean())
-    if share <= (settings.plane_share if least_share is None else least_share) or beyond >= 0.5 * share:
-        return None
-    scatter = _scatter(height, tolerance, points[:, 2], depth_model, settings)
-    if chosen.sum() * each < settings.plane_image or scatter >= settings.plane_most_scatter:
-        return None
-    if runs_on_behind(points, tolerance, normal, offset, settings.plane_part, settings.plane_behind) >= most_behind:
-        return None
-    return np.concatenate([normal, [offset, scatter, np.inf]])
-
-
-def _scatter(height: Array, tolerance: Array, z: Array, depth_model: DepthModel, settings: MaskSettings) -> float:
-    """How many times as far as is believed readings at depths z (n,) scatter about a plane, 1 at least.
-
-    height (n,) above it, m. Nothing stands behind a table or wall: what is read there, as far as it may be the plane
-    (four times the tolerance (n,)), is noise, and its median is 0.67 standard deviations.
-    """
-    behind = (height < 0.0) & (height > -4.0 * tolerance)
-    if not behind.any():
-        return 1.0
-    sigma = np.hypot(depth_model.independent_sigma(z[behind]), settings.plane_margin / settings.plane_sigmas)
-    seen = float(median(-height[behind] / sigma)) / 0.6745
-    return float(max(seen, 1.0))
 
 
 def _hand_pixels(

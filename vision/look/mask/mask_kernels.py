@@ -6,7 +6,7 @@ import numba
 import numpy as np
 
 from scenes.geometry.cameras import FARTHEST_READING
-from vision.look.piece_kernels import is_on_plane
+from vision.look.mask.piece_kernels import is_on_plane
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.recordings.frames import Frame
-from vision.look.hand_kernels import explained
+from vision.look.hand.hand_kernels import explained
 
 Array = NDArray[np.float64]
 

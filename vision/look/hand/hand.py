@@ -17,8 +17,8 @@ from scenes.geometry.cameras import Camera
 from scenes.recordings.beliefs import Beliefs, CalibrationModel
 from scenes.recordings.frames import Frame
 from scenes.robot.posed import PosedHand
-from vision.look.hand_kernels import pulls
-from vision.look.hand_search import HandSearchSettings, elsewhere, here_alone, shares
+from vision.look.hand.hand_kernels import pulls
+from vision.look.hand.hand_search import HandSearchSettings, elsewhere, here_alone, shares
 from vision.look.pixels import Pixels
 
 Array = NDArray[np.float64]

@@ -75,7 +75,7 @@ def is_on_plane(x, y, z, planes, noise, margins):  # type: ignore[no-untyped-def
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def mark_planes(points, planes, noise, margins, out):  # type: ignore[no-untyped-def]
-    """Mark in out (n,) the points (n, 3) that are on one of planes (k, 6); see vision.look.mask.on_planes.
+    """Mark in out (n,) the points (n, 3) that are on one of planes (k, 6); see vision.look.mask.planes.on_planes.
 
     noise: floor, growth and depth it grows from of a DepthModel's independent sigma. margins: of a plane (m), and
     sigmas.
