@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from importlib import import_module
-from numbers import Integral
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
+from scenes.recordings.validation import check_are_contacts, check_is_model, check_seed
 from touch.answers import Localization, LocalizeSettings
 from touch.confidence import DRAWING, asked, judged, posterior_about, worth_a_look
 from touch.multistart import multistart
@@ -59,12 +59,9 @@ def localize(
     """
     if method not in METHODS:
         raise unknown("method", method, METHODS)
-    if not isinstance(model, ObjectModel):
-        raise InputError(f"model: expected ObjectModel (ObjectModel.load(path)), got {type(model).__name__}")
-    if not isinstance(contacts, Contacts):
-        raise InputError(f"contacts: expected Contacts (Contacts(points, normals)), got {type(contacts).__name__}")
-    if not isinstance(seed, Integral) or seed < 0:
-        raise InputError(f"seed: expected a whole number from 0, got {seed!r}")
+    check_is_model(model)
+    check_are_contacts(contacts)
+    check_seed(seed)
     if len(contacts) == 0:
         raise InputError("localize: expected at least one contact, got none")
     if settings is not None and method != "multistart":

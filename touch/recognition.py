@@ -12,7 +12,7 @@ Contacts' frame, metres.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from zlib import crc32
 
@@ -27,6 +27,7 @@ from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
+from scenes.recordings.validation import check_are_contacts, check_is_model, check_seed
 from touch.identity.evidence import EvidenceSettings, likelihoods, log_evidence
 from touch.identity.noise import Noise
 from touch.misfit import MisfitSettings, log_odds_of_another
@@ -134,6 +135,13 @@ def identify(
     regions felt to be empty. Raises InputError for no contacts, no model, or a name that comes twice.
     """
     settings = settings or RecognitionSettings()
+    if not isinstance(models, Iterable) or isinstance(models, str):
+        raise InputError(f"models: expected a list of ObjectModel, got {type(models).__name__}")
+    models = list(models)
+    for model in models:
+        check_is_model(model)
+    check_are_contacts(contacts)
+    check_seed(seed)
     names = [model.name for model in models]
     if not names or len(set(names)) < len(names):
         raise InputError(f"identify: expected models of different names, got {', '.join(names) or 'none'}")

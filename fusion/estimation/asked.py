@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from scenes.evidence.align import Prior
 from scenes.geometry import poses as se3
 from scenes.recordings.beliefs import Beliefs, usual_beliefs
 from scenes.recordings.frames import Frame
+from scenes.recordings.validation import check_is_model, check_seed
 from vision.filling import as_measured
 from vision.noise import believed_of
 
@@ -61,18 +63,32 @@ class Asked:
 
 def check_senses(use: Iterable[str]) -> frozenset[str]:
     """The senses asked for; raises InputError for none or unknown ones."""
-    senses = frozenset([use] if isinstance(use, str) else use)
+    asked = [use] if isinstance(use, str) or not isinstance(use, Iterable) else use
+    senses = frozenset(str(sense) for sense in asked)
     if not senses or senses - {"vision", "touch"}:
         raise InputError(f"use: expected vision, touch or both, got {', '.join(sorted(senses)) or 'nothing'}")
     return senses
 
 
+def check_kinds(model: object, seed: object, settings: object, beliefs: object, kind: type = EstimateSettings) -> None:
+    """Raises InputError for what is no model, a seed that is no whole number from 0, and settings (kind) and beliefs of
+    other types; None is what is not said.
+    """
+    check_is_model(model)
+    check_seed(seed)
+    for name, given, expected in (("settings", settings, kind), ("beliefs", beliefs, Beliefs)):
+        if given is not None and not isinstance(given, expected):
+            raise InputError(f"{name}: expected {expected.__name__}, got {type(given).__name__}")
+
+
 def check_limits(tolerance: tuple[float, float] | None, budget_ms: float | None) -> None:
     """Raises InputError for a tolerance that is not two positive numbers (m, rad) or a budget below 0 ms."""
-    if tolerance is not None and (len(tolerance) != 2 or not all(np.isfinite(t) and t > 0 for t in tolerance)):
-        raise InputError(f"tolerance: expected metres and radians above 0, got {tolerance}")
-    if budget_ms is not None and not budget_ms >= 0:
-        raise InputError(f"budget: expected milliseconds from 0, got {budget_ms}")
+    if tolerance is not None:
+        two = tuple(tolerance) if isinstance(tolerance, Iterable) else ()
+        if len(two) != 2 or not all(_is_number(t) and np.isfinite(t) and t > 0 for t in two):
+            raise InputError(f"tolerance: expected metres and radians above 0, got {tolerance!r}")
+    if budget_ms is not None and not (_is_number(budget_ms) and budget_ms >= 0):
+        raise InputError(f"budget: expected milliseconds from 0, got {budget_ms!r}")
 
 
 def sure_to_be_within(settings: EstimateSettings, sure_within: float | None) -> EstimateSettings:
@@ -81,9 +97,13 @@ def sure_to_be_within(settings: EstimateSettings, sure_within: float | None) -> 
     """
     if sure_within is None:
         return settings
-    if not (np.isfinite(sure_within) and sure_within > 0):
-        raise InputError(f"sure_within: expected metres above 0, got {sure_within}")
+    if not (_is_number(sure_within) and np.isfinite(sure_within) and sure_within > 0):
+        raise InputError(f"sure_within: expected metres above 0, got {sure_within!r}")
     return replace(settings, confidence=replace(settings.confidence, tolerance=float(sure_within)))
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def as_prior(prior: Array | Prior | None, settings: EstimateSettings) -> Prior | None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
-from fusion.estimation.asked import Asked, check_limits, sure_to_be_within
+from fusion.estimation.asked import Asked, check_kinds, check_limits, sure_to_be_within
 from fusion.estimation.confidence import as_shown, observations, within
 from fusion.estimation.moments import moments
 from fusion.estimation.ranking import led, rejudged
@@ -51,7 +51,7 @@ from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
-from scenes.recordings.validation import check_scale
+from scenes.recordings.validation import check_is_frame, check_scale
 from scenes.threads import one_blas_thread
 from scenes.words import counted
 from touch.gels.localize import build_tables
@@ -86,6 +86,8 @@ def estimate(
     Returns an Estimate; data that tell nothing give the verdict "lost" and a covariance that says so, not an error.
     Raises CaptureError when the sizes in the frame and the model's tell of a wrong unit.
     """
+    check_is_frame(frame)
+    check_kinds(model, seed, settings, beliefs)
     settings = sure_to_be_within(settings or usual_settings(), sure_within)
     check_limits(tolerance, budget_ms)
     check_scale(frame, model)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate, Mode
-from fusion.estimation.asked import as_prior, check_senses, sure_to_be_within
+from fusion.estimation.asked import as_prior, check_kinds, check_senses, sure_to_be_within
 from fusion.estimation.confidence import ConfidenceSettings, within
 from fusion.estimation.estimate import estimate
 from fusion.estimation.trace import Trace
@@ -105,6 +105,7 @@ class Tracker:
         """As `track`. live: frames do not wait for searches, which run on a thread of their own beside those that
         come; answers then depend on how fast frames come, too.
         """
+        check_kinds(model, seed, settings, beliefs, TrackSettings)
         self.model, self.live = model, live
         settings = settings or TrackSettings()
         first = sure_to_be_within(settings.first, sure_within)
@@ -112,8 +113,7 @@ class Tracker:
         self.settings = replace(settings, first=replace(first, verdict=rules))
         self._senses = check_senses(use)
         self._prior = as_prior(prior, self.settings.first)
-        self._seed = seed
-        self._asked = beliefs
+        self._seed, self._asked = seed, beliefs
         self._believe(beliefs or Beliefs())
         self._hand_motion = HandMotion(model, self.settings.hand)
         self._velocity = ConstantVelocity(model.centroid, self.settings.velocity)
@@ -206,7 +206,7 @@ class Tracker:
     def _recover(self, frame: Frame, lost: TrackedEstimate, heard: str) -> TrackedEstimate:
         """Look for the object; the track begins again from where it is found."""
         try:
-            found = recover(frame, lost, self._state, self.estimated, self._aside, heard, self.settings)
+            found = recover(self.model, frame, lost, self._state, self.estimated, self._aside, heard, self.settings)
         except CaptureError as error:  # a frame amid a track whose sizes make no sense is a frame without evidence
             return replace(lost, notes=(*lost.notes, str(error)))
         if found is None:

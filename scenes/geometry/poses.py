@@ -38,7 +38,10 @@ def check_pose(pose: ArrayLike, name: str = "pose") -> Array:
     Raises InputError when the shape is wrong, a value is not finite, the last row is not
     (0, 0, 0, 1), the rotation is scaled, sheared or mirrored, or the translation beyond FARTHEST.
     """
-    array = np.array(pose, dtype=np.float64)
+    try:
+        array = np.array(pose, dtype=np.float64)
+    except (TypeError, ValueError) as why:
+        raise InputError(f"{name}: expected a 4x4 transform of numbers: {why}") from why
     if array.shape[-2:] != (4, 4):
         raise InputError(f"{name}: expected a 4x4 transform, got shape {array.shape}")
     if not np.isfinite(array).all():

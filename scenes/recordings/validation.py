@@ -6,7 +6,9 @@ Validation reads the capture with the very code that an estimate reads it with, 
 from __future__ import annotations
 
 from collections.abc import Callable
+from numbers import Integral
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +21,22 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings import bop
 from scenes.recordings.captures import CSV_FILES, Capture
 from scenes.recordings.frame_problems import NOWHERE, frame_problems
-from scenes.recordings.frames import Frame
+from scenes.recordings.frames import Contacts, Frame
 from scenes.recordings.manifest import frame_stamps
 from scenes.recordings.strays import strays
 
-__all__ = ["Problem", "check_scale", "check_usable", "scale_problem", "usable", "validate"]
+__all__ = [
+    "Problem",
+    "check_are_contacts",
+    "check_is_frame",
+    "check_is_model",
+    "check_scale",
+    "check_seed",
+    "check_usable",
+    "scale_problem",
+    "usable",
+    "validate",
+]
 
 Array = NDArray[np.float64]
 
@@ -148,17 +161,39 @@ def usable(
     return frame
 
 
+def check_is_frame(frame: object) -> None:
+    """Raises InputError for what is no Frame."""
+    _check_is("frame", frame, Frame, "read_capture(folder)[0], or Frame(0, …)")
+
+
+def check_is_model(model: object) -> None:
+    """Raises InputError for what is no ObjectModel."""
+    _check_is("model", model, ObjectModel, "ObjectModel.load(path)")
+
+
+def check_are_contacts(contacts: object) -> None:
+    """Raises InputError for what is no Contacts."""
+    _check_is("contacts", contacts, Contacts, "Contacts(points, normals)")
+
+
+def check_seed(seed: Any) -> None:
+    """Raises InputError for what is no whole number from 0."""
+    if not isinstance(seed, Integral) or isinstance(seed, bool) or seed < 0:
+        raise InputError(f"seed: expected a whole number from 0, got {seed!r}")
+
+
+def _check_is(what: str, value: object, kind: type, how: str) -> None:
+    if not isinstance(value, kind):
+        raise InputError(f"{what}: expected {kind.__name__} ({how}), got {type(value).__name__}")
+
+
 def check_scale(frame: Frame, model: ObjectModel) -> None:
     """Raise CaptureError, naming both sizes, when the model's unit and the frame's cannot both be metres.
 
     Raises InputError for what is no frame or no model.
     """
-    for what, value, kind, how in (
-        ("frame", frame, Frame, "read_capture(folder)[0], or Frame(0, …)"),
-        ("model", model, ObjectModel, "ObjectModel.load(path)"),
-    ):
-        if not isinstance(value, kind):
-            raise InputError(f"{what}: expected {kind.__name__} ({how}), got {type(value).__name__}")
+    check_is_frame(frame)
+    check_is_model(model)
     message = scale_problem(frame, model)
     if message is not None:
         raise CaptureError(f"{frame.where or f'frame {frame.index}'}: {message}")

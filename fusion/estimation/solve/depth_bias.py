@@ -48,9 +48,9 @@ class DepthBias:
         uv, (low, high) = _places(camera, points)
         step = spacing * length
         while True:
-            counts = np.maximum(1, np.ceil((high - low) / step)).astype(int) + 1
-            if counts.prod() <= 4 * most:
-                u, v = (np.linspace(a, b, n) for a, b, n in zip(low, high, counts))
+            counts = np.maximum(1.0, np.ceil((high - low) / step)) + 1.0
+            if counts.prod() <= 4 * most:  # as floats: steps may be so small that whole numbers run over
+                u, v = (np.linspace(a, b, int(n)) for a, b, n in zip(low, high, counts))
                 column, row = np.tile(np.arange(len(u)), len(v)), np.repeat(np.arange(len(v)), len(u))
                 grid = np.stack([u[column], v[row]], axis=1)
                 near = _is_near(grid, uv, step)

@@ -112,7 +112,7 @@ def outlined(
     mesh = mesh_spread(model, mesh_sigma**2, settings.joint)
     spread = kept @ _positive(mode.covariance - mesh) @ kept.T + inverse @ hessian @ inverse + mesh
     # or it was another outline that was read: then the pose is as unknown as before, and off by the move, too
-    another = how.another + how.unclear * evidence.unclear
+    another = min(1.0, how.another + how.unclear * evidence.unclear)
     spread = (1.0 - another) * spread + another * (mode.covariance + np.outer(moved, moved))
     why = f"{lines} lines across it, moved by {1e3 * float(np.linalg.norm(moved[3:])):.1f} mm, {worse:+.1f} nats"
     calibrated = replace(solved, xi=solved.xi + solved.follows @ moved)

@@ -127,12 +127,17 @@ def as_believed(
 
 
 def as_learned(model: ObjectModel, answer: Estimate, sizes: Sizes, settings: TrackSettings) -> Estimate:
-    """A frame's own answer amid a track: less sure where looks before it have shown that what frames of this recording
-    share is larger than one frame believes.
+    """A frame's own answer amid a track that had lost the object: less sure where looks before it have shown that what
+    frames of this recording share is larger than one frame believes; and as wide as all that may be the case, where it
+    is not sure, for it was looked for about the prediction, of which nothing is known but that the object was not
+    there.
     """
     how, lasting, first = settings.first.confidence, settings.first_lasting, answer.modes[0]
+    if answer.verdict != "ok":
+        open_to = told_covariance(model, answer.modes, answer.verdict, answer.confidence, None, how)
+        return replace(answer, covariance=open_to)
     wider = 1.0 + lasting * (sizes.factor(settings.sizes) - 1.0)
-    if answer.verdict != "ok" or wider <= 1.0:
+    if wider <= 1.0:
         return answer
     told = how.tolerance, how.seen.nearest
     near, less = (within(model, first.pose, by * first.covariance, *told) for by in (1.0, wider))

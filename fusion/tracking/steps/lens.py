@@ -11,12 +11,15 @@ import numpy as np
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.state import TrackState
 from scenes.recordings.frames import Frame
+from scenes.recordings.validation import check_is_frame
 
 
 def through_one_lens(frame: Frame, state: TrackState, settings: TrackSettings) -> tuple[Frame, tuple[str, ...]]:
     """The frame, without what its camera saw where its focal lengths have leapt, and a note of that; the state knows
     the lens that is used. A part of an image has the lengths (px) of the whole, a smaller image its field of view.
+    Raises InputError for what is no frame.
     """
+    check_is_frame(frame)
     camera = frame.camera
     if camera is None or frame.depth is None:
         return frame, ()

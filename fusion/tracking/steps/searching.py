@@ -24,6 +24,7 @@ from fusion.tracking.steps.refining import prefers
 from fusion.tracking.steps.sensing import Sensed
 from scenes.errors import CaptureError
 from scenes.evidence.align import Prior
+from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
 
@@ -42,6 +43,7 @@ def leader_at(answer: TrackedEstimate, state: TrackState) -> Hypothesis:
 
 
 def recover(
+    model: ObjectModel,
     frame: Frame,
     lost: TrackedEstimate,
     state: TrackState,
@@ -52,6 +54,8 @@ def recover(
 ) -> Estimate | None:
     """Look for a lost object around the prediction, if anything is seen there, and now and then everywhere: a live
     tracker meanwhile (aside; heard: what that has searched for), and then in this frame around where that has found it.
+    What is found farther from there than was thought is estimated once more around itself: a place to look at is no
+    evidence, and would pull the answer towards it.
     """
     s, frame = settings, replace(frame, prior=None)
     tries: list[Prior | None] = []
@@ -70,8 +74,17 @@ def recover(
         found = estimated(frame, prior)
         likely = prior is not None or several.sure_of(found) >= s.found_again
         if found.verdict == "ok" or (found.verdict == "ambiguous" and likely):
-            return found
+            if prior is None or not _is_away(model, found.pose, prior):
+                return found
+            again = estimated(frame, Prior.isotropic(found.pose, s.near_angle, s.near_distance))
+            return found if again.verdict == "lost" else again
     return None
+
+
+def _is_away(model: ObjectModel, pose: Array, prior: Prior) -> bool:
+    """Whether a pose (4, 4) is more than a standard deviation from where a prior looks for it."""
+    off = se3.difference(model.symmetries.nearest(pose, prior.pose), prior.pose, model.centroid)
+    return float(off @ prior.information @ off) > 1.0
 
 
 def lets_go(

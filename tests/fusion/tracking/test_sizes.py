@@ -172,6 +172,10 @@ def test_what_is_found_again_is_as_sure_as_the_recording_has_shown():
     assert np.trace(said.covariance) > 2.0 * np.trace(unsure.covariance)
     narrow = replace(wide, covariance=1e-4 * wide.covariance)
     assert as_learned(mug, replace(unsure, modes=(narrow,)), bad, TrackSettings()).verdict == "ok"
+    # what is not sure may be anywhere: the prediction about which it was looked for was wrong
+    open_to = as_learned(mug, replace(unsure, verdict="ambiguous", confidence=0.6), usual, TrackSettings())
+    assert open_to.confidence == 0.6
+    assert np.trace(open_to.covariance[3:, 3:]) > (0.5 * mug.radius) ** 2
 
 
 def test_nothing_is_learned_where_nobody_knows_what_is_in_front():

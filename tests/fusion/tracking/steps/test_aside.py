@@ -220,7 +220,7 @@ def test_one_search_at_a_time_and_none_for_a_track_that_began_anew():
     assert aside.searching == ""
 
 
-def test_a_lost_object_is_searched_beside_the_frames_and_then_looked_for_where_it_was_found(carried):
+def test_a_lost_object_is_searched_beside_the_frames_and_then_looked_for_where_it_was_found(mug, carried):
     before, found_at = np.eye(4), poses.make_pose(np.eye(3), [0.0, 0.1, 0.6])
     hand, moved = np.eye(4), poses.make_pose(np.eye(3), [0.01, 0.0, 0.0])
     state = replace(state_with(hand), lost_for=2, hypotheses=(Hypothesis(before, np.eye(6), 0.0),))
@@ -236,7 +236,7 @@ def test_a_lost_object_is_searched_beside_the_frames_and_then_looked_for_where_i
         return replace(estimate_at(moved @ found_at), verdict="ok" if near else "lost")
 
     def step(heard):
-        return recover(carried[0], lost, state, estimated, aside, heard, TrackSettings())
+        return recover(mug, carried[0], lost, state, estimated, aside, heard, TrackSettings())
 
     assert step("") is None
     assert [prior is None for prior in looked] == [False]
@@ -249,8 +249,25 @@ def test_a_lost_object_is_searched_beside_the_frames_and_then_looked_for_where_i
     assert aside.ready == ""
     # who waits finds it in the frame that is searched
     state = replace(state, lost_for=5)
-    alone = recover(carried[0], lost, state, estimated, None, "", TrackSettings())
+    alone = recover(mug, carried[0], lost, state, estimated, None, "", TrackSettings())
     np.testing.assert_allclose(alone.pose, found_at)
+
+
+@pytest.mark.parametrize(("off", "times"), [(0.01, 1), (0.06, 2)])
+def test_where_a_lost_object_is_looked_for_is_no_evidence(mug, carried, off, times):
+    lost = as_tracked(replace(estimate_at(np.eye(4)), verdict="lost"), "lost")
+    found_at = poses.make_pose(np.eye(3), [off, 0.0, 0.0])
+    looked = []
+
+    def estimated(frame, prior):
+        looked.append(prior)
+        return replace(estimate_at(found_at), confidence=0.96 + 0.01 * len(looked))
+
+    found = recover(mug, carried[0], lost, state_with(None), estimated, None, "", TrackSettings())
+    assert len(looked) == times
+    assert found.confidence == 0.96 + 0.01 * times
+    # where it was thought to be, and then where it was found
+    np.testing.assert_allclose(looked[-1].pose, np.eye(4) if times == 1 else found_at)
 
 
 def test_what_was_not_found_is_nowhere_to_look():
