@@ -129,6 +129,11 @@ class TrackSettings:
         seen, felt = (replace(one, nearest=self.nearest) for one in (how.seen, how.felt))
         return replace(how, seen=seen, felt=felt)
 
+    def is_far(self, step: Array) -> bool:
+        """Farther from the prediction (6,) than the prior of a frame's own answer is wide, and pulled by it."""
+        turn, move = np.linalg.norm(step[:3]), np.linalg.norm(step[3:])
+        return bool(turn > self.loose_angle or move > self.loose_distance)
+
     def leaps(self, step: Array, room: Array | None = None) -> bool:
         """Farther from the prediction (6,) than few steps are to be trusted: another place was found by chance. room
         (6, 6): covariance of what prediction and frame leave open; a step within that is none.

@@ -69,6 +69,10 @@ class Measurement:
         """
         return Measurement(pose, noise * independent, shared + (1.0 - noise) * independent, biased)
 
+    def smeared(self, by: Array) -> Measurement:
+        """The same of a thing that moves by so much (6,) in the time that the frame may be off by."""
+        return replace(self, own=self.own + np.outer(by, by))
+
 
 def block(rotation: Array) -> Array:
     """(6, 6) that turns rotation and displacement alike."""

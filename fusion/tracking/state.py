@@ -23,6 +23,7 @@ from fusion.tracking.touched import Touched
 from fusion.tracking.untold import Untold
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
+from vision.tracking.by_vision import FASTEST, FASTEST_TURN, VelocitySettings
 
 Array = NDArray[np.float64]
 
@@ -198,6 +199,19 @@ class TrackState:
         self.things, self.untold, self.jumps = Occluders(), Untold(), Jumps()
         self.touched = None
         self.sizes = self.sizes.faded(settings)
+
+    def smear(self, model: ObjectModel, index: int, pose: Array, settings: VelocitySettings) -> Array:
+        """(6,) by how much an object at `pose` (4, 4) in frame `index` may be elsewhere at the time that the frame is
+        said to be of, where only its motion tells: what moves with a hand that is known is seen where that is seen.
+        """
+        frames = index - self.index
+        if self.hand is not None or self.belief is None or frames <= 0:
+            return np.zeros(6)
+        before = model.symmetries.nearest(self.belief.pose, pose)
+        step = se3.difference(pose, before, model.centroid) / frames
+        # what comes from farther was not moved there, but was taken for something else before
+        far = np.linalg.norm(step[:3]) > FASTEST_TURN or np.linalg.norm(step[3:]) > FASTEST
+        return np.zeros(6) if far else settings.exposure * step
 
     def corrected(self, seen: Array | None) -> Array | None:
         """(4, 4) camera_from_camera of what the robot reports, as looks at the hand have it; seen: as the last has it,

@@ -38,11 +38,11 @@ from fusion.tracking.steps.glancing import as_judged, glance, known_of, may_glan
 from fusion.tracking.steps.judging import as_believed, as_followed, as_learned, judge
 from fusion.tracking.steps.lens import through_one_lens
 from fusion.tracking.steps.outlining import with_outline
-from fusion.tracking.steps.predicting import predict
+from fusion.tracking.steps.predicting import as_moved, predict
 from fusion.tracking.steps.printed import as_before, as_printed
 from fusion.tracking.steps.refining import loose, measurement_of, refine, shift, solve_leader
 from fusion.tracking.steps.searching import leader_at, look_closer, recover, renew, search_around
-from fusion.tracking.steps.sensing import Sensed, learn_things, pool_near
+from fusion.tracking.steps.sensing import Sensed, feel_near, learn_things, pool_near
 from fusion.tracking.touched import Touched
 from scenes.errors import CaptureError
 from scenes.evidence.align import Prior
@@ -54,7 +54,7 @@ from scenes.recordings.frames import Frame
 from scenes.threads import one_blas_thread
 from scenes.words import counted
 from touch.arrays.readings import readings_of
-from touch.contacts import Felt, feel
+from touch.contacts import Felt
 from touch.gels.slip import in_palm
 from vision.filling import as_measured
 from vision.look.looked import Looked
@@ -212,8 +212,9 @@ class Tracker:
         if found is None:
             return lost
         found = replace(as_before(self.model, found, lost, self.settings.first), trace=(*lost.trace, *found.trace))
+        smear = self._state.smear(self.model, frame.index, found.pose, self.settings.velocity)
         self.believe(frame, found)
-        return as_tracked(as_learned(self.model, found, self._state.sizes, self.settings), "re-initialised")
+        return as_tracked(as_learned(self.model, found, self._state.sizes, smear, self.settings), "re-initialised")
 
     def _search(self, frame: Frame, answer: TrackedEstimate, heard: str) -> TrackedEstimate:
         """A tracked frame searched by itself, where that is due: close around its answer, and as if nothing were known.
@@ -259,16 +260,19 @@ class Tracker:
 
     # --- one frame
 
-    def _follow(self, frame: Frame, belief: Belief, briefly: bool) -> TrackedEstimate:
-        """Predict, look, solve, judge; at a glance only where that may be brief."""
+    def _follow(self, frame: Frame, belief: Belief, briefly: bool, there: Array | None = None) -> TrackedEstimate:
+        """Predict, look, solve, judge; at a glance only where that may be brief. there: a pose (4, 4) that the frame
+        has been solved to, farther from the prediction than that knew: it is looked at once more from there.
+        """
         trace, s, state, model = Trace(), self.settings, self._state, self.model
         first, beliefs = s.first, self._beliefs
         with trace.stage("predict", True, "") as stage:
             moving = self._velocity, self._hand_motion, self._watch
             right = state.corrected(self._looker.correction)
             ahead = predict(model, frame, belief, state, *moving, beliefs.calibration, right)
-            predicted, carried = ahead.belief, ahead.hypotheses
-            stage.note(0, ahead.why)
+            near = ahead if there is None else as_moved(model, ahead, there)
+            predicted, carried = near.belief, near.hypotheses
+            stage.note(0, near.why)
         viewed = frame if "vision" in self._senses else frame.without_vision()
         if briefly and not self._watch.settling and may_glance(viewed, state, carried, s):
             glanced = self._glance(frame, viewed, predicted, carried, trace)
@@ -307,6 +311,7 @@ class Tracker:
             shown = replace(sensed, seen=found.seen)
             untold, nearest = state.untold, predicted.pose
             measured, untold = measurement_of(model, solved, nearest, shown, blind, told, untold, beliefs, s)
+            measured = measured.smeared(state.smear(model, frame.index, measured.pose, s.velocity))
             if len(state.levels) > learned:  # of what all frames share the first was told no more than this one
                 predicted = replace(predicted, shared=measured.shared)
             if felt_rows and not placed:
@@ -316,10 +321,12 @@ class Tracker:
             self._sensed = replace(sensed, seen_from=common.seen_from(model))
             off = 1e3 * shift(felt.correction, self._middle(solved.pose))
             stage.note(len(found.seen) + felt_rows, f"calibration off by {off:.1f} mm")
+        step = se3.difference(measured.pose, ahead.belief.pose, model.centroid)
+        if there is None and state.hand is None and not found.switched and s.is_far(step):
+            return self._follow(frame, belief, False, measured.pose)
         with trace.stage("judge", True, "") as stage:
             belief, watched = self._updated(frame, predicted, common.measured, found.switched, felt)
-            step = se3.difference(measured.pose, predicted.pose, model.centroid)
-            leap = step * (not found.switched and s.leaps(step, predicted.own + measured.own))
+            leap = step * (not found.switched and s.leaps(step, ahead.belief.own + measured.own))
             said = judge(model, found, solved, belief, now, state, leap, beliefs, s)
             stage.note(len(found.seen) + felt_rows, said.why)
         if said.verdict == "lost" and blind:  # touch alone does not prove that a hand has lost what it held
@@ -362,15 +369,8 @@ class Tracker:
         return frame if "touch" in self._senses else frame.without_touch()
 
     def _feel(self, frame: Frame, looked: Looked | None = None) -> Felt:
-        """What is felt, moved to where the hand is seen, or was last, or where the object has had it."""
-        region, told = None if looked is None else looked.region, self._state.correction
-        if looked is not None and looked.hand is not None:
-            told = looked.hand.correct()
-        elif self._looker.correction is not None:
-            told = self._looker.correction
-        elif told is None and looked is not None and not len(looked.pixels):
-            told = np.eye(4)  # what a calibration may be off by is in the measurement then
-        return feel(self._felt_frame(frame), told, self._beliefs, region, self.settings.first.touch)
+        told = self._looker.correction, self._state.correction
+        return feel_near(self._felt_frame(frame), looked, *told, self._beliefs, self.settings.first.touch)
 
     def _skins(self, frame: Frame, felt: Felt) -> Watched:
         """Whether what presses arrays and gels has moved over them."""

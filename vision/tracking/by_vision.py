@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 
 # Turning farther than this between two frames (rad) is a mistake, not a speed.
 FASTEST_TURN = 0.5
+# And moving farther (m): 1.5 m/s at 30 frames a second.
+FASTEST = 0.05
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,9 @@ class VelocitySettings:
     # stops within three frames of a 30 Hz camera (rad, m).
     angle: float = float(np.deg2rad(2.0))
     distance: float = 0.003
+    # Share of the motion from frame to frame by which what is seen may be elsewhere than at the time that the frame is
+    # said to be of: ten milliseconds of exposure after it are 0.15 of it at 30 Hz.
+    exposure: float = 0.12
 
 
 class ConstantVelocity:

@@ -166,6 +166,8 @@ def _glanced_at(
     changed, surprised = _otherwise(known, share, sight, _apart(residuals), how), False
     if not changed and surprise > how.surprise:
         changed, surprised = f"a surprise of {surprise:.0f} (chi-square)", True
+    if not changed and settings.is_far(step):  # a fit of few pixels goes part of the way only
+        changed, surprised = f"{1e3 * np.linalg.norm(step[3:]):.0f} mm from the prediction", True
     return Glanced(sensed, measured, residuals, share, rms, changed, surprised)
 
 

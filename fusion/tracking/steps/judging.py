@@ -126,23 +126,26 @@ def as_believed(
     return replace(answer, verdict="ambiguous", covariance=wide, confidence=sure, notes=notes)
 
 
-def as_learned(model: ObjectModel, answer: Estimate, sizes: Sizes, settings: TrackSettings) -> Estimate:
+def as_learned(model: ObjectModel, answer: Estimate, sizes: Sizes, smear: Array, settings: TrackSettings) -> Estimate:
     """A frame's own answer amid a track that had lost the object: less sure where looks before it have shown that what
-    frames of this recording share is larger than one frame believes; and as wide as all that may be the case, where it
-    is not sure, for it was looked for about the prediction, of which nothing is known but that the object was not
-    there.
+    frames of this recording share is larger than one frame believes, or it moves (smear: (6,) by what the exposure may
+    be off by); and as wide as all that may be the case, where it is not sure, for it was looked for about the
+    prediction, of which nothing is known but that the object was not there.
     """
     how, lasting, first = settings.first.confidence, settings.first_lasting, answer.modes[0]
     if answer.verdict != "ok":
         open_to = told_covariance(model, answer.modes, answer.verdict, answer.confidence, None, how)
         return replace(answer, covariance=open_to)
-    wider = 1.0 + lasting * (sizes.factor(settings.sizes) - 1.0)
-    if wider <= 1.0:
+    wider, moved = max(1.0, 1.0 + lasting * (sizes.factor(settings.sizes) - 1.0)), np.outer(smear, smear)
+    if wider == 1.0 and not smear.any():
         return answer
     told = how.tolerance, how.seen.nearest
-    near, less = (within(model, first.pose, by * first.covariance, *told) for by in (1.0, wider))
+    near, less = (
+        within(model, first.pose, covariance, *told)
+        for covariance in (first.covariance, wider * first.covariance + moved)
+    )
     sure = answer.confidence * less / max(near, less)
-    wide = replace(answer, covariance=wider * answer.covariance, confidence=sure)
+    wide = replace(answer, covariance=wider * answer.covariance + moved, confidence=sure)
     if sure >= how.sure:
         return wide
     return replace(wide, verdict="ambiguous", notes=(_LARGE, *answer.notes))

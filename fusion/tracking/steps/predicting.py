@@ -75,3 +75,16 @@ def predict(
     fingers = f"with palm and fingertips, {1e3 * np.linalg.norm(delta[3:]):.2f} mm"
     why = fingers if delta.any() else "with the palm"
     return Predicted(moved.shifted(delta, noise, model.centroid), several.moved(state.hypotheses, whole), why)
+
+
+def as_moved(model: ObjectModel, ahead: Predicted, pose: Array) -> Predicted:
+    """The prediction of a frame that has been solved to a pose (4, 4) farther from it than it knew: all of it there,
+    and as unsure as the two are apart.
+    """
+    belief = ahead.belief
+    apart = se3.difference(pose, belief.pose, model.centroid)
+    motion = pose @ se3.inverse(belief.pose)
+    there = replace(belief.moved(motion), pose=pose)
+    wide = replace(there, own=there.own + np.outer(apart, apart))
+    far = f"{ahead.why}, and {1e3 * np.linalg.norm(apart[3:]):.0f} mm from there"
+    return Predicted(wide, several.moved(ahead.hypotheses, motion), far)

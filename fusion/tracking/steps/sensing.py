@@ -21,7 +21,7 @@ from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
-from touch.contacts import Felt
+from touch.contacts import Felt, TouchSettings, feel
 from vision.look.look import surfaces
 from vision.look.looked import Looked
 from vision.look.pixels import read_pixels
@@ -103,6 +103,27 @@ def part_with_colours(sensed: Sensed) -> Frame:
     u, v = round(frame.camera.cx - own.cx), round(frame.camera.cy - own.cy)
     part = cropped(frame, (u, v, u + own.width, v + own.height))
     return replace(part, rgb=np.ascontiguousarray(frame.rgb[v : v + own.height, u : u + own.width]))
+
+
+def feel_near(
+    frame: Frame,
+    looked: Looked | None,
+    seen: Array | None,
+    held: Array | None,
+    beliefs: Beliefs,
+    settings: TouchSettings,
+) -> Felt:
+    """What is felt, moved to where the hand is seen, or was last (seen: a correction (4, 4), None before it was), or
+    where the object has had it (held).
+    """
+    told = held
+    if looked is not None and looked.hand is not None:
+        told = looked.hand.correct()
+    elif seen is not None:
+        told = seen
+    elif told is None and looked is not None and not len(looked.pixels):
+        told = np.eye(4)  # what a calibration may be off by is in the measurement then
+    return feel(frame, told, beliefs, None if looked is None else looked.region, settings)
 
 
 def pool_near(

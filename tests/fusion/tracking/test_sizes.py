@@ -160,20 +160,25 @@ def test_what_is_found_again_is_as_sure_as_the_recording_has_shown():
     frame = recording(mug, 1)[0]
     found = estimate(replace(frame, mask=frame.depth > 0), mug, settings=TrackSettings().first)
     found = replace(found, verdict="ok", confidence=0.97)
+    still = np.zeros(6)
     usual, bad = Sizes(), Sizes().learned(look(strain=40.0), contacts(3.0), HOW)
-    assert as_learned(mug, found, usual, TrackSettings()) is found
+    assert as_learned(mug, found, usual, still, TrackSettings()) is found
     calm = usual.learned(look(strain=0.1), contacts(0.1), HOW)
-    assert as_learned(mug, found, calm, TrackSettings()) is found  # a frame is never surer for it
+    assert as_learned(mug, found, calm, still, TrackSettings()) is found  # a frame is never surer for it
     wide = replace(found.modes[0], covariance=np.diag(np.repeat([1e-3 / mug.radius, 4e-3], 3) ** 2))
     unsure = replace(found, modes=(wide,), covariance=wide.covariance)
-    said = as_learned(mug, unsure, bad, TrackSettings())
+    said = as_learned(mug, unsure, bad, still, TrackSettings())
     assert said.verdict == "ambiguous"
     assert said.confidence < 0.95
     assert np.trace(said.covariance) > 2.0 * np.trace(unsure.covariance)
     narrow = replace(wide, covariance=1e-4 * wide.covariance)
-    assert as_learned(mug, replace(unsure, modes=(narrow,)), bad, TrackSettings()).verdict == "ok"
+    assert as_learned(mug, replace(unsure, modes=(narrow,)), bad, still, TrackSettings()).verdict == "ok"
+    # what moves may be elsewhere at the time that the frame is said to be of
+    moving = as_learned(mug, replace(unsure, modes=(narrow,)), usual, np.array([0, 0, 0, 0.009, 0, 0]), TrackSettings())
+    assert moving.confidence < 0.95
+    assert moving.covariance[3, 3] >= 0.009**2
     # what is not sure may be anywhere: the prediction about which it was looked for was wrong
-    open_to = as_learned(mug, replace(unsure, verdict="ambiguous", confidence=0.6), usual, TrackSettings())
+    open_to = as_learned(mug, replace(unsure, verdict="ambiguous", confidence=0.6), usual, still, TrackSettings())
     assert open_to.confidence == 0.6
     assert np.trace(open_to.covariance[3:, 3:]) > (0.5 * mug.radius) ** 2
 
