@@ -54,6 +54,8 @@ class HypothesisSettings:
     # A search that is not sure, but this likely (a probability, no unit), gives this part of a vote to what it finds,
     # and takes none from the others: where each frame leaves several poses open, the same one again is worth something.
     likely: float = 0.75
+    # And one this likely (a probability, no unit) a whole one, as an `ok` one has: the limit of that.
+    sure: float = 0.95
     part: float = 0.3
     # A search that is not even that gives this share of a vote to a hypothesis that was there before, up to so many in
     # all: searches that are wrong seldom agree with one another, but what makes one wrong may make the next wrong, too,
@@ -123,8 +125,10 @@ def sure_of(answer: Estimate) -> float:
 
 
 def vote_of(verdict: str, sure: float, settings: HypothesisSettings) -> float:
-    """What a frame searched by itself is worth to what it has found, by its verdict and confidence."""
-    if verdict == "ok":
+    """What a frame searched by itself is worth to what it has found, by its verdict and confidence: one that is as sure
+    as an `ok` one of the surface, and not which way round it is, speaks for what has the surface there.
+    """
+    if verdict == "ok" or (verdict == "ambiguous" and sure >= settings.sure):
         return max(0.0, 2.0 * sure - 1.0)
     return settings.part if verdict == "ambiguous" and sure >= settings.likely else 0.0
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.solve.settings import Level
+from fusion.estimation.verdict import VerdictSettings
 from fusion.tracking.filter import Belief, Measurement, block
 from fusion.tracking.hypotheses import Hypotheses
 from fusion.tracking.motion import HandState
@@ -168,7 +169,7 @@ class TrackState:
     frame must be looked at so; correction (4, 4) camera_from_camera of what the robot reports, as the last joint
     solution has it where no pixels of the hand tell: a calibration stays; None before; lens (4,): focal lengths (px,
     and shares of the image) of the last image looked at, and lens_for: images since, which had others; touched: what
-    the fingers have felt of it last, None where there is no hand or they have not.
+    the fingers have felt of it last, None where there is no hand or they have not; released: the hand has let go.
     """
 
     belief: Belief | None = None
@@ -193,12 +194,30 @@ class TrackState:
     lens: Array | None = None
     lens_for: int = 0
     touched: Touched | None = None
+    released: bool = False
 
     def forget(self, settings: SizeSettings) -> None:
         """What looks at an object have taught, whose place is begun anew."""
         self.things, self.untold, self.jumps = Occluders(), Untold(), Jumps()
         self.touched = None
         self.sizes = self.sizes.faded(settings)
+
+    def holding(
+        self, model: ObjectModel, hand: HandState | None, pose: Array, seen: Array | None, settings: VerdictSettings
+    ) -> HandState | None:
+        """The hand of a frame with the object at `pose` (4, 4), None when it has let go: nothing is felt, and where it
+        was felt last in the hand is no object. It is not carried then, until something is felt again. seen: as in
+        `corrected`.
+        """
+        if hand is None:
+            return None
+        if len(hand.points):
+            self.released = False
+        elif self.touched is not None and not self.released:
+            right = self.corrected(seen)
+            at = hand.camera_from_hand if right is None else right @ hand.camera_from_hand
+            self.released = self.touched.is_let_go(model, pose, at @ self.touched.hold, at, settings)
+        return None if self.released else hand
 
     def smear(self, model: ObjectModel, index: int, pose: Array, settings: VelocitySettings) -> Array:
         """(6,) by how much an object at `pose` (4, 4) in frame `index` may be elsewhere at the time that the frame is

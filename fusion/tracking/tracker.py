@@ -173,6 +173,8 @@ class Tracker:
         sure, how = several.sure_of(answer), s.hypotheses
         votes, odds = several.vote_of(answer.verdict, sure, how), several.log_odds(sure, how)
         state.hypotheses = several.of_modes(answer.modes, votes, how, odds)
+        felt = self._feel(frame)
+        state.hand, state.seen_at = self._holding(frame, felt, answer.pose), None
         state.index, state.unseen, state.lost_for, state.usual, state.known = frame.index, 0, 0, None, None
         state.forget(s.sizes)
         state.renewal.restart(frame.index, s.renewal)
@@ -181,22 +183,18 @@ class Tracker:
         near = self._near(answer.modes[0], s.first.confidence)
         state.right = min(1.0, several.sure_of(answer) / near) if near > 1e-9 else 0.0
         state.sure = answer.verdict == "ok"
-        felt = self._feel(frame)
-        state.hand, state.seen_at = HandState.of(frame, felt.reported_contacts), None
         self._velocity.restart(frame.index, answer.pose)
         self._watch.let_go()
         self._skins(frame, felt)
 
     def _near(self, mode: Mode, how: ConfidenceSettings) -> float:
-        """Probability that the object is within the tolerance of a mode, if that is the right one."""
         return within(self.model, mode.pose, mode.covariance, how.tolerance, how.seen.nearest)
 
     def _anchor(self, answer: Estimate, tracked: Array | None = None) -> None:
         """Believe an estimate; of a pose that this frame was tracked to (4, 4) as unsure as the two are apart."""
         share, own = self.settings.first_lasting, answer.modes[0].covariance
         apart = np.zeros(6) if tracked is None else se3.difference(answer.pose, tracked, self.model.centroid)
-        belief = Belief(answer.pose, (1 - share) * own + np.outer(apart, apart), share * own)
-        self._state.belief = belief
+        self._state.belief = belief = Belief(answer.pose, (1 - share) * own + np.outer(apart, apart), share * own)
         if tracked is not None and self._state.hand is None:  # only its velocity says where it goes from there
             leader = replace(self._state.hypotheses[0], pose=belief.pose, covariance=belief.covariance)
             self._state.hypotheses = leader, *self._state.hypotheses[1:]
@@ -309,9 +307,8 @@ class Tracker:
             blind = state.hand is not None and not len(looked.pixels)
             told = self._looker.correction is not None or state.correction is not None
             shown = replace(sensed, seen=found.seen)
-            untold, nearest = state.untold, predicted.pose
-            measured, untold = measurement_of(model, solved, nearest, shown, blind, told, untold, beliefs, s)
-            measured = measured.smeared(state.smear(model, frame.index, measured.pose, s.velocity))
+            how = blind, told, state, beliefs, s
+            measured, untold = measurement_of(model, solved, frame.index, predicted.pose, shown, *how)
             if len(state.levels) > learned:  # of what all frames share the first was told no more than this one
                 predicted = replace(predicted, shared=measured.shared)
             if felt_rows and not placed:
@@ -372,13 +369,16 @@ class Tracker:
         told = self._looker.correction, self._state.correction
         return feel_near(self._felt_frame(frame), looked, *told, self._beliefs, self.settings.first.touch)
 
+    def _holding(self, frame: Frame, felt: Felt, pose: Array) -> HandState | None:
+        hand, corrected = HandState.of(frame, felt.reported_contacts), self._looker.correction
+        return self._state.holding(self.model, hand, pose, corrected, self.settings.first.verdict)
+
     def _skins(self, frame: Frame, felt: Felt) -> Watched:
         """Whether what presses arrays and gels has moved over them."""
         patches = in_palm(frame, felt.reported_patches) if felt.reported_patches else []
         return self._watch.feel(readings_of(self._felt_frame(frame)), patches)
 
     def _middle(self, pose: Array) -> Array:
-        """Where the object's centroid is (3,): its file's origin may be anywhere."""
         return se3.apply(pose, self.model.centroid[None])[0]
 
     def _updated(
@@ -415,7 +415,7 @@ class Tracker:
             state.usual = share if state.usual is None else 0.9 * state.usual + 0.1 * share
         leader = replace(found[0], pose=belief.pose, covariance=belief.covariance)
         kept = several.sifted(self.model, (leader, *found[1:]), self.settings.hypotheses)
-        hand = HandState.of(frame, felt.reported_contacts)
+        hand = self._holding(frame, felt, belief.pose)
         if frame.index < state.index:
             if state.hand is None or hand is None:
                 return
@@ -439,7 +439,7 @@ class Tracker:
         if frame.index > state.index:
             state.unseen += frame.index - state.index
             state.belief, state.hypotheses, state.index = predicted, carried, frame.index
-            state.hand = HandState.of(frame, felt.reported_contacts)
+            state.hand = self._holding(frame, felt, predicted.pose)
             self._velocity.coast(frame.index)
         held = state.hand is not None and state.unseen <= s.coast
         told = state.told(predicted, s.sizes)

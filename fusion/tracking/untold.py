@@ -8,7 +8,7 @@ width for its own would keep the narrowest. Object's axes, about the centroid: r
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,17 +20,19 @@ Array = NDArray[np.float64]
 
 # Looks whose mean counts: what comes into view is told from then on, and the width is gone as soon.
 LOOKS = 4
+# What a single one of them finds counts as so many times (of standard deviations, the root of the trace) the mean of
+# the others at most, and these as so much at least (rad, radii of the object): samples of one look may follow something
+# that is no direction of the object's, and 59 mm of one made a track of 1 mm unsure for 13 frames. By judgement.
+ALONE, LEAST = 3.0, 0.02
 
 
 @dataclass(frozen=True)
 class Untold:
-    """root (6, 6): square root of the covariance beyond the Gaussian's, rad and radii of the object, the mean of the
-    last looks that could tell: of standard deviations, for the variances of few samples have long tails. looks: how
-    many could.
+    """roots: of the last looks that could tell, (6, 6) each, square roots of the covariance beyond the Gaussian's, rad
+    and radii of the object. Their mean counts: of standard deviations, for variances of few samples have long tails.
     """
 
-    root: Array = field(default_factory=lambda: np.zeros((6, 6)))
-    looks: int = 0
+    roots: tuple[Array, ...] = ()
 
     def learned(self, model: ObjectModel, pose: Array, added: Array | None) -> Untold:
         """After a look that found the object at pose (4, 4): added (6, 6), camera axes; None where it cannot tell."""
@@ -39,10 +41,21 @@ class Untold:
         turn, scale = block(pose[:3, :3].T), scales(model)
         values, vectors = np.linalg.eigh(turn @ added @ turn.T / scale / scale[:, None])
         root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-        looks = min(self.looks + 1, LOOKS)
-        return Untold(self.root + (root - self.root) / looks, looks)
+        return Untold((*self.roots[-LOOKS + 1 :], root))
+
+    @property
+    def root(self) -> Array:
+        """(6, 6) of all looks, with little of what one of them alone has found."""
+        if not self.roots:
+            return np.zeros((6, 6))
+        sizes = np.array([float(np.linalg.norm(root)) for root in self.roots])
+        widest = int(np.argmax(sizes))
+        others = max(float(np.sum(np.delete(sizes, widest))) / max(len(sizes) - 1, 1), LEAST)
+        share = np.ones(len(sizes))
+        share[widest] = min(1.0, ALONE * others / max(sizes[widest], 1e-300))
+        return np.asarray(np.tensordot(share, np.stack(self.roots), axes=1) / len(sizes))
 
     def at(self, model: ObjectModel, pose: Array) -> Array:
         """(6, 6) covariance in camera axes of the object at pose (4, 4)."""
-        turn = block(pose[:3, :3]) * scales(model)
-        return np.asarray(turn @ self.root @ self.root @ turn.T)
+        turn, root = block(pose[:3, :3]) * scales(model), self.root
+        return np.asarray(turn @ root @ root @ turn.T)

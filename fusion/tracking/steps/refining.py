@@ -22,6 +22,7 @@ from fusion.estimation.verdict import contact_residuals, nats_of_contacts
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Measurement
 from fusion.tracking.hypotheses import Hypotheses, weighed
+from fusion.tracking.state import TrackState
 from fusion.tracking.steps.by_picture import meant, walked
 from fusion.tracking.steps.sensing import Sensed
 from fusion.tracking.untold import Untold
@@ -205,26 +206,27 @@ def mean_level(found: Sequence[Level]) -> Level:
 def measurement_of(
     model: ObjectModel,
     solved: JointResult,
+    index: int,
     nearest: Array,
     sensed: Sensed,
     blind: bool,
     corrected: bool,
-    untold: Untold,
+    state: TrackState,
     beliefs: Beliefs,
     settings: TrackSettings,
 ) -> tuple[Measurement, Untold]:
     """The frame's own answer, the symmetric twin near `nearest` (4, 4), as wide as an estimate's: all of it stays from
     frame to frame but most of the independent noise. Where little is seen of an object that nothing tells from what
     hides it, the next frame's is no better. blind: told by the robot alone, whose error it has; corrected: a camera has
-    once said what that is. untold: what frames before it did not tell, and then this one: where evidence is no Gaussian
-    about the answer (a handle out of sight may turn as far as it would show).
+    once said what that is. Beside it what frames do not tell after this one (of that index): where evidence is no
+    Gaussian about the answer (a handle out of sight may turn as far as it would show).
     """
     s, calibration = settings, beliefs.calibration
     gaussian = solved.independent + solved.shared + solved.unsolved
     rows, how = tables.stack(sensed.seen, sensed.felt.rows), s.first.moments
     spread = moments(model, rows, solved.pose, gaussian, 0, None, how)
     told = not blind and (not spread.effective or spread.effective >= how.effective)
-    untold = untold.learned(model, solved.pose, spread.covariance - gaussian if told else None)
+    untold = state.untold.learned(model, solved.pose, spread.covariance - gaussian if told else None)
     if sensed.pool is not None and not sensed.told_apart:
         picture = sensed.pool.predictor.predict(solved.as_seen[None], s.side)
         # no narrower than its own solution has it: what is counted too little of a frame its neighbours share
@@ -239,6 +241,7 @@ def measurement_of(
         distance = s.left_distance if corrected else distance
         shared = shared + np.diag(np.repeat([angle, distance], 3) ** 2)
     measured = Measurement.of(pose, solved.independent, shared, solved.biased, s.noise)
+    measured = measured.smeared(state.smear(model, index, pose, s.velocity))
     return replace(measured, hidden=untold.at(model, solved.pose)), untold
 
 

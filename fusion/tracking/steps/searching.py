@@ -52,15 +52,21 @@ def recover(
     heard: str,
     settings: TrackSettings,
 ) -> Estimate | None:
-    """Look for a lost object around the prediction, if anything is seen there, and now and then everywhere: a live
-    tracker meanwhile (aside; heard: what that has searched for), and then in this frame around where that has found it.
-    What is found farther from there than was thought is estimated once more around itself: a place to look at is no
-    evidence, and would pull the answer towards it.
+    """Look for a lost object around the prediction and where it was last, if anything is seen there, and now and then
+    everywhere: a live tracker meanwhile (aside; heard: what that has searched for), and then in this frame around where
+    that has found it. What is found farther from there than was thought is estimated once more around itself: a place
+    to look at is no evidence, and would pull the answer towards it. Near a track that was more likely wrong than right
+    it is no surer than that.
     """
     s, frame = settings, replace(frame, prior=None)
     tries: list[Prior | None] = []
+    near = 0
     if lost.how == "lost":
-        tries.append(Prior.isotropic(lost.pose, s.near_angle, s.near_distance))
+        ahead = Prior.isotropic(lost.pose, s.near_angle, s.near_distance)
+        tries.append(ahead)
+        if state.belief is not None and _is_away(model, state.belief.pose, ahead):  # it stands where it was let go
+            tries.append(Prior.isotropic(state.belief.pose, s.near_angle, s.near_distance))
+        near = len(tries)
     if aside is not None and heard:
         place = aside.place(state, s.found_again)
         if place is not None:
@@ -70,15 +76,26 @@ def recover(
             tries.append(None)
         else:
             aside.ask(ANEW, estimated, frame, None, leader_at(lost, state), state)
-    for prior in tries:
+    for number, prior in enumerate(tries):
         found = estimated(frame, prior)
-        likely = prior is not None or several.sure_of(found) >= s.found_again
+        likely = several.sure_of(found) >= (s.found_again if prior is None else s.found_near)
         if found.verdict == "ok" or (found.verdict == "ambiguous" and likely):
-            if prior is None or not _is_away(model, found.pose, prior):
-                return found
-            again = estimated(frame, Prior.isotropic(found.pose, s.near_angle, s.near_distance))
-            return found if again.verdict == "lost" else again
+            if prior is not None and _is_away(model, found.pose, prior):
+                again = estimated(frame, Prior.isotropic(found.pose, s.near_angle, s.near_distance))
+                found = found if again.verdict == "lost" else again
+            return _no_surer(found, state.right, s) if number < near else found
     return None
+
+
+def _no_surer(found: Estimate, right: float, settings: TrackSettings) -> Estimate:
+    """An estimate around a track that was right with this probability."""
+    if right >= settings.found_again or several.sure_of(found) <= right:
+        return found
+    found = replace(found, confidence=right)
+    if found.verdict != "ok":
+        return found
+    why = f"looked for around a track that is {right:.0%} sure"
+    return replace(found, verdict="ambiguous", notes=(why, *found.notes))
 
 
 def _is_away(model: ObjectModel, pose: Array, prior: Prior) -> bool:
@@ -119,13 +136,16 @@ def renew(
     vote, against = several.vote_of(alone.verdict, several.sure_of(alone), s.hypotheses), alone.verdict == "ok"
     modes = tuple(replace(m, pose=model.symmetries.nearest(m.pose, answer.pose)) for m in alone.modes)
     leader = leader_at(answer, state)
+    # what speaks for it is its vote
+    odds = several.log_odds(several.sure_of(alone), s.hypotheses)
+    if vote and not against:  # which way round it does not know, and is no reason to turn the track
+        modes = tuple(sorted(modes, key=lambda m: not several.alike(model, leader, m, s.hypotheses)))
+        odds = min(odds, leader.odds)
     same = several.alike(model, leader, modes[0], s.hypotheses)
     better = prefers(answer, alone, sensed, s)
     if better > s.hypotheses.missed:  # it has not even found the best that is near it
         vote = 0.0
     carried = (leader, *state.hypotheses[1:])
-    # what speaks for it is its vote
-    odds = several.log_odds(several.sure_of(alone), s.hypotheses)
     # what a frame is not sure of undoes nothing that fingers have felt before it
     sure_of_first = alone.verdict == "ok"
     held = tuple(

@@ -239,3 +239,10 @@ def test_a_finger_that_goes_with_the_object_is_learned_and_its_flank_is_left_out
     assert beside[near].mean() > 0.5
     far = np.linalg.norm(surface - surface[0], axis=1) > 0.035
     assert beside[far].mean() < 0.02
+
+
+def test_a_search_as_sure_of_the_surface_as_an_ok_one_speaks_as_loud():
+    s = S
+    assert several.vote_of("ok", 0.97, s) == several.vote_of("ambiguous", 0.97, s) == pytest.approx(0.94)
+    assert several.vote_of("ambiguous", 0.94, s) == s.part
+    assert several.vote_of("ambiguous", 0.7, s) == several.vote_of("lost", 0.99, s) == 0.0

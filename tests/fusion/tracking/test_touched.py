@@ -71,3 +71,49 @@ def test_a_search_that_is_not_sure_does_not_undo_what_was_felt(mug, verdict):
     searching.renew(mug, frame, answer, *asked, lambda *_: None, tracker.settings)
     far = [h for h in tracker._state.hypotheses if np.linalg.norm(h.pose[:3, 3] - answer.pose[:3, 3]) > 0.1]
     assert bool(far) == (verdict == "ok")
+
+
+def released(model, count=10, let_go=5, step=0.03):
+    """Frames of a hand that lets go of what it has carried before frame `let_go`, and goes on without it."""
+    frames = recording(model, count)
+    stands, out = frames[let_go - 1], []
+    for frame in frames:
+        if frame.index < let_go:
+            out.append(frame)
+            continue
+        gone = poses.make_pose(np.eye(3), [step * (frame.index - let_go + 1), 0.0, 0.0]) @ stands.world_from_hand
+        truth = stands.camera_from_object_truth
+        out.append(
+            replace(stands.without_touch(), index=frame.index, world_from_hand=gone, camera_from_object_truth=truth)
+        )
+    return out
+
+
+def test_what_a_hand_has_let_go_of_is_not_carried_on_with_it(mug):
+    tracker = Tracker(mug)
+    answers = [tracker.step(frame) for frame in released(mug)]
+    assert tracker._state.released
+    assert tracker._state.hand is None
+    truth = recording(mug, 5)[-1].camera_from_object_truth
+    for answer in answers[5:]:
+        assert np.linalg.norm((answer.pose - truth)[:3, 3]) < 0.004
+    assert sum(answer.how == "re-initialised" for answer in answers) <= 1
+    assert all(answer.how == "tracked" for answer in answers[7:])
+
+
+def test_a_hand_that_stays_where_it_touched_still_holds(mug):
+    """Fingers that feel nothing for a while have let go only when what they felt is elsewhere."""
+    tracker, _, _ = tracked(mug, touching=4, last=7)
+    assert not tracker._state.released
+    assert tracker._state.hand is not None
+
+
+def test_what_is_felt_again_is_carried_again(mug):
+    tracker = Tracker(mug)
+    frames = released(mug)
+    for frame in frames:
+        tracker.step(frame)
+    back = replace(recording(mug, 5)[-1], index=len(frames))
+    tracker.step(back)
+    assert not tracker._state.released
+    assert tracker._state.hand is not None

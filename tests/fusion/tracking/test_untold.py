@@ -13,7 +13,7 @@ from fusion.tracking.filter import Belief, Measurement, SlipTest, update
 from fusion.tracking.hypotheses import Hypothesis, HypothesisSettings
 from fusion.tracking.steps.judging import as_open
 from fusion.tracking.tracker import Tracker
-from fusion.tracking.untold import LOOKS, Untold
+from fusion.tracking.untold import ALONE, LEAST, LOOKS, Untold
 from scenes.geometry import poses
 from scenes.synthesis import library
 
@@ -31,13 +31,27 @@ def test_looks_are_averaged_by_their_standard_deviations_and_go_with_the_object(
     turn = poses.make_pose(poses.exp_rotation([0.4, -0.3, 0.8]))
     block = np.kron(np.eye(2), turn[:3, :3])
     untold = Untold().learned(mug, turn, block @ HANDLE @ block.T)
+    untold = untold.learned(mug, np.eye(4), HANDLE)
     np.testing.assert_allclose(untold.at(mug, np.eye(4)), HANDLE, atol=1e-12)
     assert untold.learned(mug, turn, None) is untold  # a look that could not tell
-    half = untold.learned(mug, np.eye(4), np.zeros((6, 6)))
+    half = untold.learned(mug, np.eye(4), np.zeros((6, 6))).learned(mug, turn, np.zeros((6, 6)))
     np.testing.assert_allclose(half.at(mug, turn), block @ (HANDLE / 4) @ block.T, atol=1e-12)
     for _ in range(6 * LOOKS):
         half = half.learned(mug, np.eye(4), np.zeros((6, 6)))
     assert np.trace(half.at(mug, turn)) < 1e-4 * np.trace(HANDLE)  # what has come into view is told
+
+
+def test_what_one_look_alone_has_found_is_not_open(mug):
+    rest = np.eye(4)
+    alone = Untold().learned(mug, rest, HANDLE)
+    for looks in range(1, LOOKS + 1):
+        np.testing.assert_allclose(np.sqrt(alone.at(mug, rest)[2, 2]), ALONE * LEAST / looks)
+        alone = alone.learned(mug, rest, np.zeros((6, 6)))
+    assert not alone.at(mug, rest).any()
+    # beside others as wide as a fifth it counts as three of these
+    wide = Untold().learned(mug, rest, HANDLE).learned(mug, rest, HANDLE / 25)
+    expected = ((0.6 + 0.2) / 2) ** 2 * HANDLE
+    np.testing.assert_allclose(wide.at(mug, rest), expected, atol=1e-12)
 
 
 def test_no_number_of_frames_averages_it_out(mug):

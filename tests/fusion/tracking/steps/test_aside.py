@@ -12,6 +12,7 @@ from fusion import Tracker, rehearse
 from fusion.estimation.answer import Estimate, Mode
 from fusion.tracking.answer import TrackSettings, as_tracked
 from fusion.tracking.checkpoint import restore_tracker, save_tracker
+from fusion.tracking.filter import Belief
 from fusion.tracking.hypotheses import Hypothesis, HypothesisSettings
 from fusion.tracking.state import TrackState
 from fusion.tracking.steps.aside import ANEW, AROUND, Aside
@@ -263,11 +264,49 @@ def test_where_a_lost_object_is_looked_for_is_no_evidence(mug, carried, off, tim
         looked.append(prior)
         return replace(estimate_at(found_at), confidence=0.96 + 0.01 * len(looked))
 
-    found = recover(mug, carried[0], lost, state_with(None), estimated, None, "", TrackSettings())
+    state = replace(state_with(None), right=1.0)
+    found = recover(mug, carried[0], lost, state, estimated, None, "", TrackSettings())
     assert len(looked) == times
     assert found.confidence == 0.96 + 0.01 * times
     # where it was thought to be, and then where it was found
     np.testing.assert_allclose(looked[-1].pose, np.eye(4) if times == 1 else found_at)
+
+
+def test_what_is_found_near_a_track_that_was_likely_wrong_is_no_surer_than_that(mug, carried):
+    lost = as_tracked(replace(estimate_at(np.eye(4)), verdict="lost"), "lost")
+
+    def found(right, sure, verdict="ok"):
+        def estimated(frame, prior):
+            return replace(estimate_at(np.eye(4)), confidence=sure, verdict=verdict)
+
+        state = replace(state_with(None), right=right)
+        return recover(mug, carried[0], lost, state, estimated, None, "", TrackSettings())
+
+    assert found(0.999, 0.99).verdict == "ok"
+    assert found(0.6, 0.99).confidence == 0.99
+    assert found(0.2, 0.4, "ambiguous").confidence == 0.2
+    doubted = found(0.1, 0.99)
+    assert (doubted.verdict, doubted.confidence) == ("ambiguous", 0.1)
+    assert "a track that is 10% sure" in doubted.notes[0]
+    # and what is hardly ever right is not gone on with
+    assert found(0.999, 0.35, "ambiguous").confidence == 0.35
+    assert found(0.999, 0.25, "ambiguous") is None
+
+
+def test_what_stands_where_it_was_let_go_is_found_there(mug, carried):
+    """The hand has gone on 15 cm, and the prediction with it."""
+    gone, stands = poses.make_pose(np.eye(3), [0.15, 0.0, 0.0]), np.eye(4)
+    lost = as_tracked(replace(estimate_at(gone), verdict="lost"), "lost")
+    state = replace(state_with(None), right=1.0, belief=Belief(stands, np.eye(6), np.zeros((6, 6))))
+    looked = []
+
+    def estimated(frame, prior):
+        looked.append(prior.pose)
+        near = np.allclose(prior.pose, stands)
+        return replace(estimate_at(prior.pose), verdict="ok" if near else "lost")
+
+    np.testing.assert_allclose(recover(mug, carried[0], lost, state, estimated, None, "", TrackSettings()).pose, stands)
+    np.testing.assert_allclose(looked, [gone, stands])
 
 
 def test_what_was_not_found_is_nowhere_to_look():
