@@ -117,8 +117,8 @@ class TrackSettings:
     # Confidence (a probability, no unit) from which what is found everywhere is followed though it is ambiguous: more
     # likely right than not, where nothing else is known. It is not ok before other frames have found it, too.
     found_again: float = 0.5
-    # And from which what is found around the prediction is: of 16 such answers of tuning sequences (`stranger`,
-    # `borrowed`) below it none was right, of 22 from there to 0.6 eight.
+    # And that (a probability, no unit) from which what is found around the prediction is: of 16 such answers of tuning
+    # sequences (`stranger`, `borrowed`) below it none was right, of 22 from there to 0.6 eight.
     found_near: float = 0.3
     # Error that is left in the robot's frame after the hand was last seen (rad, m), and motion of what is seen
     # relative to a fixed camera, per frame without a hand.

@@ -55,8 +55,8 @@ def recover(
     """Look for a lost object around the prediction and where it was last, if anything is seen there, and now and then
     everywhere: a live tracker meanwhile (aside; heard: what that has searched for), and then in this frame around where
     that has found it. What is found farther from there than was thought is estimated once more around itself: a place
-    to look at is no evidence, and would pull the answer towards it. Near a track that was more likely wrong than right
-    it is no surer than that.
+    to look at is no evidence, and would pull the answer towards it. Near a track that was more likely wrong than right,
+    or that no search has spoken for, it is no surer than that.
     """
     s, frame = settings, replace(frame, prior=None)
     tries: list[Prior | None] = []
@@ -83,13 +83,18 @@ def recover(
             if prior is not None and _is_away(model, found.pose, prior):
                 again = estimated(frame, Prior.isotropic(found.pose, s.near_angle, s.near_distance))
                 found = found if again.verdict == "lost" else again
-            return _no_surer(found, state.right, s) if number < near else found
+            return _no_surer(found, state, s) if number < near else found
     return None
 
 
-def _no_surer(found: Estimate, right: float, settings: TrackSettings) -> Estimate:
-    """An estimate around a track that was right with this probability."""
-    if right >= settings.found_again or several.sure_of(found) <= right:
+def _no_surer(found: Estimate, state: TrackState, settings: TrackSettings) -> Estimate:
+    """An estimate around a track that was more likely wrong than right, or that no search has spoken for."""
+    how, right = settings.hypotheses, state.right
+    if not state.hypotheses or state.hypotheses[0].votes < how.believed:
+        right = min(right, how.unvoted)
+    elif right >= settings.found_again:
+        return found
+    if several.sure_of(found) <= right:
         return found
     found = replace(found, confidence=right)
     if found.verdict != "ok":

@@ -151,6 +151,11 @@ def state_with(hand):
     return replace(TrackState(), hand=None if hand is None else SimpleNamespace(camera_from_hand=hand))
 
 
+def believed(votes=1.0, right=1.0, **how):
+    """A track that searches have spoken for."""
+    return replace(state_with(None), right=right, hypotheses=(Hypothesis(np.eye(4), np.eye(6), 0.0, votes),), **how)
+
+
 def estimate_near(pose):
     return replace(estimate_at(pose), notes=("looked for once more",), confidence=0.999)
 
@@ -264,8 +269,7 @@ def test_where_a_lost_object_is_looked_for_is_no_evidence(mug, carried, off, tim
         looked.append(prior)
         return replace(estimate_at(found_at), confidence=0.96 + 0.01 * len(looked))
 
-    state = replace(state_with(None), right=1.0)
-    found = recover(mug, carried[0], lost, state, estimated, None, "", TrackSettings())
+    found = recover(mug, carried[0], lost, believed(), estimated, None, "", TrackSettings())
     assert len(looked) == times
     assert found.confidence == 0.96 + 0.01 * times
     # where it was thought to be, and then where it was found
@@ -275,12 +279,11 @@ def test_where_a_lost_object_is_looked_for_is_no_evidence(mug, carried, off, tim
 def test_what_is_found_near_a_track_that_was_likely_wrong_is_no_surer_than_that(mug, carried):
     lost = as_tracked(replace(estimate_at(np.eye(4)), verdict="lost"), "lost")
 
-    def found(right, sure, verdict="ok"):
+    def found(right, sure, verdict="ok", votes=1.0):
         def estimated(frame, prior):
             return replace(estimate_at(np.eye(4)), confidence=sure, verdict=verdict)
 
-        state = replace(state_with(None), right=right)
-        return recover(mug, carried[0], lost, state, estimated, None, "", TrackSettings())
+        return recover(mug, carried[0], lost, believed(votes, right), estimated, None, "", TrackSettings())
 
     assert found(0.999, 0.99).verdict == "ok"
     assert found(0.6, 0.99).confidence == 0.99
@@ -288,6 +291,9 @@ def test_what_is_found_near_a_track_that_was_likely_wrong_is_no_surer_than_that(
     doubted = found(0.1, 0.99)
     assert (doubted.verdict, doubted.confidence) == ("ambiguous", 0.1)
     assert "a track that is 10% sure" in doubted.notes[0]
+    # nor near one that no search has spoken for
+    assert found(0.999, 0.99, votes=0.3).verdict == "ambiguous"
+    assert found(0.999, 0.99, votes=0.3).confidence == 0.6
     # and what is hardly ever right is not gone on with
     assert found(0.999, 0.35, "ambiguous").confidence == 0.35
     assert found(0.999, 0.25, "ambiguous") is None
@@ -297,7 +303,7 @@ def test_what_stands_where_it_was_let_go_is_found_there(mug, carried):
     """The hand has gone on 15 cm, and the prediction with it."""
     gone, stands = poses.make_pose(np.eye(3), [0.15, 0.0, 0.0]), np.eye(4)
     lost = as_tracked(replace(estimate_at(gone), verdict="lost"), "lost")
-    state = replace(state_with(None), right=1.0, belief=Belief(stands, np.eye(6), np.zeros((6, 6))))
+    state = believed(belief=Belief(stands, np.eye(6), np.zeros((6, 6))))
     looked = []
 
     def estimated(frame, prior):
