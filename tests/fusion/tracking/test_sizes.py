@@ -19,7 +19,8 @@ from fusion.truth.errors import Judge
 from scenes.geometry import poses as se3
 from scenes.synthesis import library
 
-HOW = SizeSettings()
+# what looks leave unexplained, without the belief beside it
+HOW = SizeSettings(believed_looks=0.0)
 
 
 def look(strain=4.0, told=8.0, mesh=0.6e-3):
@@ -31,6 +32,17 @@ def look(strain=4.0, told=8.0, mesh=0.6e-3):
 def contacts(*sigmas):
     """Contacts off by so many of their standard deviations."""
     return [ContactResidual(f"finger{i}", 1.2 * off, 5.0, False, 1.2) for i, off in enumerate(sigmas)]
+
+
+def test_one_look_counts_less_than_many():
+    one = Sizes().learned(look(strain=4.0), contacts(0.6), HOW)
+    many = one
+    for _ in range(20):
+        many = many.learned(look(strain=4.0), contacts(0.6), HOW)
+    whole, how = max(many.factor(HOW), HOW.narrowest), SizeSettings()
+    assert one.factor(HOW) == pytest.approx(whole, rel=0.2)
+    assert whole < many.factor(how) < 0.7 * one.factor(how)
+    assert one.factor(how) < 1.0
 
 
 def test_what_looks_leave_unexplained_widens_and_what_they_explain_narrows():
