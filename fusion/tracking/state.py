@@ -203,14 +203,20 @@ class TrackState:
         self.sizes = self.sizes.faded(settings)
 
     def holding(
-        self, model: ObjectModel, hand: HandState | None, pose: Array, seen: Array | None, settings: VerdictSettings
+        self,
+        model: ObjectModel,
+        hand: HandState | None,
+        pose: Array,
+        late: bool,
+        seen: Array | None,
+        settings: VerdictSettings,
     ) -> HandState | None:
         """The hand of a frame with the object at `pose` (4, 4), None when it has let go: nothing is felt, and where it
         was felt last in the hand is no object. It is not carried then, until something is felt again. seen: as in
-        `corrected`.
+        `corrected`; late: the frame is older than the last one, and says nothing of what is held now.
         """
-        if hand is None:
-            return None
+        if hand is None or late:
+            return hand
         if len(hand.points):
             self.released = False
         elif self.touched is not None and not self.released:

@@ -370,8 +370,8 @@ class Tracker:
         return feel_near(self._felt_frame(frame), looked, *told, self._beliefs, self.settings.first.touch)
 
     def _holding(self, frame: Frame, felt: Felt, pose: Array) -> HandState | None:
-        hand, corrected = HandState.of(frame, felt.reported_contacts), self._looker.correction
-        return self._state.holding(self.model, hand, pose, corrected, self.settings.first.verdict)
+        hand, late = HandState.of(frame, felt.reported_contacts), frame.index < self._state.index
+        return self._state.holding(self.model, hand, pose, late, self._looker.correction, self.settings.first.verdict)
 
     def _skins(self, frame: Frame, felt: Felt) -> Watched:
         """Whether what presses arrays and gels has moved over them."""

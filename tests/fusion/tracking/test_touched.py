@@ -117,3 +117,13 @@ def test_what_is_felt_again_is_carried_again(mug):
     tracker.step(back)
     assert not tracker._state.released
     assert tracker._state.hand is not None
+
+
+def test_a_late_frame_says_nothing_of_what_is_held_now(mug):
+    tracker = Tracker(mug)
+    for frame in released(mug):
+        if frame.index != 3:
+            tracker.step(frame)
+    assert tracker._state.released
+    tracker.step(recording(mug, 4)[-1])  # the third, in which it was held
+    assert tracker._state.released
