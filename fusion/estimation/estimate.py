@@ -51,7 +51,7 @@ from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
-from scenes.recordings.validation import check_is_frame, check_scale
+from scenes.recordings.validation import check_scale
 from scenes.threads import one_blas_thread
 from scenes.words import counted
 from touch.gels.localize import build_tables
@@ -86,11 +86,10 @@ def estimate(
     Returns an Estimate; data that tell nothing give the verdict "lost" and a covariance that says so, not an error.
     Raises CaptureError when the sizes in the frame and the model's tell of a wrong unit.
     """
-    check_is_frame(frame)
+    check_scale(frame, model)
     check_kinds(model, seed, settings, beliefs)
     settings = sure_to_be_within(settings or usual_settings(), sure_within)
     check_limits(tolerance, budget_ms)
-    check_scale(frame, model)
     check_print(model, settings.texture)
     asked = Asked.of(frame, prior, use, tolerance, seed, settings, beliefs)
     # built or read once per object, not part of a frame's time
