@@ -36,7 +36,7 @@ from fusion.estimation.steps.facing import (
     unread,
     why_no_print,
 )
-from fusion.estimation.steps.picture import why_not_asked, with_picture
+from fusion.estimation.steps.picture import asked_picture, why_not_asked
 from fusion.estimation.steps.sense import look_once, sense, solve_together
 from fusion.estimation.steps.twins import with_twins
 from fusion.estimation.tolerance import good_enough, is_within, with_shared_errors, with_shift
@@ -193,12 +193,12 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
             spread = moments(model, rows, first.pose, first.covariance, asked.seed, believed, settings=how_wide)
             modes = (replace(first, pose=spread.pose, covariance=spread.covariance), *modes[1:])
             stage.note(len(rows), f"{spread.effective:.0f} effective samples, directions widened: {spread.widened}")
-    unasked = why_not_asked(predictor)
+    unasked = why_not_asked(model, modes[0], predictor)
     with trace.stage("picture", finish and not unasked, why_not if not finish else unasked) as stage:
         if finish and not unasked:
-            first, gained = with_picture(model, modes[0], seen_from, predictor, asked.seed, settings.picture_mean)
+            first, why = asked_picture(model, modes[0], seen_from, predictor, asked.seed, settings.picture_mean)
             modes = (first, *modes[1:])
-            stage.note(len(rows), f"likelier by {gained:.1f} nats" if gained else "nothing near is likelier")
+            stage.note(len(rows), why)
     coloured = viewed.rgb is not None and predictor.sees and asks_for(viewed.rgb, settings.contour)
     no_image = "no image beside depth" if viewed.rgb is None else "a colour camera's image is not asked for"
     useless: tuple[str, ...] = ()

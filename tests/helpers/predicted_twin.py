@@ -212,12 +212,12 @@ def as_far(found, candidates, nats):
     return np.array(out)
 
 
-def picture(seen=0.9, agree=0.95, past=0.0, hidden=0.0, behind_hand=0.0, outline=0.0):
+def picture(seen=0.9, agree=0.95, past=0.0, hidden=0.0, behind_hand=0.0, outline=0.0, ends=0.0):
     """A predicted picture of one pose by its shares."""
     shares = np.zeros((1, columns.SUMS))
     told = columns.HITS, columns.SEEN, columns.AGREE, columns.PAST, columns.BEHIND, columns.BEHIND_HAND
     shares[0, list(told)] = 200.0, min(seen, 0.95 * agree), agree, past, hidden, behind_hand
-    shares[0, columns.OUTLINE] = outline
+    shares[0, columns.OUTLINE], shares[0, columns.ENDS] = outline, ends
     return Prediction(shares, np.zeros(1), np.array([9e3]))
 
 

@@ -95,14 +95,15 @@ def fit(sample: Sample) -> Regression:
     scale = np.where(constant, 1.0, spread)[used]
     values = sample.values[:, used] / scale
     shrunk = ~constant[used]
-    signs = [f.sign for f, there in zip(sample.features, used) if there]
+    features = [f for f, there in zip(sample.features, used) if there]
     right_at = np.array([sample.add_s < tolerance for tolerance in TOLERANCES], dtype=np.float64)
     cost = _Cost(values, right_at, sample, shrunk)
-    bounds = [(0.0 if sign > 0 else None, 0.0 if sign < 0 else None) for sign in signs]
-    start = np.append(np.zeros(len(signs)), np.log(NEAREST))
+    least = [f.sign * f.least * one for f, one in zip(features, scale)]
+    bounds = [(one if f.sign > 0 else None, one if f.sign < 0 else None) for f, one in zip(features, least)]
+    start = np.append(least, np.log(NEAREST))
     limits = [*bounds, tuple(np.log(NEAREST_BOUNDS))]
     found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": STEPS})
-    named = dict(zip([f.name for f, there in zip(sample.features, used) if there], found.x[:-1] / scale))
+    named = dict(zip([f.name for f in features], found.x[:-1] / scale))
     return Regression(**{name: float(value) for name, value in named.items()}, nearest=float(np.exp(found.x[-1])))
 
 
