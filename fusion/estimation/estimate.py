@@ -193,7 +193,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
             spread = moments(model, rows, first.pose, first.covariance, asked.seed, believed, settings=how_wide)
             modes = (replace(first, pose=spread.pose, covariance=spread.covariance), *modes[1:])
             stage.note(len(rows), f"{spread.effective:.0f} effective samples, directions widened: {spread.widened}")
-    unasked = why_not_asked(model, modes[0], predictor)
+    unasked = why_not_asked(model, modes[0], predictor, settings.picture_mean)
     with trace.stage("picture", finish and not unasked, why_not if not finish else unasked) as stage:
         if finish and not unasked:
             first, why = asked_picture(model, modes[0], seen_from, predictor, asked.seed, settings.picture_mean)

@@ -45,7 +45,7 @@ class PictureMeanSettings:
     open_enough: float = 0.3
     open_fewest: float = 6.0
     # Share of the picture's nats that counts there, and of a direction's variance that stays whatever it says: with
-    # half of the nats regions of `crude`, whose camera is the worst, hold 80 % instead of 85.
+    # half of the nats regions of `crude`, whose camera is the worst, hold 82 % instead of 85.
     open_temper: float = 0.25
     open_left: float = 0.05
 
@@ -63,13 +63,15 @@ def left_open(model: ObjectModel, mode: Mode, settings: PictureMeanSettings | No
     return np.asarray(unit[:, None] * vectors[:, wide] * np.sqrt(values[wide]))
 
 
-def why_not_asked(model: ObjectModel, mode: Mode, predictor: Predictor) -> str:
+def why_not_asked(
+    model: ObjectModel, mode: Mode, predictor: Predictor, settings: PictureMeanSettings | None = None
+) -> str:
     """Why the picture is not asked; "" where it is. Where it is known what hides the object, its pixels say as much of
     what they do not leave open.
     """
     if not predictor.sees:
         return "nothing is seen"
-    if predictor.told_apart and not left_open(model, mode).shape[1]:
+    if predictor.told_apart and not left_open(model, mode, settings).shape[1]:
         return "no direction is open"
     return ""
 

@@ -67,6 +67,7 @@ def test_it_is_asked_where_nobody_says_what_hides_the_object_or_a_direction_is_o
     assert why_not_asked(model, sure, predictor) == ""
     assert why_not_asked(model, sure, known) == "no direction is open"
     assert why_not_asked(model, mode, known) == ""
+    assert why_not_asked(model, mode, known, PictureMeanSettings(open_from=0.05)) == "no direction is open"
     assert why_not_asked(model, mode, Predictor(Frame(0), model, DepthModel())) == "nothing is seen"
 
 
