@@ -38,14 +38,14 @@ class PictureMeanSettings:
     side: int = 32
     # Standard deviation (m, of the surface) from which a direction is open; draws along those, and rounds of them, each
     # about what the last found; share of the draws that must count for that to be enough, and how many (no unit) for
-    # anything to be believed. Tuned on 1324 answers with a start to frames of all tuning families (of 3, 5, 6, 8 mm).
+    # anything to be believed. Tuned on 992 answers with a start to twelve tuning families (of 3, 5, 6 and 8 mm).
     open_from: float = 0.006
     open_draws: int = 96
     open_rounds: int = 2
     open_enough: float = 0.3
     open_fewest: float = 6.0
     # Share of the picture's nats that counts there, and of a direction's variance that stays whatever it says: with
-    # half of the nats regions of `crude`, whose camera is the worst, hold 82 % instead of 85.
+    # half of the nats and 0.02 left, regions of `crude`, whose camera is the worst, hold 82 % instead of 85.
     open_temper: float = 0.25
     open_left: float = 0.05
 
