@@ -40,7 +40,8 @@ class TouchSettings:
 
     # A contact is as likely a false one at this many sigmas.
     contact_gate: float = 4.0
-    # Points on the hand used as "the object is not in here" (0: none), their sigma (m) and gate (sigmas).
+    # Points on the hand used as "the object is not in here" (0: none; so many, and fewer than twice as many where there
+    # are), their sigma (m) and gate (sigmas).
     hand_points: int = 150
     hand_sigma: float = 0.003
     hand_gate: float = 4.0

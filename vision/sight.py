@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes._numba import LENT
+from scenes.geometry.cameras import FARTHEST_READING
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import DepthModel
 from scenes.recordings.frames import Frame
@@ -113,7 +114,7 @@ def _sight_shares(depth, camera, blocks, count, least_cosine, rotations, transla
             for i in range(listed):
                 k = places[i]
                 seen = depth[pixels[k]]
-                past += seen > room[FARTHER + k]
+                past += (seen > room[FARTHER + k]) & (seen < FARTHEST_READING)
                 hidden += (seen > 0.0) & (seen < room[NEARER + k])
         out[n, 0] = past / facing if facing > 0 else 0.0
         out[n, 1] = hidden / facing if facing > 0 else 1.0

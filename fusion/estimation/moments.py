@@ -33,8 +33,8 @@ class MomentSettings:
 
     # Uneven evidence that holds less than this share of the information in every direction is not looked into.
     share: float = 0.2
-    # Vision rows that stand for all (see alignment.search.thin), and samples: with a third of them effective the error
-    # of a standard deviation is 8 % of it.
+    # Vision rows that stand for all (see scenes.evidence.search.thin), and samples: with a third of them effective the
+    # error of a standard deviation is 8 % of it.
     rows: int = 100
     samples: int = 240
     # Fewer effective samples than this tell nothing: the Gaussian stays.

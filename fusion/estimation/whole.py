@@ -39,12 +39,12 @@ def whole_covariance(
     wide = np.diag(np.repeat([s.anywhere_angle, max(s.anywhere_share * model.radius, room)], 3) ** 2)
     if prior is not None:
         inverse = np.diag(1.0 / np.diag(wide))
-        away = se3.difference(prior.pose, first, model.centroid)
+        away = se3.difference(model.symmetries.nearest(prior.pose, first), first, model.centroid)
         wide = np.linalg.inv(prior.information + inverse) + np.outer(away, away)
     out = none * wide
     total = sum(mode.weight for mode in modes)
     for mode in modes:
-        apart = se3.difference(mode.pose, first, model.centroid)
+        apart = se3.difference(model.symmetries.nearest(mode.pose, first), first, model.centroid)
         share = (1.0 - none) * (mode.weight / total if total > 0.0 else 1.0 / len(modes))
         out = out + share * (mode.covariance + np.outer(apart, apart))
     return np.asarray(out, dtype=np.float64)

@@ -184,11 +184,13 @@ def as_carried(
     held: bool,
     by_hand: bool,
     because: str,
+    correction: Array,
     settings: TrackSettings,
 ) -> TrackedEstimate:
     """The answer of a frame that tells nothing of the object, because ...: where the prediction has it.
 
-    held: it may still be believed; by_hand: the hand has carried it there, otherwise its last velocity.
+    held: it may still be believed; by_hand: the hand has carried it there, otherwise its last velocity. correction
+    (4, 4): camera_from_camera of what the robot reports.
     """
     covariance = predicted.covariance
     why = f"{because}: " + ("moved with the hand" if by_hand else "at its last velocity")
@@ -199,7 +201,7 @@ def as_carried(
         modes=(Mode(predicted.pose, 1.0, 0.0, covariance),),
         verdict="ambiguous" if held else "lost",
         unobservable=posterior.unobservable(model, predicted.pose, covariance, settings.first.verdict),
-        hand_from_object=frame.hand_from_object(predicted.pose, np.eye(4)),
+        hand_from_object=frame.hand_from_object(predicted.pose, correction),
         visible_fraction=0.0,
         trace=trace,
         notes=(why,),

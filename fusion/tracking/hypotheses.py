@@ -258,7 +258,7 @@ def voted(
     # the newest is not dropped for want of room: the weakest of the older ones is
     while len(out) > settings.most:
         nats = strengths(tuple(out), settings)
-        weakest = min((k for k in range(1, len(out)) if k != first), key=lambda k: float(nats[k]))
+        weakest = min((k for k in range(1, len(out)) if k != first), key=lambda k: float(nats[k]), default=first)
         out.pop(weakest)
         first -= int(weakest < first)
     return tuple(out), near[0]

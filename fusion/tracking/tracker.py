@@ -136,7 +136,7 @@ class Tracker:
             told = self._asked or frame.beliefs or Beliefs()
             self._believe(believed_of(frame, told, self.settings.first.look.noise))
             answer = self._begin(frame)
-            return replace(answer, notes=(*answer.notes, *filled))
+            return replace(answer, notes=(*answer.notes, *unused, *filled))
         if self.live and self._aside is None:
             self._aside = Aside()
             state.renewal.hurry(frame.index, self.settings.renewal)  # a search that ran when it was saved is not kept
@@ -253,14 +253,14 @@ class Tracker:
 
     def estimated(self, frame: Frame, prior: Prior | None) -> Estimate:
         """The frame by itself, by the settings and beliefs of this track."""
-        first, senses, beliefs = self.settings.first, self._senses, self._beliefs
-        return estimate(frame, self.model, prior, senses, seed=self._seed, settings=first, beliefs=beliefs)
+        how = self.settings.first  # and beliefs as they were told: each frame widens them by its camera's noise
+        return estimate(frame, self.model, prior, self._senses, seed=self._seed, settings=how, beliefs=self._asked)
 
     # --- one frame
 
     def _follow(self, frame: Frame, belief: Belief, briefly: bool, there: Array | None = None) -> TrackedEstimate:
-        """Predict, look, solve, judge; at a glance only where that may be brief. there: a pose (4, 4) that the frame
-        has been solved to, farther from the prediction than that knew: it is looked at once more from there.
+        """Predict, look, solve, judge; at a glance only where that may be brief. there: a pose (4, 4), that it was
+        solved to, farther from the prediction than that knew: it is looked at once more from there.
         """
         trace, s, state, model = Trace(), self.settings, self._state, self.model
         first, beliefs = s.first, self._beliefs
@@ -441,10 +441,10 @@ class Tracker:
             state.belief, state.hypotheses, state.index = predicted, carried, frame.index
             state.hand = self._holding(frame, felt, predicted.pose)
             self._velocity.coast(frame.index)
-        held = state.hand is not None and state.unseen <= s.coast
+        how, by_hand, right = s.confident, state.hand is not None, felt.correction
+        held = by_hand and state.unseen <= s.coast
         told = state.told(predicted, s.sizes)
-        answer = as_carried(self.model, frame, told, trace.stages, held, state.hand is not None, because, s)
-        how = s.confident
+        answer = as_carried(self.model, frame, told, trace.stages, held, by_hand, because, right, s)
         sure = state.right * self._near(answer.modes[0], how) if held else 0.0
         wide = whole_covariance(self.model, answer.modes, how.none_of(state.right if held else 0.0), None, how)
         return replace(answer, covariance=wide, confidence=sure, sure_within=how.tolerance)

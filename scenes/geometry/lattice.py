@@ -127,16 +127,6 @@ def value_at(values, origin, spacing, x, y, z):
     return d
 
 
-@numba.njit(cache=True, nogil=True, **LENT)
-def beyond_box(values, origin, spacing, x, y, z):
-    """How far (m) outside the lattice's box a point is: 0 inside."""
-    nx, ny, nz = values.shape
-    a = max(origin[0] - x, x - origin[0] - (nx - 1) * spacing, 0.0)
-    b = max(origin[1] - y, y - origin[1] - (ny - 1) * spacing, 0.0)
-    c = max(origin[2] - z, z - origin[2] - (nz - 1) * spacing, 0.0)
-    return math.sqrt(a * a + b * b + c * c)
-
-
 @numba.njit(cache=True, nogil=True, fastmath=FUSED, **LENT)
 def normal_at(values, origin, spacing, x, y, z, gradient, hessian):
     """Smooth gradient g and its Jacobian, for normals: fills gradient (3,) and hessian (3, 3).

@@ -321,7 +321,10 @@ class Capture:
         radius = rows.numbers["radius"]
         for line in rows.lines[radius <= 0]:
             self.report(Problem(rows.file, number, f"line {line}, column radius: expected a number above 0"))
-        return EmptyRegions(rows.stack("x", "y", "z"), radius, rows.texts["sensor"])
+        if (radius <= 0).any():
+            return None
+        places = rows.stack("x", "y", "z"), radius, rows.texts["sensor"]
+        return self._attempt("no_contact.csv", number, lambda: EmptyRegions(*places))
 
     def _wrenches(self, number: int) -> tuple[Wrench, ...]:
         rows = self._tables["wrenches.csv"].of_frame(number)

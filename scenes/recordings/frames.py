@@ -36,22 +36,22 @@ DEFAULT_SIGMA_NORMAL = np.deg2rad(5.0)
 SIGMAS = (1e-12, 1e12)
 
 
-def _numbers(values: ArrayLike, name: str) -> Array:
+def _numbers(values: ArrayLike, name: str, what: str = "contacts") -> Array:
     """The values as a float64 array of their own; raises InputError for what is none."""
     try:
         if np.iscomplexobj(values):
             raise TypeError("got complex ones")
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise InputError(f"contacts: expected {name} as real numbers: {error}") from error
+        raise InputError(f"{what}: expected {name} as real numbers: {error}") from error
 
 
-def _check_places(points: Array) -> None:
+def _check_places(points: Array, what: str = "contacts") -> None:
     """Raise InputError for points (n, 3) that are no places."""
     near = np.abs(points) < FARTHEST  # NaN is not below it either
     if not near.all():
         bad = ~near.all(axis=1)
-        raise InputError(f"contacts: expected finite points, got row {int(np.argmax(bad))} = {points[bad][0]}")
+        raise InputError(f"{what}: expected finite points, got row {int(np.argmax(bad))} = {points[bad][0]}")
 
 
 class Contacts:
@@ -196,11 +196,29 @@ def _nothing() -> Contacts:
 
 @dataclass(frozen=True, eq=False)
 class EmptyRegions:
-    """Balls felt to be empty: points (n, 3) world, metres; radius (n,) metres; sensors, n names."""
+    """Balls felt to be empty: points (n, 3) world, metres; radius (n,) metres; sensors, n names.
+
+    Raises InputError for other shapes, points that are no places and radii that are none.
+    """
 
     points: Array
     radius: Array
     sensors: list[str]
+
+    def __post_init__(self) -> None:
+        """Check and keep as float64."""
+        points, radius = (_numbers(getattr(self, name), name, "no_contact") for name in ("points", "radius"))
+        if points.ndim != 2 or points.shape[1] != 3 or radius.shape != points.shape[:1]:
+            raise InputError(
+                f"no_contact: expected points (n, 3) and a radius (n,), got {points.shape} and {radius.shape}"
+            )
+        _check_places(points, "no_contact")
+        if not ((radius >= 0.0) & (radius < FARTHEST)).all():
+            raise InputError(f"no_contact: expected radii of 0 m at least, got {radius.min():g} to {radius.max():g}")
+        if len(self.sensors) != len(points):
+            raise InputError(f"no_contact: expected {len(points)} sensor names, got {len(self.sensors)}")
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "radius", radius)
 
     def __len__(self) -> int:
         return len(self.points)
@@ -230,8 +248,8 @@ class Frame:
 
     Checked when it is made, with one InputError that says what was expected, what came and where: images and camera are
     of one size, transforms rigid, depth in floating-point metres. A mask of two values (OpenCV's 0 and 255), float64
-    depth, lists, and contacts as points (n, 3) are taken as what they mean. Readings and rows that are no numbers are
-    left to the estimator, which drops and counts them. A frame equals itself and no other.
+    depth, lists, and contacts as points (n, 3) are taken as what they mean. Readings and points of a cloud that are no
+    numbers are left to the estimator, which drops and counts them. A frame equals itself and no other.
     """
 
     index: int

@@ -2,7 +2,8 @@
 
 Hand frame = link "palm": origin at the wrist, x along the stretched fingers, z out of the palm's inner face (the palm
 normal), y towards the little finger, so the thumb is on the side of -y. The inner face of the palm is at
-z = PALM_HALF_THICKNESS; a held object sits near GRASP_CENTRE. Positive flexion bends the fingers towards +z.
+z = PALM_HALF_THICKNESS; a held object of 6 cm sits near (0.075, 0, 0.043) m. Positive flexion bends
+the fingers towards +z.
 Lengths follow the anthropometry of an adult male hand (Buryanov and Kotiuk, "Proportions of Hand Segments", 2010).
 """
 
@@ -27,8 +28,6 @@ Array = NDArray[np.float64]
 FINGERS = ("index", "middle", "ring", "little")
 PALM_HALF_THICKNESS = 0.013
 TIPS = ("sphere", "ellipsoid", "cylinder", "mesh")
-# Where the middle of a 6 cm object lies in a power grasp, hand frame, metres.
-GRASP_CENTRE = (0.075, 0.0, 0.043)
 
 
 @dataclass(frozen=True)

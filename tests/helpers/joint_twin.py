@@ -121,7 +121,9 @@ def made_problem(drill, rng, camera=CAMERA, prior=True, hand=None, noise=0.001):
     believed = Prior.isotropic(se3.perturb(pose, 0.01 * rng.normal(size=6), drill.centroid), 0.2, 0.02)
     # the widening of normals at bent places is a weight that is not differentiated: off, derivatives are exact
     exact = JointSettings(bend=0.0)
-    problem = JointProblem(drill, seen, felt, believed if prior else None, hand, Beliefs(), camera, settings=exact)
+    problem = JointProblem(
+        drill, seen, felt, int(felt.on.sum()), believed if prior else None, hand, Beliefs(), camera, settings=exact
+    )
     return problem, pose
 
 

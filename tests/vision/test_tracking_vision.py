@@ -50,6 +50,15 @@ def test_a_constant_velocity_is_extrapolated_exactly(seed, gap):
     assert noise[0, 0] == pytest.approx((gap * motion.settings.angle) ** 2)
 
 
+@pytest.mark.parametrize("step", [[0.0, 0.0, 0.0, 0.3, 0.0, 0.0], [0.6, 0.0, 0.0, 0.0, 0.0, 0.0]])
+def test_a_jump_is_no_velocity(step):
+    motion = ConstantVelocity(np.zeros(3))
+    motion.restart(0, np.eye(4))
+    motion.update(1, poses.perturb(np.eye(4), np.array(step), np.zeros(3)))
+    assert not motion.velocity.any()
+    np.testing.assert_array_equal(motion.predict(2)[0], motion.pose)
+
+
 def test_a_velocity_fades_and_old_frames_are_not_taken():
     motion = ConstantVelocity(np.zeros(3))
     motion.restart(0, np.eye(4))

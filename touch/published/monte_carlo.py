@@ -16,7 +16,6 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.evidence import table as tables
 from scenes.evidence.align import Prior
 from scenes.evidence.table import GATE_ABOVE, OFFSET, POINT, SIGMA, Evidence
 from scenes.geometry import poses as se3
@@ -332,8 +331,3 @@ def localize(
         bad = collides(model, polished, extra, MonteCarloSettings())
         polished = np.where(bad[:, None, None], found, polished)
     return conclude(model, contacts, polished, "monte-carlo", begin, None, extra)
-
-
-def evidence_of_hand(points: Array, sigma: float) -> Evidence:
-    """OUTSIDE rows of points (n, 3) on or in the hand, contacts' frame, sigma in metres."""
-    return tables.outside(points, sigma, tables.TOUCH)

@@ -27,7 +27,7 @@ from vision.look.mask.settings import MaskSettings
 from vision.look.pixel_kernels import CHOSEN, OTHER
 from vision.look.pixels import Pixels, Region, median, read_pixels, sort_pixels
 from vision.look.points import all_points
-from vision.look.regions import find_region, region_around
+from vision.look.regions import find_region
 from vision.noise import NoiseSettings
 
 Array = NDArray[np.float64]
@@ -114,17 +114,6 @@ def look(
         return replace(bare, how="; no piece of an object near the hand")
     region = find_region(frame, model, None, settings.slack, mask)
     return replace(_sorted(frame, region, mask, hand, settings), how="; table, hand and clutter taken away")
-
-
-def look_closer(
-    frame: Frame, model: ObjectModel, before: Looked, candidates: Array, beliefs: Beliefs, settings: LookSettings
-) -> Looked:
-    """The frame's pixels around candidates (n, 4, 4) camera_from_object, with hand and planes as `before` found
-    them.
-    """
-    region = region_around(model, candidates, settings.slack)
-    near = _sorted(frame, region, frame.mask, before.hand, settings, before.planes, beliefs)
-    return replace(near, pieces=before.pieces)
 
 
 def _box(frame: Frame, region: Region | None) -> tuple[int, int, int, int] | None:

@@ -169,7 +169,7 @@ def sum_aspects(aspects, cells, centroid, poses, image, camera, noise, limits, r
                 du, dv = column[k] - column[back], row[k] - row[back]
                 i, j = column[k] + du, row[k] + dv
                 lead = seen[k] + slope
-                if not (0 <= i < width and 0 <= j < height) or abs(np.float64(depth[j, i]) - lead) >= room:
+                if not (0 <= i < width and 0 <= j < height) or not abs(np.float64(depth[j, i]) - lead) < room:
                     continue
                 length = max(math.sqrt(float(du * du + dv * dv)), 1.0)
                 on = reach / length

@@ -52,7 +52,7 @@ class Prediction:
     either side; dark: of the border, beyond which nothing is read; scatter: how far what agrees is off, beside being
     off as a whole (standard deviation, sigmas of noise and bias). count: rays that met the object inside the image.
     area: of the outline (px^2) that they tell of, what the image's border cuts off included. shares (n, SUMS): in the
-    columns of predicted_kernels.
+    columns of vision.picture.columns.
     """
 
     shares: Array
@@ -119,7 +119,7 @@ class Prediction:
 class View:
     """The rays of n poses, side^2 each, in a grid: pixels u, v (n, side^2), and step (n, 4): pixels u, v from one
     to the next of its row, and to that in the next row; expected, seen (n, side^2): depth (m) at which a ray meets
-    the object, and what is read, 0 for none; state: bits of predicted_kernels; past: how much of a ray is seen
+    the object, and what is read, 0 for none; state: bits of vision.picture.columns; past: how much of a ray is seen
     past; fade: how well one at the predicted depth agrees; inside (n,): share of the object in the image.
     """
 

@@ -84,7 +84,8 @@ class ConstantVelocity:
                 change = np.diag(np.repeat([self.settings.angle, self.settings.distance], 3) ** 2)
                 before = self.velocity
                 delta = before + change @ np.linalg.solve(change + 2.0 * own, delta - before)
-            self.velocity = delta if np.linalg.norm(delta[:3]) < FASTEST_TURN else np.zeros(6)
+            slow = np.linalg.norm(delta[:3]) < FASTEST_TURN and np.linalg.norm(delta[3:]) < FASTEST
+            self.velocity = delta if slow else np.zeros(6)
         if self.index is None or index > self.index:
             self.index, self.pose = index, pose
 

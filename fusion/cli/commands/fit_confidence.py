@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         dest="given",
         type=Path,
         action="append",
-        help="answer nothing: fit this file; or several",
+        help="answer nothing: fit this file; again for more files",
     )
     parser.add_argument("--captures", metavar="DIR", type=Path, help="keep the frames here, and read those that are")
     parser.add_argument("--jobs", metavar="N", type=positive, help="processes (default: the threads that are allowed)")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fusion.estimation.search.pool_settings import PoolSettings
 from fusion.estimation.search.proposals import ProposalSettings, search_stages
+from fusion.estimation.verdict import nats_of_contacts
 from scenes.evidence import table as tables
 from scenes.evidence.align import Alignment, AlignSettings, Prior, align, costs
 from scenes.evidence.modes import Mode, ModeSettings, distinct_modes, weighed
@@ -39,11 +40,12 @@ class Pool:
     """What is known of the frame beyond poses: rows of touch as they are believed now, and a prior; `predictor` says
     what must be seen, `sight` quickly what is seen past. looked and depth: what pixels are worth as rows. held: the
     robot's own hand, where it is known. coloured: pieces of the image by depth and colour. told: what modes weigh in
-    what is told of an answer.
+    what is told of an answer. contacts: how many are felt; an array or a gel is one, however many rows it has.
     """
 
     model: ObjectModel
     felt: Evidence
+    contacts: int
     prior: Prior | None
     predictor: Predictor
     sight: Sight
@@ -296,7 +298,7 @@ class Pool:
         seen = p.agree[0] >= s.least_agree * (p.agree[0] + p.past[0]) and p.agree[0] >= shown
         runs_on = s.most_runs_on if self.predictor.told_apart else s.most_runs_on_unknown
         picture = seen and p.past[0] <= s.most_past and p.outline[0] <= runs_on and p.within[0] <= s.most_within
-        felt = float(costs(self.model, self.felt, pose)[0])
+        felt = nats_of_contacts(self.model, self.felt, self.contacts, first.pose)
         return bool(picture and felt <= s.contact_nats * max(self.contacts, 1))
 
     def explains(self, pose: Array) -> bool:
@@ -341,11 +343,6 @@ class Pool:
     def holds(self) -> bool:
         """Whether contacts hold the object in place, and it is known what hides it."""
         return self.predictor.told_apart and self.contacts >= self.settings.tying_contacts
-
-    @property
-    def contacts(self) -> int:
-        """How many are felt."""
-        return int(self.felt.on.sum())
 
     def _shows(self, pose: Array, least: float, share: float, past: float, runs_on: float) -> bool:
         """Whether at pose (4, 4) at least the share `least` of the whole agrees with what is seen and `share` of what

@@ -29,13 +29,15 @@ Array = NDArray[np.float64]
 class JointProblem:
     """Everything but the pose: rows, beliefs and what can be computed once per frame.
 
-    seen: vision rows as measured; felt: touch rows as the robot reports them. camera None: the rows are a cloud without
-    pixels, its bias stays in the rows' sigmas. has_robot False: touch and vision were recorded in one frame.
+    seen: vision rows as measured; felt: touch rows as the robot reports them, of so many contacts. camera None: the
+    rows are a cloud without pixels, its bias stays in the rows' sigmas. has_robot False: touch and vision were recorded
+    in one frame.
     """
 
     model: ObjectModel
     seen: Evidence
     felt: Evidence
+    contacts: int
     prior: Prior | None
     hand: HandView | None
     beliefs: Beliefs
@@ -49,6 +51,7 @@ class JointProblem:
         frame: Frame,
         seen: Evidence,
         felt: Evidence,
+        contacts: int,
         prior: Prior | None,
         hand: HandView | None,
         beliefs: Beliefs,
@@ -63,6 +66,7 @@ class JointProblem:
             model,
             seen,
             felt,
+            contacts,
             prior,
             hand,
             beliefs,
@@ -111,8 +115,8 @@ class JointProblem:
         """Whether something of known shape and place says how wrong depth is: the hand in view, or contacts that hold
         the object; a cloud's points are as they are.
         """
-        touched = int(self.felt.on.sum())
-        return self.hand is not None or self.camera is None or touched >= self.settings.tying_contacts
+        held = self.contacts >= self.settings.tying_contacts
+        return self.hand is not None or self.camera is None or held
 
     def _lay_hand(self, points: Array) -> None:
         """The hand's pixels, linear in (xi, s, b): their constant part, for unit sigmas of s and b."""

@@ -54,8 +54,8 @@ def drawn_by_touch(
     slack (m): how far what the robot reports may be from where it is, beside the contacts' own sigmas.
     """
     reported, rows, first = felt.contacts, felt.rows, modes[0].pose
-    # rows of contacts come first, and have a finger's own errors in their sigmas
-    sigma = np.hypot(rows.rows[: len(reported), SIGMA], slack)
+    # rows of contacts come first, and have a finger's own errors in their sigmas; those of `rows` may have slack, too
+    sigma = np.hypot(felt.reported_rows.rows[: len(reported), SIGMA], slack)
     contacts = Contacts(reported.points, reported.normals, sigma, reported.sigma_normal)
     rest = rows.take(np.arange(len(reported), len(rows)))
     own, size = np.array([mode.pose for mode in modes]), float(np.sqrt(np.mean(sigma**2)))

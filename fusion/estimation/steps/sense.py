@@ -104,6 +104,7 @@ def sense(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: 
     pool = Pool(
         model,
         felt.rows,
+        contacts,
         believed,
         predictor,
         sight,
@@ -168,7 +169,7 @@ def solve_together(sensed: Sensed, poses: list[Array], asked: Asked) -> Solved:
     """The joint solution from each of poses (4, 4), the likeliest first: it tells how large shared errors are."""
     settings, pool, hand = asked.settings, sensed.pool, sensed.hand
     shown = [pool.evidence(pose) if pool.predictor.sees else sensed.seen for pose in poses]
-    known = sensed.felt.reported_rows, asked.prior, hand, asked.beliefs, settings.joint
+    known = sensed.felt.reported_rows, sensed.contacts, asked.prior, hand, asked.beliefs, settings.joint
     results = solve_modes([JointProblem.of(pool.model, sensed.frame, rows, *known) for rows in shown], poses)
     results = guarded(pool, results, poses, hand, settings)
     return Solved(results, joint_costs(sensed.touched, pool, results, poses, hand, sensed.sight, settings), shown)

@@ -65,4 +65,8 @@ def as_before(model: ObjectModel, found: Estimate, lost: Estimate, settings: Est
     """An estimate of an object that was lost, the way round nearest to where it was, unless its print tells."""
     if found.print_share >= settings.texture.decides:
         return found
-    return replace(found, pose=model.symmetries.nearest(found.pose, lost.pose))
+    pose = model.symmetries.nearest(found.pose, lost.pose)
+    turn = se3.inverse(found.pose) @ pose
+    in_hand, as_seen = (None if one is None else one @ turn for one in (found.hand_from_object, found.as_seen))
+    modes = replace(found.modes[0], pose=pose), *found.modes[1:]
+    return replace(found, pose=pose, modes=modes, hand_from_object=in_hand, as_seen=as_seen)

@@ -171,7 +171,8 @@ def _solved(
     hand = sensed.looked.hand
     felt = sensed.felt.rows if sensed.placed else sensed.felt.reported_rows
     most_worse = settings.first.most_worse
-    problem = JointProblem.of(model, frame, seen, felt, prior, hand, beliefs, joint)
+    contacts = len(sensed.felt.reported_contacts)
+    problem = JointProblem.of(model, frame, seen, felt, contacts, prior, hand, beliefs, joint)
     solved = solve_modes([problem], [start])[0]
     if sensed.pool is None:
         return solved

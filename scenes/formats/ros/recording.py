@@ -1,7 +1,7 @@
 """A ROS bag as a capture, by a topic map: every depth image becomes a frame, with what was published nearest to it.
 
 Time is that of the messages' headers. A message goes with a depth image when no other of its topic is nearer and it is
-within the map's tolerance; transforms are interpolated (`ros_transforms`); contacts move to the world at their time.
+within the map's tolerance; transforms are interpolated (`transforms`); contacts move to the world at their time.
 """
 
 from __future__ import annotations

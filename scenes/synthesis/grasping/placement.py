@@ -1,6 +1,6 @@
 """Where an object may sit in an open hand before the fingers close: across the palm, or between fingertips.
 
-Poses are hand_from_object (4, 4), hand frame as in `hand_generation`: x along the fingers, z out of the palm.
+Poses are hand_from_object (4, 4), hand frame as in `scenes.synthesis.hands`: x along the fingers, z out of the palm.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Compiled loops over the pixels of a depth image: the formulas of `depth_noise`, in single passes. Metres, radians."""
+"""Compiled loops over the pixels of a depth image: the formulas of `depth`, in single passes. Metres, radians."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def incidence(fx, fy, cx, cy, u0, v0, ids, normals, out):  # type: ignore[no-unt
 @numba.njit(cache=True, nogil=True)
 def read_depth(truth, ids, shift, angle, lateral, largest, out):  # type: ignore[no-untyped-def]
     """Fill out (h, w): depth where each pixel looks, moved by shift (2, h, w) times its lateral sigma (see
-    `depth_noise.lateral_sigma`). Inverse depth, which is linear in the image on a plane, is interpolated within one
+    `depth.lateral_sigma`). Inverse depth, which is linear in the image on a plane, is interpolated within one
     instance; across instances or steps the nearest pixel is read.
     """
     height, width = truth.shape
@@ -74,7 +74,7 @@ def extremes(depth, near, far):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def add_structured_light(depth, angle, draws, share, largest):  # type: ignore[no-untyped-def]
-    """Add share times `depth_noise.axial_sigma` times draws (h, w) to depth (h, w) in place."""
+    """Add share times `depth.axial_sigma` times draws (h, w) to depth (h, w) in place."""
     for row in range(depth.shape[0]):
         for column in range(depth.shape[1]):
             z = depth[row, column]
@@ -88,7 +88,7 @@ def add_structured_light(depth, angle, draws, share, largest):  # type: ignore[n
 @numba.njit(cache=True, nogil=True)
 def read_off(depth, bias, bias_sigma, factor, focal_baseline, step):  # type: ignore[no-untyped-def]
     """In place: depth (h, w) with its bias (bias_sigma times bias (h, w)) and scale, read in steps of disparity (px,
-    0: none) as `depth_noise.quantised` does.
+    0: none) as `depth.quantised` does.
     """
     for row in range(depth.shape[0]):
         for column in range(depth.shape[1]):

@@ -1,6 +1,6 @@
 """What sensors do to the truth: contacts, wrenches, joints, the calibration between camera and robot; presets of all.
 
-Depth images are in `depth_noise`. Metres, radians, newtons.
+Depth images are in `depth`. Metres, radians, newtons.
 """
 
 from __future__ import annotations
@@ -251,7 +251,7 @@ def observe_depth(
     rng: np.random.Generator,
     errors: DepthErrors | None = None,
 ) -> Depth:
-    """As `depth_noise.observed`, for the settings of a preset too.
+    """As `depth.observed`, for the settings of a preset too.
 
     Raises InputError for a camera imitated from its optics: that one photographs a scene
     (`scenes.synthesis.optics.take`), as what its second eye and its projector see is not in the rendering.

@@ -85,6 +85,18 @@ def test_the_whole_covariance_holds_other_modes_and_none(drill):
     assert np.allclose(whole_covariance(drill, modes[:1], 0.0, None), narrow)
 
 
+def test_a_mode_written_as_its_twin_is_no_farther_away():
+    box = library.make("box")
+    half = next(turn for turn in box.symmetries.discrete if poses.rotation_angle(turn[:3, :3]) > 1.0)
+    aside = poses.perturb(np.eye(4), np.array([0.0, 0.2, 0.0, 0.01, 0.0, 0.0]), box.centroid)
+    narrow, told = 1e-6 * np.eye(6), []
+    for other in (aside, aside @ half):
+        modes = Mode(np.eye(4), 0.7, 0.0, narrow), Mode(other, 0.3, 1.0, narrow)
+        told.append(whole_covariance(box, modes, 0.5, Prior.isotropic(other, 0.2, 0.02)))
+    np.testing.assert_allclose(told[1], told[0], rtol=1e-9, atol=1e-15)
+    assert told[1][1, 1] < 0.2**2 + 0.2**2
+
+
 def test_only_an_answer_that_is_as_right_as_can_be_is_its_first_mode_unless_it_is_ok(drill):
     how, narrow = ConfidenceSettings(), 1e-6 * np.eye(6)
     modes = (Mode(np.eye(4), 1.0, 0.0, narrow),)

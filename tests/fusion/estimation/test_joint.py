@@ -22,6 +22,7 @@ from scenes.evidence.row_kernels import robust as compiled_robust
 from scenes.evidence.table import NO_GATE
 from scenes.geometry import poses
 from scenes.recordings.beliefs import Beliefs, DepthModel
+from scenes.recordings.frames import Contacts
 from scenes.synthesis import library
 from touch.contacts import feel
 from vision.look.look import look
@@ -138,7 +139,7 @@ def frame_problem(frame, model):
     looked = look(frame, model, start=frame.prior)
     seen = looked.rows(DepthModel(), RowSettings(most=400))
     felt = feel(frame, np.eye(4), region=looked.region)
-    problem = JointProblem(model, seen, felt.rows, None, looked.hand, Beliefs(), frame.camera)
+    problem = JointProblem(model, seen, felt.rows, len(felt.contacts), None, looked.hand, Beliefs(), frame.camera)
     return problem, felt
 
 
@@ -202,7 +203,7 @@ def test_little_evidence_is_solved_too(drill, rng, kind):
         seen = evidence.empty()
     else:
         seen, felt = seen.take([0]), evidence.empty()
-    sparse = JointProblem(drill, seen, felt, None, None, Beliefs(), CAMERA)
+    sparse = JointProblem(drill, seen, felt, int(felt.on.sum()), None, None, Beliefs(), CAMERA)
     result = solve_modes([sparse], [pose])[0]
     assert np.isfinite(result.pose).all()
     assert np.isfinite(result.covariance).all()
@@ -215,10 +216,10 @@ def test_the_level_of_shared_errors_follows_the_data(drill):
     # these pixels share nothing
     own = replace(problem.settings, pixel_weight=1.0)
     seen, felt = problem.seen, problem.felt
-    together = JointProblem(drill, seen, felt, None, None, Beliefs(), CAMERA, settings=own)
+    together = JointProblem(drill, seen, felt, int(felt.on.sum()), None, None, Beliefs(), CAMERA, settings=own)
     agree = solve_modes([together], [pose])[0]
     off = problem.seen.moved(poses.make_pose(None, [0.0, 0.0, 0.006]))
-    apart = JointProblem(drill, off, felt, None, None, Beliefs(), CAMERA, settings=own)
+    apart = JointProblem(drill, off, felt, int(felt.on.sum()), None, None, Beliefs(), CAMERA, settings=own)
     disagree = solve_modes([apart], [pose])[0]
     usual = [np.dot(one.shares, [rig.level for rig in own.rigs]) for one in (agree, disagree)]
     assert usual[0] < usual[1]
@@ -245,7 +246,7 @@ def test_how_far_shared_errors_were_moved_is_told_beside_how_many_are_known(dril
     assert told == pytest.approx(len(settled.unknown) - 6 - float(np.trace(covariance[6:, 6:])))
     off = replace(problem, seen=problem.seen.moved(poses.make_pose(None, [0.0, 0.0, 0.006])))
     assert strained(settle(off, pose, Level()))[0] > strain
-    nothing = replace(problem, felt=evidence.empty())
+    nothing = replace(problem, felt=evidence.empty(), contacts=0)
     assert strained(settle(nothing, pose, Level())) == (0.0, 0.0)  # nothing of known shape ties them
 
 
@@ -422,3 +423,10 @@ def test_blocks_of_the_image_are_numbered_without_gaps(rng, count):
     side = max(5.0, float(np.sqrt(np.prod(np.ptp(uv, axis=0) + 1.0) / 16.0)))
     squares = np.floor((uv - uv.min(axis=0)) / side).astype(np.int64)
     np.testing.assert_array_equal(_blocks(uv, 16.0, 5.0), np.unique(squares, axis=0, return_inverse=True)[1].ravel())
+
+
+def test_depth_is_tied_by_contacts_and_not_by_rows_of_one(drill):
+    felt = evidence.from_contacts(Contacts(drill.sample_surface(12, seed=0)[0]), 4.0)
+    for contacts, tied in ((1, False), (2, False), (3, True)):
+        problem = JointProblem(drill, evidence.empty(), felt, contacts, None, None, Beliefs(), CAMERA)
+        assert problem.ties_depth is tied

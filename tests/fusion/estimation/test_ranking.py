@@ -33,7 +33,9 @@ def test_a_direction_that_nothing_tells_is_as_wide_as_the_object(drill):
     """One contact with a normal: the ways to slide along it and to turn about it have the widest prior, once."""
     points, normals = drill.sample_surface(1, seed=0)
     felt = evidence.make(points, 1e-3, TOUCH, normals=normals, sigma_normal=0.09)
-    problem = JointProblem(drill, evidence.empty(), felt, None, None, Beliefs(), None, settings=JointSettings())
+    problem = JointProblem(
+        drill, evidence.empty(), felt, int(felt.on.sum()), None, None, Beliefs(), None, settings=JointSettings()
+    )
     solved = solve(problem, np.eye(4), Level())
     (mode,) = rejudged(drill, [solved], np.zeros(1), EstimateSettings(), True)
     weak = np.repeat([1.0, drill.radius], 3)

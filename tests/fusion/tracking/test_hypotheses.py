@@ -246,3 +246,10 @@ def test_a_search_as_sure_of_the_surface_as_an_ok_one_speaks_as_loud():
     assert several.vote_of("ok", 0.97, s) == several.vote_of("ambiguous", 0.97, s) == pytest.approx(0.94)
     assert several.vote_of("ambiguous", 0.94, s) == s.part
     assert several.vote_of("ambiguous", 0.7, s) == several.vote_of("lost", 0.99, s) == 0.0
+
+
+def test_one_hypothesis_alone_may_be_carried(mug):
+    modes = (Mode(poses.make_pose(None, [0.05, 0.0, 0.0]), 1.0, 0.0, NARROW),)
+    kept, agrees = several.voted(mug, pair()[:1], modes, 1.0, True, replace(S, most=1))
+    assert len(kept) == 1
+    assert not agrees

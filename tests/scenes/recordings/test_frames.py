@@ -12,7 +12,7 @@ from fusion import estimate
 from scenes import Frame
 from scenes.errors import CaptureError, InputError, PalpateError
 from scenes.geometry import poses
-from scenes.recordings.frames import Contacts, Wrench
+from scenes.recordings.frames import Contacts, EmptyRegions, Wrench
 from scenes.synthesis.library import make
 
 DEPTH = np.full((48, 64), 0.5, np.float32)
@@ -151,3 +151,21 @@ def test_contacts_are_moved_as_if_made_anew(rng):
     together = Contacts.concatenate([none.take([]), Contacts.none()])
     assert not len(together)
     assert together.sigma_known
+
+
+@pytest.mark.parametrize(
+    ("points", "radius", "sensors", "message"),
+    [
+        ([[0.0, 0.0, np.nan]], [0.01], ["a"], "no_contact: expected finite points, got row 0"),
+        ([[0.0, 0.0, 0.1]], [-0.01], ["a"], "no_contact: expected radii of 0 m at least, got -0.01"),
+        ([[0.0, 0.0, 0.1]], [np.nan], ["a"], "no_contact: expected radii of 0 m at least"),
+        ([[0.0, 0.0, 0.1]], [0.01, 0.01], ["a"], "no_contact: expected points (n, 3) and a radius (n,)"),
+        ([[0.0, 0.0, 0.1]], [0.01], [], "no_contact: expected 1 sensor names, got 0"),
+        ([["x", "y", "z"]], [0.01], ["a"], "no_contact: expected points as real numbers"),
+    ],
+)
+def test_empty_regions_that_are_none_are_refused(points, radius, sensors, message):
+    with pytest.raises(InputError) as error:
+        EmptyRegions(points, radius, sensors)
+    assert message in str(error.value)
+    assert EmptyRegions([[0.0, 0.0, 0.1]], [0.01], ["a"]).points.dtype == np.float64

@@ -152,9 +152,8 @@ def one_answer(seed: int) -> float:
     empty = None
     if rng.random() < 0.3:
         count = int(rng.integers(1, 5))
-        empty = EmptyRegions(
-            _salted(_points(model, rng, count), rng), np.abs(_salted(rng.normal(size=count) * 0.01, rng)), ["e"] * count
-        )
+        balls = _salted(_points(model, rng, count), rng), np.abs(_salted(rng.normal(size=count) * 0.01, rng))
+        empty = survives(lambda: EmptyRegions(*balls, ["e"] * count), f"seed {seed}, EmptyRegions")
     frame = Frame(0, contacts=contacts, no_contact=empty)
     answer = survives(lambda: estimate(frame, model, prior=prior, seed=seed), f"seed {seed}, estimate")
     if answer is not None:
