@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol
@@ -75,10 +76,12 @@ class Felt:
     def untold(self) -> tuple[str, ...]:
         """In words, what is believed of contacts that say no sigma; none when all do."""
         felt = self.reported_contacts
-        if felt.sigma_known or not len(felt):
+        if felt.sigma_known:
             return ()
-        believed = 1e3 * float(felt.sigma_point[0])
-        return (f"contacts say no sigma: {believed:g} mm believed of each, none taken for false",)
+        silent = ~felt.sigma_told
+        who = "contacts" if silent.all() else f"{int(silent.sum())} of {len(felt)} contacts"
+        believed = 1e3 * float(felt.sigma_point[silent][0])
+        return (f"{who} say no sigma: {believed:g} mm believed of each, none taken for false",)
 
     @cached_property
     def contacts(self) -> Contacts:
@@ -112,17 +115,11 @@ def feel(
     listed as space the object cannot be in; None lists none.
     """
     settings, beliefs = settings or TouchSettings(), beliefs or Beliefs()
-    reported = Contacts.concatenate([frame.contacts, wrench_contacts(frame)]).moved(frame.camera_from_world)
-    readings = readings_of(frame)
-    reported = Contacts.concatenate([reported, array_contacts(_unspoken(frame, reported, readings), settings.arrays)])
-    patches = patches_of(frame, settings.patches)
-    reported = Contacts.concatenate([reported, gel_contacts(unspoken(frame, reported, patches), settings.gels)])
-    known = reported.sigma_known
-    if len(reported) and not known:
-        reported = reported.of_unknown_worth(beliefs.touch.unknown_sigma)
+    readings, patches = readings_of(frame), patches_of(frame, settings.patches)
+    reported = _reported(frame, readings, patches, settings).of_unknown_worth(beliefs.touch.unknown_sigma)
     with_hand = frame.hand is not None and frame.joints is not None and frame.world_from_hand is not None
     # a contact of unknown worth cannot be told from a false one: it is never gated out
-    rows = tables.from_contacts(reported, settings.contact_gate if known else tables.NO_GATE)
+    rows = tables.from_contacts(reported, np.where(reported.sigma_told, settings.contact_gate, tables.NO_GATE))
     if with_hand and len(reported):
         rows = _of_fingers(rows, reported.sensors, beliefs.touch.fingertip_sigma)
     parts = [rows, taxel_rows(readings, settings.arrays), patch_rows(patches, settings.gels)]
@@ -138,6 +135,29 @@ def feel(
     if correction is not None or frame.camera is None:
         return Felt(reported, table, np.eye(4) if correction is None else correction, 0.0, pressed)
     return Felt(reported, table, np.eye(4), _calibration_slack(table, beliefs.calibration), pressed)
+
+
+def places_touched(frame: Frame, settings: TouchSettings | None = None) -> Array:
+    """(n, 3) where a frame's contacts, wrenches, arrays and gels touch the object, camera frame, m, as the robot
+    reports it; one place a finger and kind of sensor at most.
+    """
+    settings = settings or TouchSettings()
+    return _reported(frame, readings_of(frame), patches_of(frame, settings.patches), settings).points
+
+
+def _reported(frame: Frame, readings: Sequence[Reading], patches: Sequence[Patch], settings: TouchSettings) -> Contacts:
+    """Contacts of all sensors, camera frame; those of wrenches, arrays and gels on links that no sensor before them
+    reports one of: one touch is one contact.
+    """
+    found = frame.contacts.moved(frame.camera_from_world)
+    pushed = wrench_contacts(frame).moved(frame.camera_from_world)
+    if len(pushed) and frame.hand is not None:
+        sensors = frame.hand.sensors
+        spoken = {sensors[name].link for name in found.sensors if name in sensors}
+        pushed = pushed.take([sensors[name].link not in spoken for name in pushed.sensors])
+    found = Contacts.concatenate([found, pushed])
+    found = Contacts.concatenate([found, array_contacts(_unspoken(frame, found, readings), settings.arrays)])
+    return Contacts.concatenate([found, gel_contacts(unspoken(frame, found, patches), settings.gels)])
 
 
 def _of_fingers(rows: Evidence, sensors: list[str], fingertip: float) -> Evidence:
@@ -161,7 +181,7 @@ def _calibration_slack(rows: Evidence, calibration: CalibrationModel) -> float:
     return float(np.hypot(calibration.translation_sigma, calibration.rotation_sigma * depth))
 
 
-def _unspoken(frame: Frame, contacts: Contacts, readings: list[Reading]) -> list[Reading]:
+def _unspoken(frame: Frame, contacts: Contacts, readings: Sequence[Reading]) -> list[Reading]:
     """Arrays on links that no other sensor reports a contact of: one touch is one contact, however many sensors."""
     if frame.hand is None:
         return []

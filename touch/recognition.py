@@ -264,7 +264,7 @@ def _merged(a: Alignment, b: Alignment) -> Alignment:
 def _with(contacts: Contacts, normals: Array | None) -> Contacts:
     """The contacts with other normals (n, 3), or none."""
     c = contacts
-    return Contacts(c.points, normals, c.sigma_point, c.sigma_normal, c.sensors, c.forces, c.sigma_known)
+    return Contacts(c.points, normals, c.sigma_point, c.sigma_normal, c.sensors, c.forces, c.sigma_told)
 
 
 def _outward(

@@ -48,7 +48,7 @@ class NextTouch:
 
     gain: nats, of which between_modes tells the modes apart. finger: the free sensor nearest to it and how far it is
     (m); None without a hand. sigma_position, sigma_rotation: worst standard deviations (m, rad) that would be left of
-    the answer's covariance by a contact that shares no error (calibration, joints) with those before it.
+    the first mode's covariance by a contact that shares no error (calibration, joints) with those before it.
     """
 
     point: Array
@@ -153,18 +153,21 @@ def gains(
 
 
 def hand_around(frame: Frame | None, answer: Estimate) -> tuple[dict[str, Array], Array]:
-    """Sensors that touch nothing, with their places (3,), and points of the hand's surface (n, 3), camera frame.
+    """Sensors of links that touch nothing, with their places (3,), and points (n, 3) of the hand's surface, in the
+    camera's frame.
 
     The hand is placed as the answer has it in the object's frame, where its correction of the calibration is in.
     """
     if frame is None or frame.hand is None or frame.joints is None or answer.hand_from_object is None:
         return {}, np.zeros((0, 3))
     camera_from_hand = answer.pose @ se3.inverse(answer.hand_from_object)
-    busy = {contact.sensor for contact in answer.contacts}
+    sensors = frame.hand.sensors
+    # a finger that one of its sensors reports touches, whatever the others of its link say
+    busy = {sensors[contact.sensor].link for contact in answer.contacts if contact.sensor in sensors}
     tips = {
         name: se3.apply(camera_from_hand, pose[None, :3, 3])[0]
         for name, pose in frame.hand.hand_from_sensor(frame.joints).items()
-        if name not in busy
+        if sensors[name].link not in busy
     }
     return tips, se3.apply(camera_from_hand, frame.hand.points_on_surface(frame.joints))
 

@@ -72,8 +72,9 @@ class Estimate:
     """The answer for one frame. All poses are camera_from_object unless named otherwise (4x4, metres).
 
     modes: the answer first, which is the likeliest of those that were solved with everything; then the others by cost.
-    covariance (6, 6) about the centroid, (turn, move): of the first mode when the verdict is `ok`; otherwise of all
-    that may be the case, other modes and none of them included. Each mode has its own. Errors have longer tails than a
+    covariance (6, 6) about the centroid, (turn, move): of the first mode when the verdict is `ok`, or of all that are
+    one answer with it within the tolerance where it does not hold most of these; otherwise of all that may be the case,
+    other modes and none of them included. Each mode has its own. Errors have longer tails than a
     Gaussian's, near enough those of a Student distribution of three degrees of freedom with that covariance, whose 95 %
     region is 1.2 times as wide as a Gaussian's. confidence: probability that the pose's ADD-S is below sure_within (m),
     see fusion.estimation.confidence; observed: what it was read from, empty when nothing was sensed. print_share: of

@@ -30,6 +30,7 @@ from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.captures import Capture
 from scenes.recordings.frames import Frame
 from scenes.recordings.validation import usable
+from touch.contacts import places_touched
 from vision.look.look import object_points
 from vision.look.points import all_points, crop_points
 from vision.published.icp import icp
@@ -150,7 +151,11 @@ def compare(
     """
     methods = check_methods(methods)
     warm, refused = False, None
+    captures = list(captures)
+    names = [capture.name for capture in captures]
     for capture in captures:
+        # frames of two folders of one name are not the same ones
+        name = capture.name if names.count(capture.name) == 1 else str(capture.path)
         judge = Judge(model or capture.model)
         judge.model.field  # noqa: B018  (built or read from the cache before anything is timed)
         for number in capture.frame_ids:
@@ -166,7 +171,7 @@ def compare(
                 # compiles; its times would tell of the compiler
                 compare_frame(frame, judge, methods, seed, settings=settings, beliefs=beliefs)
                 warm = True
-            yield from compare_frame(frame, judge, methods, seed, capture.name, group_of(capture), settings, beliefs)
+            yield from compare_frame(frame, judge, methods, seed, name, group_of(capture), settings, beliefs)
     if refused is not None and not warm:
         raise refused
 
@@ -239,7 +244,7 @@ def with_contacts(points: Array, frame: Frame) -> Array:
     Weighted ICP for vision and touch in its plainest form: both are points on the surface, and the few of touch count
     for many. Their order is mixed, so that a subset has the same share.
     """
-    felt = poses.apply(frame.camera_from_world, frame.contacts.points)
+    felt = places_touched(frame)
     if not len(felt):
         return points
     times = max(1, round(CONTACT_SHARE / (1.0 - CONTACT_SHARE) * len(points) / len(felt)))
@@ -251,6 +256,6 @@ def _centred(frame: Frame, model: ObjectModel) -> Array:
     """Without a prior ICP starts where the points are, turned as the model happens to be."""
     points = all_points(frame)
     if not len(points):
-        points = poses.apply(frame.camera_from_world, frame.contacts.points)
+        points = places_touched(frame)
     middle = np.median(points, axis=0) if len(points) else np.zeros(3)
     return poses.make_pose(translation=middle - model.centroid)

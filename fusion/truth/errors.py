@@ -14,6 +14,7 @@ from scenes.geometry import poses
 from scenes.geometry.nearest import Nearest
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
+from touch.contacts import places_touched
 from vision.look.points import all_points
 
 Array = NDArray[np.float64]
@@ -114,9 +115,9 @@ class Judge:
         model, nan = self.model, float("nan")
         object_from_camera = poses.inverse(pose)
         felt = nan
-        if len(frame.contacts):
-            points = poses.apply(object_from_camera @ frame.camera_from_world, frame.contacts.points)
-            felt = float(np.abs(model.field.distance(points)).mean())
+        touched = places_touched(frame)
+        if len(touched):
+            felt = float(np.abs(model.field.distance(poses.apply(object_from_camera, touched))).mean())
         points = poses.apply(object_from_camera, all_points(frame))
         near = points[np.linalg.norm(points - model.centroid, axis=1) < model.radius + self.settings.inlier]
         if not len(near):

@@ -125,7 +125,8 @@ def summary(frames: Sequence[Mapping[str, float]], judge: Judge) -> dict[str, fl
         known = values[~np.isnan(values)]
         return float(np.median(known)) if len(known) else float("nan")
 
-    calibrated = table["nees"][np.isfinite(table["nees"])]
+    # infinite where nothing was left open and it was wrong
+    calibrated = table["nees"][~np.isnan(table["nees"])]
     success = 1e3 * judge.settings.success
     return {
         "frames": float(len(frames)),

@@ -174,8 +174,8 @@ def make(
     return Evidence(rows, np.full(n, sense, dtype=np.uint8))
 
 
-def from_contacts(contacts: Contacts, gate: float = NO_GATE, use_normals: bool = True) -> Evidence:
-    """ON rows of contacts, in their frame; `gate` in sigmas is where a contact is as likely a false one."""
+def from_contacts(contacts: Contacts, gate: ArrayLike = NO_GATE, use_normals: bool = True) -> Evidence:
+    """ON rows of contacts, in their frame; `gate` in sigmas, () or (n,), is where one is as likely a false one."""
     return make(
         contacts.points,
         contacts.sigma_point,

@@ -52,7 +52,7 @@ def check_pose(pose: ArrayLike, name: str = "pose") -> Array:
         raise InputError(f"{name}: expected last row 0 0 0 1, got {array[..., 3, :].reshape(-1, 4)[0]}")
     rotation = array[..., :3, :3]
     gram = np.swapaxes(rotation, -1, -2) @ rotation
-    error = float(np.abs(gram - np.eye(3)).max())
+    error = float(np.abs(gram - np.eye(3)).max(initial=0.0))
     if error > ORTHONORMAL_TOLERANCE:
         raise InputError(f"{name}: expected a rotation matrix, got columns off orthonormal by {error:.2g}")
     if np.any(np.linalg.det(rotation) < 0):

@@ -59,7 +59,7 @@ class Contacts:
 
     Attributes (one row a contact): points (n, 3) metres; normals (n, 3) unit, out of the object, rows of
     NaN where unknown; sigma_point (n,) metres; sigma_normal (n,) radians; sensors, n names (may repeat);
-    forces (n, 3) newtons, NaN where unknown. sigma_known: False when no sigma was given and the default stands in.
+    forces (n, 3) newtons, NaN where unknown; sigma_told (n,) whether a sigma_point was given, or the default stands in.
     """
 
     def __init__(
@@ -70,9 +70,11 @@ class Contacts:
         sigma_normal: ArrayLike | None = None,
         sensors: list[str] | None = None,
         forces: ArrayLike | None = None,
-        sigma_known: bool | None = None,
+        sigma_told: ArrayLike | None = None,
     ) -> None:
-        """Check and keep; raises InputError for wrong shapes, points that are no places or a sigma that is none."""
+        """Check and keep; sigma_told: of all contacts or of each, None where the sigmas themselves say it. Raises
+        InputError for wrong shapes, points that are no places or a sigma that is none.
+        """
         places = _numbers(points, "points")
         if places.size and (places.ndim not in (1, 2) or places.shape[-1] != 3):
             raise InputError(f"contacts: expected points of shape (n, 3), got {places.shape}")
@@ -85,10 +87,12 @@ class Contacts:
             known = np.isfinite(length) & (length > 1e-9)
         self.normals[~known] = np.nan
         self.normals[known] /= length[known, None]
-        given = sigma_point is not None and not np.isnan(_numbers(sigma_point, "sigma_point")).all()
-        self.sigma_known = given if sigma_known is None else sigma_known
+        if sigma_told is None:
+            sigma_told = False if sigma_point is None else ~np.isnan(_numbers(sigma_point, "sigma_point").ravel())
         self.forces = self._rows(forces, n, 3, "forces")
         self.sigma_point = self._sigma(sigma_point, n, DEFAULT_SIGMA_POINT, "sigma_point")
+        told = np.asarray(sigma_told, dtype=np.bool_)
+        self.sigma_told = np.array(np.broadcast_to(told if n else told[:0] if told.ndim else told, (n,)))
         self.sigma_normal = self._sigma(sigma_normal, n, DEFAULT_SIGMA_NORMAL, "sigma_normal")
         self.sensors = list(sensors) if sensors is not None else [f"contact{i}" for i in range(n)]
         if len(self.sensors) != n:
@@ -127,6 +131,11 @@ class Contacts:
         return len(self.points)
 
     @property
+    def sigma_known(self) -> bool:
+        """Whether every contact said its sigma."""
+        return bool(self.sigma_told.all())
+
+    @property
     def has_normal(self) -> NDArray[np.bool_]:
         """(n,) true where the outward normal is known."""
         return np.isfinite(self.normals[:, 0])
@@ -142,13 +151,13 @@ class Contacts:
             self.sigma_normal[index],
             [self.sensors[i] for i in index],
             self.forces[index],
-            self.sigma_known,
+            self.sigma_told[index],
         )
 
     def of_unknown_worth(self, sigma: float) -> Contacts:
-        """The same contacts with one sigma (m) that stands in for what their recording does not say."""
+        """The same contacts with a sigma (m) that stands in where their recording says none."""
         out = copy(self)
-        out.sigma_point, out.sigma_known = np.full(len(self), sigma), False
+        out.sigma_point = np.where(self.sigma_told, self.sigma_point, sigma)
         return out
 
     def moved(self, target_from_source: Array) -> Contacts:
@@ -175,9 +184,7 @@ class Contacts:
         if len(filled) == 1:
             return filled[0]
         if not filled:
-            nothing = Contacts.none()
-            nothing.sigma_known = True
-            return nothing
+            return Contacts.none()
         return Contacts(
             np.concatenate([p.points for p in parts]),
             np.concatenate([p.normals for p in parts]),
@@ -185,7 +192,7 @@ class Contacts:
             np.concatenate([p.sigma_normal for p in parts]),
             [name for p in parts for name in p.sensors],
             np.concatenate([p.forces for p in parts]),
-            all(p.sigma_known for p in parts if len(p)),  # a part without contacts says nothing of the others
+            np.concatenate([p.sigma_told for p in parts]),
         )
 
 

@@ -225,8 +225,9 @@ def scale_problem(frame: Frame, model: ObjectModel) -> str | None:
         extent = 2.0 * _quantile(np.linalg.norm(points - middle, axis=1), 0.5)
         if extent > SUSPICIOUS_RATIO * diameter:
             return _says("contacts spread over", extent, "an object of", diameter)
-    if len(points) and frame.contacts.sigma_known:
-        sigma = _quantile(frame.contacts.sigma_point, 0.5)
+    told = frame.contacts.sigma_told
+    if told.any():
+        sigma = _quantile(frame.contacts.sigma_point[told], 0.5)
         if sigma > diameter:
             return _says("a sigma_point of", sigma, "an object of", diameter, "mm read as m?")
     if frame.cloud is not None and len(frame.cloud) > 1:

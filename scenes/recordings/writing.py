@@ -214,8 +214,7 @@ class _Recorder:
     def _touch(self, frame: Frame) -> None:
         felt = frame.contacts
         sigmas = np.stack([felt.sigma_point, felt.sigma_normal], axis=1)
-        if not felt.sigma_known:
-            sigmas[:] = np.nan
+        sigmas[~felt.sigma_told] = np.nan
         numbers = np.concatenate([felt.points, felt.normals, felt.forces, sigmas], axis=1).tolist()
         self._add("contacts.csv", *((frame.index, name, *row) for name, row in zip(felt.sensors, numbers)))
         empty = frame.no_contact

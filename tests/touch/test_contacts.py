@@ -10,7 +10,9 @@ from scenes.evidence import table as evidence
 from scenes.geometry import poses
 from scenes.recordings.beliefs import Beliefs, CalibrationModel
 from scenes.recordings.frames import Contacts, EmptyRegions, Frame
-from touch.contacts import feel
+from scenes.synthesis.recording import synthesize_frames
+from touch.contacts import feel, places_touched
+from touch.wrenches.intrinsic import wrench_contacts
 
 
 @dataclass(frozen=True)
@@ -131,9 +133,12 @@ def test_contacts_normalise_and_forget_what_is_unknown():
     contacts = Contacts(np.zeros((3, 3)), [[0, 0, 5.0], [0, 0, 0], [np.nan] * 3], [1e-3, np.nan, 2e-3])
     assert np.array_equal(contacts.has_normal, [True, False, False])
     assert np.array_equal(contacts.normals[0], [0, 0, 1])
-    assert contacts.sigma_known
+    assert np.array_equal(contacts.sigma_told, [True, False, True])
+    assert not contacts.sigma_known
     assert np.isfinite(contacts.sigma_point).all()
-    assert not Contacts(np.zeros((3, 3))).sigma_known
+    assert not Contacts(np.zeros((3, 3))).sigma_told.any()
+    contacts = contacts.take([0, 2, 2])
+    assert contacts.sigma_known
     both = Contacts.concatenate([contacts, contacts.take([0])])
     assert len(both) == 4
     assert np.array_equal(both.points, np.zeros((4, 3)))
@@ -146,6 +151,25 @@ def test_contacts_of_unknown_worth_are_believed_little_and_never_gated_out():
     felt = feel(Frame(0, contacts=Contacts(np.zeros((2, 3)))))
     assert (felt.rows.rows[:, evidence.SIGMA] > 0.002).all()
     assert (felt.rows.rows[:, evidence.GATE_ABOVE] == evidence.NO_GATE).all()
+
+
+def test_contacts_that_say_a_sigma_keep_it_beside_one_that_says_none(rng):
+    points = rng.normal(size=(6, 3))
+    told = feel(Frame(0, contacts=Contacts(points[:5], sigma_point=1e-3)))
+    mixed = feel(Frame(0, contacts=Contacts(points, sigma_point=[*[1e-3] * 5, np.nan])))
+    np.testing.assert_array_equal(mixed.rows.rows[:5], told.rows.rows)
+    assert mixed.rows.rows[5, evidence.SIGMA] == pytest.approx(Beliefs().touch.unknown_sigma)
+    assert mixed.rows.rows[5, evidence.GATE_ABOVE] == evidence.NO_GATE
+    assert mixed.untold == ("1 of 6 contacts say no sigma: 4 mm believed of each, none taken for false",)
+
+
+def test_a_finger_whose_wrench_is_reported_as_a_contact_too_touches_once(hand, drill):
+    frame = synthesize_frames(drill, hand, 1, 0.3, noise="clean", seed=3, touch=("wrench",))[0]
+    once = feel(frame).reported_contacts
+    assert len(once) > 2
+    twice = feel(replace(frame, contacts=wrench_contacts(frame))).reported_contacts
+    assert sorted(twice.sensors) == sorted(once.sensors)
+    np.testing.assert_allclose(places_touched(frame), once.points, atol=1e-12)
 
 
 def test_contacts_that_say_no_sigma_are_told_of(rng):

@@ -52,16 +52,16 @@ class Bending:
     bends: Array
 
 
-_TABLES: WeakKeyDictionary[ObjectModel, dict[float, Bending]] = WeakKeyDictionary()
+_TABLES: WeakKeyDictionary[ObjectModel, dict[tuple[float, GelProposalSettings], Bending]] = WeakKeyDictionary()
 
 
 def bending_table(model: ObjectModel, box: float, settings: GelProposalSettings | None = None) -> Bending:
     """How the object's surface bends at many places, within `box` (m); built at the first call and kept."""
     settings = settings or GelProposalSettings()
     kept = _TABLES.setdefault(model, {})
-    if box not in kept:
-        kept[box] = _describe(model, box, settings)
-    return kept[box]
+    if (box, settings) not in kept:
+        kept[box, settings] = _describe(model, box, settings)
+    return kept[box, settings]
 
 
 def _describe(model: ObjectModel, box: float, settings: GelProposalSettings) -> Bending:

@@ -44,7 +44,7 @@ def gel_contacts(patches: Sequence[Patch], settings: GelRowSettings | None = Non
         np.array([np.hypot(settings.place_sigma, np.median(patch.sigma)) for patch in on]),
         np.array([np.hypot(settings.turn_sigma, np.median(patch.sigma_normal)) for patch in on]),
         [patch.sensor for patch in on],
-        sigma_known=True,
+        sigma_told=True,
     )
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from scenes.evidence import table as tables
 from scenes.evidence.align import AlignSettings, Prior, align, terms
-from scenes.evidence.modes import Mode, covariance_of, distinct_modes
+from scenes.evidence.modes import Mode, ModeSettings, covariance_of, displaced, distinct_modes
 from scenes.evidence.table import Evidence
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
@@ -60,7 +60,10 @@ def localization(
     looked_at = np.concatenate([pose[None], others[::step]])
     judged = align(model, rows, looked_at, prior, AlignSettings(iterations=0))
     first = distinct_modes(model, judged.take(np.zeros(1, dtype=np.intp)))[0]
-    modes = (first, *(m for m in distinct_modes(model, judged) if not np.allclose(m.pose, first.pose, atol=1e-9)))
+    # what lies where the chosen one does is that one, whichever of the two is cheaper
+    apart = ModeSettings().merge_share * model.radius
+    rest = (m for m in distinct_modes(model, judged) if displaced(model, m.pose[None], first.pose)[0] >= apart)
+    modes = (first, *rest)
     modes = _weighed(modes)
     lost = index > settings.lost_sigmas * believed
     return Localization(pose, modes, index, sigma, "lost" if lost else verdict_of(modes), elapsed, method)

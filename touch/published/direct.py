@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.evidence.align import Prior
+from scenes.evidence.modes import covariance_of
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -50,7 +51,9 @@ def objective(
     if prior is None:
         half = np.array([settings.angle] * 3 + [settings.share * model.radius] * 3)
     else:
-        half = settings.sigmas * np.sqrt(np.diag(np.linalg.inv(prior.information)))
+        # contacts are turned and moved as the prior's pose sees them: the box has the object's axes
+        own = np.kron(np.eye(2), start[:3, :3])
+        half = settings.sigmas * np.sqrt(np.diag(own.T @ covariance_of(model, prior.information) @ own))
         half[:3] = np.minimum(half[:3], settings.angle)
 
     def cost(x: Array) -> float:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scenes.errors import InputError
 from scenes.evidence.align import Prior, costs
+from scenes.evidence.modes import covariance_of
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -112,7 +113,7 @@ class UnscentedParticleFilter:
             self.middles = np.asarray(around, dtype=np.float64) + s.start_distance * self._rng.normal(size=(n, 3))
             spread = np.diag([s.start_angle**2] * 3 + [s.start_distance**2] * 3)
         else:
-            spread = np.linalg.inv(prior.information)
+            spread = covariance_of(model, prior.information)
             drawn = self._rng.normal(size=(n, 6)) @ np.linalg.cholesky(spread).T
             start = se3.perturb(prior.pose, drawn, model.centroid)
             self.rotations = np.ascontiguousarray(start[:, :3, :3])

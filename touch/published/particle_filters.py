@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from scenes.evidence import table as tables
 from scenes.evidence.align import Prior, costs
+from scenes.evidence.modes import covariance_of
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -52,7 +53,7 @@ def _start(
 ) -> Array:
     n = settings.particles
     if prior is not None:
-        spread = np.linalg.cholesky(np.linalg.inv(prior.information))
+        spread = np.linalg.cholesky(covariance_of(model, prior.information))
         return se3.perturb(prior.pose, rng.normal(size=(n, 6)) @ spread.T, model.centroid)
     rotations = se3.random_rotations(n, rng)
     middles = around + settings.start_distance * rng.normal(size=(n, 3))

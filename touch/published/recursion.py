@@ -39,7 +39,7 @@ class StoppingRule:
     history: list[float] = field(default_factory=list)
 
     def observe(self, index: float) -> bool:
-        """Take I_t (m); true when its least-squares line over the last contacts is flat and none of them rose."""
+        """Take I_t (m); true when its least-squares line over the last contacts is flat and they scatter little."""
         self.history.append(float(index))
         s = self.settings
         if len(self.history) < max(s.fewest, s.span):

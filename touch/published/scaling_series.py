@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from scenes.evidence import table as tables
 from scenes.evidence.align import Prior, costs
+from scenes.evidence.modes import covariance_of
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -94,7 +95,7 @@ def _first(
     """(fewest, 4, 4) particles over all rotations and the ball where the object can be, or drawn from the prior."""
     count = settings.fewest
     if prior is not None:
-        spread = np.linalg.cholesky(np.linalg.inv(prior.information))
+        spread = np.linalg.cholesky(covariance_of(model, prior.information))
         return se3.perturb(prior.pose, rng.normal(size=(count, 6)) @ spread.T, model.centroid)
     rotations = se3.random_rotations(count, rng)
     radius = settings.reach * model.radius * np.cbrt(rng.random((count, 1)))

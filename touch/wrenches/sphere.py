@@ -3,7 +3,7 @@
 
 A soft finger pressed at p on its surface S(p) = 0 by a force F feels the moment M = p x F + k grad S(p): only a moment
 about the normal is transmitted (T1 eq. 2.3). On a sphere of radius R about the sensor's origin the normal is p / R,
-and with K = 2k:   M = p x F + (K / R^2) ... p, solved by one quadratic for K.
+and grad S is along p:   M = p x F + q p, solved in closed form below.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fusion.advice.next_touch import NextTouchSettings, best_apart, nearest_finger, next_touches
+from fusion.advice.next_touch import NextTouchSettings, best_apart, hand_around, nearest_finger, next_touches
 from fusion.estimation.answer import ContactResidual, Estimate, Mode
 from fusion.estimation.verdict import contributions
 from scenes.evidence import table as evidence
@@ -14,6 +14,7 @@ from scenes.evidence.modes import covariance_of
 from scenes.evidence.table import TOUCH, VISION
 from scenes.geometry import poses
 from scenes.synthesis import library
+from scenes.synthesis.recording import synthesize_frames
 
 TIGHT = np.diag([1e-3**2] * 3 + [2e-4**2] * 3)
 
@@ -81,7 +82,6 @@ def test_places_are_apart_and_the_hands_are_left_out(drill, hand, rng):
     assert gaps.min() > 0.2 * drill.radius
     assert [t.gain for t in found] == sorted((t.gain for t in found), reverse=True)
     assert all(t.finger is None for t in found)
-    from scenes.synthesis.recording import synthesize_frames
 
     frame = synthesize_frames(drill, hand, 1, 0.3, noise="clean", seed=3)[0]
     truth = frame.camera_from_object_truth
@@ -96,6 +96,18 @@ def test_places_are_apart_and_the_hands_are_left_out(drill, hand, rng):
         assert np.linalg.norm(surface - touch.camera_point, axis=1).min() > NextTouchSettings().room
         assert touch.finger in frame.hand.sensors
         assert touch.finger != "thumb_tip"
+
+
+def test_no_sensor_of_a_finger_that_touches_is_free(hand, drill):
+    frame = synthesize_frames(drill, hand, 1, 0.3, noise="clean", seed=3)[0]
+    truth, sensors = frame.camera_from_object_truth, hand.sensors
+    camera_from_hand = frame.camera_from_world @ frame.world_from_hand
+    in_hand = poses.inverse(camera_from_hand) @ truth
+    felt = (ContactResidual("thumb_tip", 0.0, 0.0, False),)
+    free, _ = hand_around(frame, replace(answer_of(truth, TIGHT), hand_from_object=in_hand, contacts=felt))
+    assert free
+    assert all(sensors[name].link != sensors["thumb_tip"].link for name in free)
+    assert sum(sensor.link == sensors["thumb_tip"].link for sensor in sensors.values()) > 1
 
 
 @pytest.mark.parametrize("scale", [0.0, 1e-12, 1e6])

@@ -20,6 +20,7 @@ from scenes.geometry import poses
 from scenes.recordings.bop import PoseRow
 from scenes.recordings.captures import read_capture, write_capture
 from scenes.synthesis.library import make
+from scenes.synthesis.recording import synthesize_frames
 
 
 def test_the_truth_has_no_error():
@@ -161,6 +162,9 @@ def test_evaluation(tmp_path):
     assert summary["recall_add_s_5mm"] == pytest.approx(2 / 3)
     assert summary["nees_over_6"] == pytest.approx(16.0 / 6, abs=1e-3)
     json.dumps(json_number(found), allow_nan=False)
+    # who said to know exactly and was wrong is not left out of the mean
+    sure = evaluate(rows, capture, {0: 1e-4 * np.eye(6), 1: np.zeros((6, 6))})["summary"]
+    assert sure["nees_over_6"] == np.inf
     foreign = [PoseRow(0, 1, 2, 1.0, truth, 0.1), PoseRow(0, 77, 2, 1.0, worse, 0.1)]
     assert json_number(evaluate([*rows, *foreign], capture)["frames"]) == json_number(evaluate(rows, capture)["frames"])
     with pytest.raises(InputError, match=r"expected rows of obj_id 1 \(.*\), got obj_id 2$"):
@@ -200,3 +204,25 @@ def test_contacts_join_the_cloud_at_their_share(exact_frame):
     known = {tuple(point) for point in felt}
     assert sum(tuple(point) in known for point in both[:300]) in range(15, 50)
     assert comparing.with_contacts(cloud, exact_frame.without_touch()) is cloud
+
+
+def test_what_wrenches_feel_joins_the_cloud_too(hand):
+    model = make("drill")
+    frame = synthesize_frames(model, hand, 1, 0.3, noise="clean", seed=3, touch=("wrench",))[0]
+    assert not len(frame.contacts)
+    cloud = np.random.default_rng(0).normal(size=(900, 3))
+    assert len(comparing.with_contacts(cloud, frame)) > len(cloud)
+    assert np.isfinite(Judge(model).agreement(frame, frame.camera_from_object_truth).contacts)
+
+
+def test_frames_of_two_folders_of_one_name_are_not_the_same(tmp_path):
+    model = make("box")
+    captures = []
+    for index, folder in enumerate(("a", "b")):
+        path = tmp_path / folder / "cap"
+        path.parent.mkdir()
+        captures.append(read_capture(write_capture(path, [plain_view("box", index)], model)))
+    rows = list(compare(captures, ("icp",)))
+    assert len({(row.capture, row.frame) for row in rows}) == 2
+    (alone,) = compare(captures[:1], ("icp",))
+    assert alone.capture == "cap"
