@@ -99,8 +99,8 @@ def test_places_are_apart_and_the_hands_are_left_out(drill, hand, rng):
 
 
 def test_no_sensor_of_a_finger_that_touches_is_free(hand, drill):
-    frame = synthesize_frames(drill, hand, 1, 0.3, noise="clean", seed=3)[0]
-    truth, sensors = frame.camera_from_object_truth, hand.sensors
+    frame = synthesize_frames(drill, hand, 1, 0.3, noise="clean", seed=3, touch=("wrench", "array"))[0]
+    truth, sensors = frame.camera_from_object_truth, frame.hand.sensors
     camera_from_hand = frame.camera_from_world @ frame.world_from_hand
     in_hand = poses.inverse(camera_from_hand) @ truth
     felt = (ContactResidual("thumb_tip", 0.0, 0.0, False),)
