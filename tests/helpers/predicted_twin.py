@@ -289,13 +289,14 @@ def nearest_around(depth, reach):
 
 
 def runs_on(found, hit, near, read, hidden, seen, u, v, steps):
-    """Share of the outline across which the surface that is seen inside goes on as it was, further than edges smear;
-    and beside it the borders within, where it goes on to hide. All but steps, see grid: (side, side).
+    """Shares of the outline across which the surface that is seen inside goes on as it was, further than edges smear,
+    beyond its rays and beyond the grid of them; and beside it the borders within, where it goes on to hide. All but
+    steps, see grid: (side, side).
     """
     s = found.settings
     reach = found.reach
     hit, near, read, hidden, seen, u, v = (np.pad(x, 1) for x in (hit, near, read, hidden, seen, u, v))
-    smooth = border = within = 0
+    smooth = sides = border = within = 0
     for axis in (0, 1):
         apart = np.linalg.norm(steps[1 - axis])
         for step in (1, -1):
@@ -303,16 +304,26 @@ def runs_on(found, hit, near, read, hidden, seen, u, v, steps):
             beyond = hit & ~np.roll(hit, step, axis)
             slope = seen - np.roll(seen, -step, axis)
             room = s.smooth + s.smooth_share * seen
-            next_u, next_v = np.roll(u, step, axis), np.roll(v, step, axis)
+            in_grid = np.pad(np.ones((len(u) - 2, len(u) - 2), dtype=bool), 1)
+            next_u, next_v = (np.rint(at + apart * along).astype(int) for at, along in zip((u, v), way))
+            ray = np.roll(in_grid, step, axis)
+            next_u, next_v = (
+                np.where(ray, np.roll(u, step, axis), next_u),
+                np.where(ray, np.roll(v, step, axis), next_v),
+            )
             far_u = np.rint(next_u + reach * way[0]).astype(int)
             far_v = np.rint(next_v + reach * way[1]).astype(int)
             lead = seen + slope * (1.0 + reach / max(apart, 1.0))
-            close = near & np.roll(near, -step, axis) & (np.abs(np.roll(seen, step, axis) - seen - slope) < room)
+            both = near & np.roll(near, -step, axis)
+            close = both & (np.abs(np.roll(seen, step, axis) - seen - slope) < room)
             within += (hit & np.roll(hit & hidden, step, axis) & close).sum()
-            close &= leads_to(found, far_u.ravel(), far_v.ravel(), lead.ravel(), room.ravel()).reshape(close.shape)
-            smooth += (beyond & np.roll(read, step, axis) & close).sum()
+            # where the grid ends there is no ray beyond, but a pixel
+            after = np.where(ray, np.roll(np.where(read, seen, 0.0), step, axis), reading_at(found, next_u, next_v))
+            on = both & (after > 0.0) & (np.abs(after - seen - slope) < room)
+            on &= leads_to(found, far_u.ravel(), far_v.ravel(), lead.ravel(), room.ravel()).reshape(on.shape)
+            smooth, sides = smooth + (beyond & on & ray).sum(), sides + (beyond & on & ~ray).sum()
             border += beyond.sum()
-    return smooth / max(border, 1), within / max(border, 1)
+    return smooth / max(border, 1), sides / max(border, 1), within / max(border, 1)
 
 
 def ends(found, hit, near, seen, u, v, side, steps):
@@ -343,6 +354,14 @@ def step_at(found, u, v, reading, apart):
     there = found._depth[np.where(inside, v, 0), np.where(inside, u, 0)].astype(np.float64)
     read = is_reading(there)
     return inside & read & (np.abs(there - reading) > apart), inside & ~read
+
+
+def reading_at(found, u, v):
+    """Readings (m) at pixels of any shape, 0 for none and outside of the image."""
+    c = found.camera
+    inside = (u >= 0) & (v >= 0) & (u < c.width) & (v < c.height)
+    there = found._depth[np.where(inside, v, 0), np.where(inside, u, 0)].astype(np.float64)
+    return np.where(inside & is_reading(there), there, 0.0)
 
 
 def leads_to(found, u, v, lead, room):

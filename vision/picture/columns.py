@@ -7,6 +7,8 @@ HIT, READ, NEAR, HIDDEN, BY_HAND = 1, 2, 4, 8, 16
 # off with the difference), at the predicted depth, seen past, hidden, by the hand, the share of the outline across
 # which the surface runs on, and beside that outline the borders within it across which it runs on to hide the object;
 # the shares of the outline where what agrees ends in a step of depth, and beyond which nothing is read; and how far
-# what agrees scatters about being off as a whole (sigmas of noise and bias).
-HITS, UNREAD, SEEN, AGREE, PAST, BEHIND, BEHIND_HAND, OUTLINE, WITHIN, ENDS, DARK, SCATTER = range(12)
-SUMS = 12
+# what agrees scatters about being off as a whole (sigmas of noise and bias). Last the share of the outline across which
+# the surface runs on where the grid of rays ends, as along the straight side of a box: what pictures are worth was told
+# without it, so that it costs a pose nothing, but it speaks against one.
+HITS, UNREAD, SEEN, AGREE, PAST, BEHIND, BEHIND_HAND, OUTLINE, WITHIN, ENDS, DARK, SCATTER, SIDES = range(13)
+SUMS = 13

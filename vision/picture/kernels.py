@@ -29,6 +29,7 @@ from vision.picture.columns import (
     READ,
     SCATTER,
     SEEN,
+    SIDES,
     UNREAD,
     WITHIN,
 )
@@ -284,7 +285,7 @@ def sum_up(u, v, step, image, camera, noise, limits, expected, seen, state, past
     side = int(np.rint(math.sqrt(u.shape[1])))
     for n in range(out.shape[0]):
         begin = n * side * side
-        edges = running = within = ends = dark = 0
+        edges = running = sides = within = ends = dark = 0
         count = total = squares = 0.0
         # pixels from ray to ray
         across, down = math.hypot(step[n, 0], step[n, 1]), math.hypot(step[n, 2], step[n, 3])
@@ -326,23 +327,32 @@ def sum_up(u, v, step, image, camera, noise, limits, expected, seen, state, past
                         row = int(np.rint(v[n, at] + low * (length + 0.5 * reach)))
                         end = ends_at(image[0], column, row, seen[k], 2.0 * (smooth + smooth_share * seen[k]))
                         ends, dark = ends + (end == ENDS), dark + (end == DARK)
-                    if not in_grid or not 0 <= j - dj < side or not 0 <= i - di < side:
+                    if not 0 <= j - dj < side or not 0 <= i - di < side:
                         continue
-                    if not bits & NEAR or not state[back] & NEAR or not state[beyond] & (HIDDEN if inner else READ):
+                    if not bits & NEAR or not state[back] & NEAR or (inner and not state[beyond] & HIDDEN):
                         continue
+                    # the grid ends where the outline does: beyond a straight side of it there is a pixel, but no ray
+                    column, row = int(np.rint(u[n, at] + right * length)), int(np.rint(v[n, at] + low * length))
+                    if in_grid:
+                        after, column, row = seen[beyond], u[n, beyond - begin], v[n, beyond - begin]
+                    else:
+                        after = reading_at(image[0], column, row)
                     slope = seen[k] - seen[back]
                     room = smooth + smooth_share * seen[k]
-                    if abs(seen[beyond] - seen[k] - slope) >= room:
+                    if (
+                        not after > 0.0
+                        or (in_grid and not state[beyond] & READ)
+                        or abs(after - seen[k] - slope) >= room
+                    ):
                         continue
                     if inner:
                         within += 1
                         continue
-                    next_one = at + dj * side + di
-                    column = int(np.rint(u[n, next_one] + right * reach))
-                    row = int(np.rint(v[n, next_one] + low * reach))
+                    column, row = int(np.rint(column + right * reach)), int(np.rint(row + low * reach))
                     lead = seen[k] + slope * (1.0 + reach / max(length, 1.0))
-                    running += leads_to(image, camera, noise, column, row, lead, room, plane_margin, plane_sigmas)
-        out[n, OUTLINE] = running / max(edges, 1)
+                    on = leads_to(image, camera, noise, column, row, lead, room, plane_margin, plane_sigmas)
+                    running, sides = running + (on and in_grid), sides + (on and not in_grid)
+        out[n, OUTLINE], out[n, SIDES] = running / max(edges, 1), sides / max(edges, 1)
         out[n, WITHIN] = within / max(edges, 1)
         out[n, ENDS], out[n, DARK] = ends / max(edges, 1), dark / max(edges, 1)
         out[n, SCATTER] = scatter_of(count, total, squares)
@@ -380,6 +390,15 @@ def leads_to(image, camera, noise, column, row, lead, room, plane_margin, plane_
     if mask.shape[0] > 0 and not mask[row, column]:
         return False
     return not is_on_planes(planes, camera, noise, column, row, reading, plane_margin, plane_sigmas)
+
+
+@numba.njit(cache=True, nogil=True, **LENT)
+def reading_at(depth, column, row):
+    """The reading (m) of a pixel, 0 for none and outside of the image."""
+    if not (0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]):
+        return 0.0
+    reading = np.float64(depth[row, column])
+    return reading if 0.0 < reading < FARTHEST_READING else 0.0
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always", **LENT)

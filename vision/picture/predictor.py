@@ -90,6 +90,11 @@ class Prediction:
         return self.shares[:, columns.OUTLINE]
 
     @property
+    def running(self) -> Array:
+        """(n,): outline, and the same along straight sides of it, at which the rays end."""
+        return self.shares[:, columns.OUTLINE] + self.shares[:, columns.SIDES]
+
+    @property
     def within(self) -> Array:
         """(n,)."""
         return self.shares[:, columns.WITHIN]

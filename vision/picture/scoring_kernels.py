@@ -23,6 +23,7 @@ from vision.picture.columns import (
     PAST,
     SCATTER,
     SEEN,
+    SIDES,
     UNREAD,
     WITHIN,
 )
@@ -47,7 +48,7 @@ def share_out(step, inside, unread, sums, total, area):
             sums[n, k] /= total[n]
         sums[n, BEHIND] += 1.0 - inside[n]
         # of the whole outline's border: a corner that reaches into the image ends there, and shows little of it
-        for k in (OUTLINE, WITHIN, ENDS, DARK):
+        for k in (OUTLINE, SIDES, WITHIN, ENDS, DARK):
             sums[n, k] *= inside[n]
         area[n] = total[n] * cell_of(step[n])
 

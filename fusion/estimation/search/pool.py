@@ -297,7 +297,7 @@ class Pool:
         # what gives no reading neither agrees nor contradicts
         seen = p.agree[0] >= s.least_agree * (p.agree[0] + p.past[0]) and p.agree[0] >= shown
         runs_on = s.most_runs_on if self.predictor.told_apart else s.most_runs_on_unknown
-        picture = seen and p.past[0] <= s.most_past and p.outline[0] <= runs_on and p.within[0] <= s.most_within
+        picture = seen and p.past[0] <= s.most_past and p.running[0] <= runs_on and p.within[0] <= s.most_within
         felt = nats_of_contacts(self.model, self.felt, self.contacts, first.pose)
         return bool(picture and felt <= s.contact_nats * max(self.contacts, 1))
 
@@ -350,7 +350,7 @@ class Pool:
         nobody says what hides the object, the picture as a whole speaks for it.
         """
         p = self.predictor.predict(pose[None])
-        clear = p.past[0] <= past and p.outline[0] <= runs_on
+        clear = p.past[0] <= past and p.running[0] <= runs_on
         if not self.predictor.told_apart and self.predictor.costs(pose[None])[0] > self.settings.most_against:
             return False
         return bool(clear and p.agree[0] >= max(least, share * (1.0 - p.hidden[0] - p.behind_hand[0])))

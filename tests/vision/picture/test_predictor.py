@@ -82,7 +82,16 @@ def test_the_kernels_say_what_plain_arrays_say(lab_frame, drill, rng, known):
     candidates = np.array([truth, *around, *far])
     for side in (7, 16):
         got = found.predict(candidates, side)
-        shares = got.seen, got.agree, got.past, got.hidden, got.behind_hand, got.outline, got.within
+        shares = (
+            got.seen,
+            got.agree,
+            got.past,
+            got.hidden,
+            got.behind_hand,
+            got.outline,
+            got.running - got.outline,
+            got.within,
+        )
         columns = *shares, got.ends, got.dark, got.scatter, got.count
         expected = [predicted_twin.predicted(found, pose, side) for pose in candidates]
         np.testing.assert_allclose(np.array(columns).T, expected, atol=1e-9)
@@ -130,7 +139,16 @@ def test_as_many_rays_meet_a_stick_however_it_lies_in_the_image(rng, bent, degre
     around = np.array([poses.displaced(pose, 0.2, 0.02, model.centroid, rng) for _ in range(6)])
     for candidates in (np.concatenate([pose[None], around]), around[:1]):
         got = found.predict(candidates)
-        shares = got.seen, got.agree, got.past, got.hidden, got.behind_hand, got.outline, got.within
+        shares = (
+            got.seen,
+            got.agree,
+            got.past,
+            got.hidden,
+            got.behind_hand,
+            got.outline,
+            got.running - got.outline,
+            got.within,
+        )
         expected = [predicted_twin.predicted(found, one, found.side) for one in candidates]
         columns = *shares, got.ends, got.dark, got.scatter, got.count
         np.testing.assert_allclose(np.array(columns).T, expected, atol=1e-9)
@@ -403,3 +421,21 @@ def test_what_is_in_front_of_a_place_is_as_by_numpy(lab_frame, drill, rng, known
     found = predictor.hides(places, beyond)
     np.testing.assert_array_equal(found, hidden | ~inside)
     assert 0 < found[inside].sum() < inside.sum()
+
+
+def test_a_face_runs_on_over_a_straight_side_at_which_the_rays_end():
+    """A box drawn into a board of which it is a part: the grid over its outline has no ray beyond its sides."""
+    box, camera = library.make("box"), Camera(300.0, 300.0, 159.5, 119.5, 320, 240)
+    pose = poses.make_pose(None, [0.0, 0.0, 0.5 + box.vertices[:, 2].max()])
+    # the board ends where the box does on its left, and below it
+    left, low = camera.fx * box.vertices[:, 0].min() / 0.5 + camera.cx, camera.fy * box.vertices[:, 1].max() / 0.5
+    depth = np.full((240, 320), 1.0, dtype=np.float32)
+    depth[: round(low + camera.cy) + 1, round(left) :] = 0.5
+    found = predictor(Frame(0, camera=camera, depth=depth), box).predict(pose[None])
+    assert found.agree[0] > 0.9
+    assert found.running[0] > 0.35
+    assert 0.3 < found.ends[0] < 0.65
+    depth[:] = 1.0
+    right, high = left + 2.0 * (camera.cx - left), camera.cy - low
+    depth[round(high) : round(low + camera.cy) + 1, round(left) : round(right) + 1] = 0.5
+    assert predictor(Frame(0, camera=camera, depth=depth), box).predict(pose[None]).running[0] < 0.05
