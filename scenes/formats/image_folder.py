@@ -79,6 +79,16 @@ def read_camera(path: Path) -> Intrinsics:
     return Intrinsics(entry.matrix, entry.depth_scale)
 
 
+def read_depth_scale(path: Path) -> float:
+    """Millimetres per count that a camera.json says, whatever else it lacks, else 1; raises CaptureError."""
+    content = bop.read_json(path, refuse)
+    told = {"depth_scale": content["depth_scale"]} if isinstance(content, dict) and "depth_scale" in content else {}
+    try:
+        return bop.camera_entry({"cam_K": [1, 0, 0, 0, 1, 0, 0, 0, 1], **told}).depth_scale
+    except InputError as error:
+        raise CaptureError(f"{path}: {error}") from error
+
+
 def _convert(
     folder: Path,
     out: Path,

@@ -288,7 +288,11 @@ def _intrinsics(args: argparse.Namespace) -> Any:
         entry = bop.camera_entry({"cam_K": [fx, 0, cx, 0, fy, cy, 0, 0, 1]})
     except InputError as error:
         raise InputError(f"--intrinsics: expected FX,FY,CX,CY in pixels, got {args.intrinsics!r}") from error
-    return image_folder.Intrinsics(np.asarray(entry.matrix), args.depth_scale or 1.0)
+    beside = args.source / "camera.json"
+    scale = args.depth_scale
+    if scale is None:  # other intrinsics make no other counts
+        scale = image_folder.read_depth_scale(beside) if beside.is_file() else 1.0
+    return image_folder.Intrinsics(np.asarray(entry.matrix), scale)
 
 
 # ---- from a capture

@@ -87,6 +87,25 @@ def test_a_folder_of_images(tmp_path, capsys):
     assert "expected a number above 0" in refused(capsys, *base, "--depth-scale", "0")
 
 
+def test_intrinsics_keep_the_depth_scale_of_camera_json(tmp_path, capsys):
+    images(tmp_path / "s")
+    base = ("convert", tmp_path / "s", tmp_path / "c", "--object", "box", "--intrinsics", "80,82,31.5,23.5")
+    for content, more, depth in (
+        ({"depth_scale": 0.5}, (), 0.2),
+        ({"fx": 9, "fy": 9, "cx": 9, "cy": 9, "depth_scale": 0.5}, (), 0.2),
+        ({"fx": 9, "fy": 9, "cx": 9, "cy": 9, "depth_scale": 0.5}, ("--depth-scale", 2), 0.8),
+        ({}, (), 0.4),
+    ):
+        (tmp_path / "s" / "camera.json").write_text(json.dumps(content))
+        assert run(*base, *more) == 0
+        frame = read_capture(tmp_path / "c")[0]
+        assert frame.depth[0, 0] == pytest.approx(depth)
+        np.testing.assert_allclose(frame.camera.matrix, K)
+    capsys.readouterr()
+    (tmp_path / "s" / "camera.json").write_text('{"depth_scale": -1}')
+    assert "camera.json: depth_scale: expected" in refused(capsys, *base)
+
+
 def test_numbers_in_names_are_kept(tmp_path):
     images(tmp_path / "s", ("0007", "0012"))
     assert run("convert", tmp_path / "s", tmp_path / "c", "--object", "box", "--intrinsics", "80,80,32,24") == 0
