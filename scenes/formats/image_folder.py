@@ -18,7 +18,7 @@ from scenes.errors import CaptureError, InputError
 from scenes.files import images
 from scenes.files.problems import refuse
 from scenes.formats.bop.scene import IMAGE_ENDINGS
-from scenes.formats.conversion import Converted, Dropped, at_least_one, located
+from scenes.formats.conversion import Converted, Dropped, at_least_one, check_undistorted, located
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings import bop
@@ -31,14 +31,19 @@ MASK_FOLDERS = ("masks", "gt_mask", "mask", "mask_visib")
 # A name of this many digits is a time in nanoseconds since 1970, one of fewer than 7 the number of an image.
 STAMP_DIGITS = 19
 LARGEST_NUMBER = 999_999
+# What other programs call the coefficients of a lens in their camera files.
+DISTORTIONS = ("distortion", "dist_coeffs", "distortion_coefficients", "dist", "coeffs", "D", "d")
 
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """matrix: K (3, 3), pixels; depth_scale: millimetres per count of the depth images."""
+    """matrix: K (3, 3), pixels; depth_scale: millimetres per count of the depth images; size (width, height) of the
+    images that the matrix is of, None when not told.
+    """
 
     matrix: Array
     depth_scale: float = 1.0
+    size: tuple[int, int] | None = None
 
 
 def is_sequence(folder: str | Path) -> bool:
@@ -65,7 +70,9 @@ def convert_images(folder: Path, out: Path, model: ObjectModel, intrinsics: Intr
 
 
 def read_camera(path: Path) -> Intrinsics:
-    """A camera.json: fx, fy, cx, cy or cam_K (9), and depth_scale (millimetres per count, 1 when not said)."""
+    """A camera.json: fx, fy, cx, cy or cam_K (9), depth_scale (millimetres per count, 1 when not said), and width and
+    height of its images where they are told. Raises CaptureError, for coefficients of a distortion, too.
+    """
     if not path.is_file():
         raise CaptureError(f"{path.parent}: expected camera.json or --intrinsics fx,fy,cx,cy, found neither")
     content = bop.read_json(path, refuse)
@@ -76,7 +83,28 @@ def read_camera(path: Path) -> Intrinsics:
         entry = bop.camera_entry(content)
     except InputError as error:
         raise CaptureError(f"{path}: expected fx, fy, cx, cy or cam_K, and depth_scale: {error}") from error
-    return Intrinsics(entry.matrix, entry.depth_scale)
+    sides = [content[name] for name in ("width", "height") if name in content]
+    if len(sides) == 1:
+        raise CaptureError(
+            f"{path}: expected width and height, got {'width' if 'width' in content else 'height'} alone"
+        )
+    if entry.size is not None and list(entry.size) != [float(side) for side in sides]:
+        raise CaptureError(f"{path}: expected width and height in whole pixels, got {sides[0]}, {sides[1]}")
+    cure = "undistort them, and leave the coefficients out"
+    for name in DISTORTIONS:
+        if content.get(name) is not None:
+            check_undistorted(f"{path}: {name}", _coefficients(content[name], f"{path}: {name}"), cure)
+    return Intrinsics(entry.matrix, entry.depth_scale, entry.size)
+
+
+def _coefficients(said: Any, where: str) -> Array:
+    """(k,) numbers of a list, of lists as OpenCV writes them, or of a table with a name for each."""
+    if isinstance(said, dict):
+        said = list(said.values())
+    try:
+        return np.asarray(said, dtype=np.float64).ravel()
+    except (TypeError, ValueError) as error:
+        raise CaptureError(f"{where}: expected numbers, got {str(said)[:60]}") from error
 
 
 def read_depth_scale(path: Path) -> float:
@@ -97,7 +125,7 @@ def _convert(
     source: str,
     read_truths: Callable[[list[str]], dict[str, Path]],
 ) -> Converted:
-    entry = bop.SceneCamera(intrinsics.matrix, intrinsics.depth_scale, None, None)
+    entry = bop.SceneCamera(intrinsics.matrix, intrinsics.depth_scale, None, intrinsics.size)
     files = {name: _files(folder / name) for name in ("depth", "rgb")}
     mask_folder = next((folder / name for name in MASK_FOLDERS if (folder / name).is_dir()), folder / "masks")
     files["mask"] = _files(mask_folder)
@@ -119,6 +147,10 @@ def _convert(
             if len({image.shape[:2] for image in seen}) > 1:
                 sizes = ", ".join(f"{image.shape[1]}x{image.shape[0]}" for image in seen)
                 raise CaptureError(f"{folder}, image {name}: expected images of one size, got {sizes}")
+            told, (height, width) = intrinsics.size, seen[0].shape[:2]
+            if told is not None and told != (width, height):
+                expected = f"expected width x height {width}x{height} as the images of {folder}"
+                raise CaptureError(f"{folder / 'camera.json'}: {expected}, got {told[0]}x{told[1]}")
             yield Frame(
                 index=numbers[name],
                 where=f"{folder}, image {name}",

@@ -106,6 +106,34 @@ def test_intrinsics_keep_the_depth_scale_of_camera_json(tmp_path, capsys):
     assert "camera.json: depth_scale: expected" in refused(capsys, *base)
 
 
+@pytest.mark.parametrize(
+    ("told", "message"),
+    [
+        ({"width": 64, "height": 48}, None),
+        ({"width": 640, "height": 480}, "camera.json: expected width x height 64x48 as the images of "),
+        ({"width": 48, "height": 64}, "got 48x64"),
+        ({"width": 64}, "camera.json: expected width and height, got width alone"),
+        ({"width": 64, "height": 47.5}, "camera.json: expected width and height in whole pixels, got 64, 47.5"),
+        ({"distortion": [0, 0, 0, 0, 0], "dist_coeffs": [[0.0, 0.0]], "D": None, "coeffs": []}, None),
+        ({"distortion": [0.1, -0.2, 0, 0]}, "camera.json: distortion: expected images without distortion, got"),
+        ({"dist_coeffs": [[0, 0, 0, 1e-3, 0]]}, "dist_coeffs: expected images without distortion, got coefficients"),
+        ({"distortion": {"k1": 0.1, "k2": 0}}, "up to 0.1: undistort them, and leave the coefficients out"),
+        ({"distortion": [float("nan")]}, "distortion"),
+        ({"distortion": "plumb"}, "distortion: expected numbers, got plumb"),
+        ({"distortion": [[1], [1, 2]]}, "distortion: expected numbers, got [[1], [1, 2]]"),
+    ],
+)
+def test_a_camera_json_of_other_images_or_of_a_bent_lens(tmp_path, capsys, told, message):
+    images(tmp_path / "s")
+    (tmp_path / "s" / "camera.json").write_text(json.dumps({"fx": 80, "fy": 82, "cx": 31.5, "cy": 23.5, **told}))
+    base = ("convert", tmp_path / "s", tmp_path / "c", "--object", "box")
+    if message is None:
+        assert run(*base) == 0
+    else:
+        assert message in refused(capsys, *base)
+        assert not (tmp_path / "c").exists()
+
+
 def test_numbers_in_names_are_kept(tmp_path):
     images(tmp_path / "s", ("0007", "0012"))
     assert run("convert", tmp_path / "s", tmp_path / "c", "--object", "box", "--intrinsics", "80,80,32,24") == 0
