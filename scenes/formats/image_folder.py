@@ -6,6 +6,7 @@ camera_from_object, metres), masks in gt_mask/ or masks/. Files of one image sha
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +31,8 @@ Array = NDArray[np.float64]
 MASK_FOLDERS = ("masks", "gt_mask", "mask", "mask_visib")
 # A name of this many digits is a time in nanoseconds since 1970, one of fewer than 7 the number of an image.
 STAMP_DIGITS = 19
+# A name of so many digits and decimals is a time in seconds since 1970: .5 is later than .10 there.
+_SECONDS = re.compile(r"(\d{9,})\.(\d+)")
 LARGEST_NUMBER = 999_999
 # What other programs call the coefficients of a lens in their camera files.
 DISTORTIONS = ("distortion", "dist_coeffs", "distortion_coefficients", "dist", "coeffs", "D", "d")
@@ -129,7 +132,7 @@ def _convert(
     files = {name: _files(folder / name) for name in ("depth", "rgb")}
     mask_folder = next((folder / name for name in MASK_FOLDERS if (folder / name).is_dir()), folder / "masks")
     files["mask"] = _files(mask_folder)
-    names = sorted(files["depth"])
+    names = list(files["depth"])
     if not names:
         raise CaptureError(f"{folder}: expected depth images ({', '.join(IMAGE_ENDINGS)}) in depth/, found none")
     dropped = Dropped()
@@ -174,7 +177,16 @@ def _files(folder: Path) -> dict[str, Path]:
     """Image files by their name without the ending."""
     if not folder.is_dir():
         return {}
-    return {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in IMAGE_ENDINGS}
+    found = {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in IMAGE_ENDINGS}
+    return {name: found[name] for name in sorted(found, key=_in_time)}
+
+
+def _in_time(name: str) -> tuple[list[str | int], str]:
+    """Sorts names by the numbers in them: frame_2 before frame_10, and seconds since 1970 by their decimals."""
+    seconds = _SECONDS.fullmatch(name)
+    if seconds is not None:
+        return ["", int(seconds[1]), ".", int(seconds[2].ljust(STAMP_DIGITS, "0"))], name
+    return [int(part) if at % 2 else part for at, part in enumerate(re.split(r"(\d+)", name))], name
 
 
 def _numbering(names: list[str]) -> dict[str, int]:
@@ -208,7 +220,7 @@ def _pose(path: Path) -> Array:
 def _annotated(folder: Path, names: list[str]) -> dict[str, Path]:
     """Pose file of each image: by name where they agree, else in order when there are as many."""
     place = folder / "annotated_poses"
-    files = {path.stem: path for path in sorted(place.glob("*.txt"))} if place.is_dir() else {}
+    files = {path.stem: path for path in sorted(place.glob("*.txt"), key=lambda path: _in_time(path.stem))}
     if not files or set(files) <= set(names):
         return files
     if len(files) != len(names):

@@ -134,6 +134,32 @@ def test_a_camera_json_of_other_images_or_of_a_bent_lens(tmp_path, capsys, told,
         assert not (tmp_path / "c").exists()
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        [f"frame_{i}" for i in (1, 2, 9, 10, 11, 100)],
+        ["a2b9", "a2b10", "a10b1", "b1"],
+        ["1305031102.16", "1305031102.5", "1305031103.05", "1305031103.1"],
+        ["2", "10", "1234567"],
+    ],
+)
+def test_images_are_in_the_order_of_the_numbers_in_their_names(tmp_path, names):
+    images(tmp_path / "s", names)
+    assert run("convert", tmp_path / "s", tmp_path / "c", "--object", "box", "--intrinsics", "80,80,32,24") == 0
+    capture = read_capture(tmp_path / "c")
+    assert [int(frame.rgb[0, 0, 0]) for frame in capture] == list(range(len(names)))
+
+
+def test_poses_in_order_are_in_the_order_of_their_numbers(tmp_path):
+    _, truths = sequence(tmp_path / "s", [f"frame_{i}" for i in range(12)])
+    place = tmp_path / "s" / "annotated_poses"
+    for i in range(12):
+        (place / f"{i:07d}.txt").rename(place / f"pose{i}.txt")
+    assert run("convert", tmp_path / "s", tmp_path / "c", "--object", "box") == 0
+    for frame, truth in zip(read_capture(tmp_path / "c"), truths, strict=True):
+        np.testing.assert_allclose(frame.camera_from_object_truth, truth, atol=1e-12)
+
+
 def test_numbers_in_names_are_kept(tmp_path):
     images(tmp_path / "s", ("0007", "0012"))
     assert run("convert", tmp_path / "s", tmp_path / "c", "--object", "box", "--intrinsics", "80,80,32,24") == 0
