@@ -63,13 +63,13 @@ def is_image_folder(folder: str | Path) -> bool:
 def convert_sequence(folder: Path, out: Path, model: ObjectModel) -> Converted:
     """A YCBInEOAT sequence as a capture; poses without the name of an image belong to the images in their order."""
     intrinsics = Intrinsics(_numbers(folder / "cam_K.txt", 9).reshape(3, 3))
-    return _convert(folder, out, model, intrinsics, "ycbineoat", lambda names: _annotated(folder, names))
+    return _convert(folder, out, model, intrinsics, "ycbineoat", lambda *found: _annotated(folder, *found))
 
 
 def convert_images(folder: Path, out: Path, model: ObjectModel, intrinsics: Intrinsics | None = None) -> Converted:
     """rgb/ and depth/ as a capture; intrinsics default to the folder's camera.json."""
     intrinsics = intrinsics or read_camera(folder / "camera.json")
-    return _convert(folder, out, model, intrinsics, "images", lambda names: {})
+    return _convert(folder, out, model, intrinsics, "images", lambda *_: {})
 
 
 def read_camera(path: Path) -> Intrinsics:
@@ -126,7 +126,7 @@ def _convert(
     model: ObjectModel,
     intrinsics: Intrinsics,
     source: str,
-    read_truths: Callable[[list[str]], dict[str, Path]],
+    read_truths: Callable[[list[str], Dropped], dict[str, Path]],
 ) -> Converted:
     entry = bop.SceneCamera(intrinsics.matrix, intrinsics.depth_scale, None, intrinsics.size)
     files = {name: _files(folder / name) for name in ("depth", "rgb")}
@@ -138,7 +138,7 @@ def _convert(
     dropped = Dropped()
     dropped.add("rgb", "no depth image of that name", len(set(files["rgb"]) - set(names)))
     dropped.add("masks", "no depth image of that name", len(set(files["mask"]) - set(names)))
-    truths = read_truths(names)
+    truths = read_truths(names, dropped)
     numbers = _numbering(names)
 
     def frames() -> Iterator[Frame]:
@@ -217,12 +217,15 @@ def _pose(path: Path) -> Array:
     return poses.check_pose(_numbers(path, 16).reshape(4, 4), str(path))
 
 
-def _annotated(folder: Path, names: list[str]) -> dict[str, Path]:
-    """Pose file of each image: by name where they agree, else in order when there are as many."""
+def _annotated(folder: Path, names: list[str], dropped: Dropped) -> dict[str, Path]:
+    """Pose file of each image: by name where names agree, else in order when there are as many."""
     place = folder / "annotated_poses"
     files = {path.stem: path for path in sorted(place.glob("*.txt"), key=lambda path: _in_time(path.stem))}
-    if not files or set(files) <= set(names):
-        return files
+    images_there = set(names)
+    named = {name: path for name, path in files.items() if name in images_there}
+    if named or not files:
+        dropped.add("poses", "no depth image of that name", len(files) - len(named))
+        return named
     if len(files) != len(names):
         raise CaptureError(f"{place}: expected a pose for each of {len(names)} images, got {len(files)}")
     return dict(zip(names, files.values()))

@@ -37,6 +37,22 @@ def test_ycbineoat(tmp_path, masks, named):
     assert rows[1].startswith("1581120424.100262102 0.0 0.1 0.6 ")
 
 
+def test_poses_of_depth_images_that_are_not_there_are_dropped(tmp_path):
+    names = [f"{i:07d}" for i in range(4)]
+    _, truths = sequence(tmp_path / "s", names, True)
+    (tmp_path / "s" / "depth" / "0000002.png").unlink()
+    (tmp_path / "s" / "annotated_poses" / "0000003.txt").unlink()
+    argv = ("convert", tmp_path / "s", tmp_path / "c", "--object", "box", "--json", tmp_path / "j.json")
+    assert run(*argv) == 0
+    assert json.loads((tmp_path / "j.json").read_text())["dropped"] == [
+        {"what": what, "why": "no depth image of that name", "count": 1} for what in ("rgb", "poses")
+    ]
+    capture = read_capture(tmp_path / "c")
+    for frame, truth in zip(capture, (truths[0], truths[1], None), strict=True):
+        assert (frame.camera_from_object_truth is None) == (truth is None)
+        assert truth is None or np.allclose(frame.camera_from_object_truth, truth, atol=1e-12)
+
+
 def test_malformed_sequences(tmp_path, capsys):
     folder = tmp_path / "s"
     sequence(folder, ["000000", "000001"])
