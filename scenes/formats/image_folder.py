@@ -60,9 +60,12 @@ def is_image_folder(folder: str | Path) -> bool:
     return any((folder / name).is_dir() for name in ("depth", "rgb")) and not (folder / "capture.json").is_file()
 
 
-def convert_sequence(folder: Path, out: Path, model: ObjectModel) -> Converted:
-    """A YCBInEOAT sequence as a capture; poses without the name of an image belong to the images in their order."""
-    intrinsics = Intrinsics(_numbers(folder / "cam_K.txt", 9).reshape(3, 3))
+def convert_sequence(folder: Path, out: Path, model: ObjectModel, depth_scale: float = 1.0) -> Converted:
+    """A YCBInEOAT sequence as a capture; poses without the name of an image belong to the images in their order.
+
+    depth_scale: millimetres per count of the depth images.
+    """
+    intrinsics = Intrinsics(_numbers(folder / "cam_K.txt", 9).reshape(3, 3), depth_scale)
     return _convert(folder, out, model, intrinsics, "ycbineoat", lambda *found: _annotated(folder, *found))
 
 

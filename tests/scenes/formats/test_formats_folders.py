@@ -176,6 +176,47 @@ def test_poses_in_order_are_in_the_order_of_their_numbers(tmp_path):
         np.testing.assert_allclose(frame.camera_from_object_truth, truth, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        ("images", ("--instance 1", "--object-id 1", "--models .", "--topics a.json", "--hand h.urdf", "--frame 0")),
+        ("images", ("--result poses.csv", "--fps 10")),
+        ("ycbineoat", ("--intrinsics 80,80,32,24", "--object-id 0", "--frame 1")),
+        ("bop", ("--intrinsics 80,80,32,24", "--depth-scale 1", "--topics a.json", "--hand h.urdf")),
+        ("tum", ("--depth-scale 1", "--instance 0", "--object box", "--frame 0")),
+        ("glb", ("--fps 10", "--intrinsics 80,80,32,24")),
+        ("off", ("--result poses.csv", "--frame 0")),
+    ],
+)
+def test_options_that_a_format_does_not_use_are_refused(tmp_path, capsys, kind, options):
+    if kind == "ycbineoat":
+        sequence(tmp_path / "s", ["0", "1"])
+    elif kind == "bop":
+        (tmp_path / "s").mkdir()
+        (tmp_path / "s" / "scene_camera.json").write_text("{}")
+    else:
+        images(tmp_path / "s")
+    argv = ["convert", tmp_path / "s", tmp_path / "c"]
+    if kind == "images" or kind == "ycbineoat":
+        argv += ["--object", "box"]
+    elif kind != "bop":
+        assert run(*argv, "--object", "box", "--intrinsics", "80,80,32,24") == 0
+        capsys.readouterr()
+        argv = ["convert", tmp_path / "c", tmp_path / "e", "--to", kind]
+    for option in options:
+        name, value = option.split()
+        line = refused(capsys, *argv, name, value)
+        assert line.startswith(f"palpate: {name}: expected a conversion ")
+        assert f"converted {'to' if kind in ('tum', 'glb', 'off') else 'from'} {kind}" in line
+
+
+def test_depth_scale_of_a_sequence(tmp_path):
+    counts, _ = sequence(tmp_path / "s", ["0", "1"])
+    argv = ("convert", tmp_path / "s", tmp_path / "c", "--object", "box", "--depth-scale", "0.25")
+    assert run(*argv) == 0
+    assert np.array_equal(np.rint(read_capture(tmp_path / "c")[1].depth * 4e3), counts[1])
+
+
 def test_numbers_in_names_are_kept(tmp_path):
     images(tmp_path / "s", ("0007", "0012"))
     assert run("convert", tmp_path / "s", tmp_path / "c", "--object", "box", "--intrinsics", "80,80,32,24") == 0
