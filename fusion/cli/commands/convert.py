@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 TABLES = (".off", ".ply", ".csv")
 STAMP_RATE = 30.0
+# Frames a second between which stamps are whole nanoseconds that differ, and fit the 64 bits of a time.
+STAMP_RATES = (1e-3, 1e9)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -361,6 +363,9 @@ def _stamps(capture: Capture, fps: float | None) -> dict[int, int]:
     from scenes.errors import InputError
     from scenes.recordings.manifest import frame_stamps
 
+    low, high = STAMP_RATES
+    if fps is not None and not low <= fps <= high:
+        raise InputError(f"--fps: expected frames a second from {low:g} to {high:g}, got {fps:g}")
     try:
         said = frame_stamps(capture.manifest.notes, capture.frame_ids)
     except InputError as error:
