@@ -9,14 +9,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from scenes.errors import CaptureError, PalpateError
 from scenes.files.whole import draft_folder
 from scenes.recordings.frames import Frame
 
+Array = NDArray[np.float64]
 T = TypeVar("T")
 
 # Contacts that fingers may have felt: recorded sets have 3 to 75, clouds from a thousand points on.
 MOST_CONTACTS = 300
+# A camera whose distortion coefficients are all below this draws straight lines straight.
+LARGEST_DISTORTION = 1e-9
 
 
 class Dropped:
@@ -82,6 +88,13 @@ def at_least_one(frames: Iterable[Frame], source: Path, dropped: Dropped) -> Ite
     if empty:
         reasons = "; ".join(dropped.lines()) or "it holds none"
         raise CaptureError(f"{source}: expected at least one frame, got none: {reasons}")
+
+
+def check_undistorted(where: str, coefficients: Array, cure: str) -> None:
+    """Raise CaptureError for a lens whose distortion `coefficients` (k,) are not all zero; `cure` says what to do."""
+    largest = float(np.abs(coefficients).max(initial=0.0))
+    if not largest <= LARGEST_DISTORTION:  # NaN, too
+        raise CaptureError(f"{where}: expected images without distortion, got coefficients up to {largest:.3g}: {cure}")
 
 
 def located(path: Path, read: Callable[[Path], T]) -> T:

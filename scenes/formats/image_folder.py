@@ -6,6 +6,7 @@ camera_from_object, metres), masks in gt_mask/ or masks/. Files of one image sha
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ from scenes.errors import CaptureError, InputError
 from scenes.files import images
 from scenes.files.problems import refuse
 from scenes.formats.bop.scene import IMAGE_ENDINGS
-from scenes.formats.conversion import Converted, Dropped, at_least_one, located
+from scenes.formats.conversion import Converted, Dropped, at_least_one, check_undistorted, located
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings import bop
@@ -30,15 +31,22 @@ Array = NDArray[np.float64]
 MASK_FOLDERS = ("masks", "gt_mask", "mask", "mask_visib")
 # A name of this many digits is a time in nanoseconds since 1970, one of fewer than 7 the number of an image.
 STAMP_DIGITS = 19
+# A name of so many digits and decimals is a time in seconds since 1970: .5 is later than .10 there.
+_SECONDS = re.compile(r"(\d{9,})\.(\d+)")
 LARGEST_NUMBER = 999_999
+# What other programs call the coefficients of a lens in their camera files.
+DISTORTIONS = ("distortion", "dist_coeffs", "distortion_coefficients", "dist", "coeffs", "D", "d")
 
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """matrix: K (3, 3), pixels; depth_scale: millimetres per count of the depth images."""
+    """matrix: K (3, 3), pixels; depth_scale: millimetres per count of the depth images; size (width, height) of the
+    images that the matrix is of, None when not told.
+    """
 
     matrix: Array
     depth_scale: float = 1.0
+    size: tuple[int, int] | None = None
 
 
 def is_sequence(folder: str | Path) -> bool:
@@ -52,20 +60,25 @@ def is_image_folder(folder: str | Path) -> bool:
     return any((folder / name).is_dir() for name in ("depth", "rgb")) and not (folder / "capture.json").is_file()
 
 
-def convert_sequence(folder: Path, out: Path, model: ObjectModel) -> Converted:
-    """A YCBInEOAT sequence as a capture; poses without the name of an image belong to the images in their order."""
-    intrinsics = Intrinsics(_numbers(folder / "cam_K.txt", 9).reshape(3, 3))
-    return _convert(folder, out, model, intrinsics, "ycbineoat", lambda names: _annotated(folder, names))
+def convert_sequence(folder: Path, out: Path, model: ObjectModel, depth_scale: float = 1.0) -> Converted:
+    """A YCBInEOAT sequence as a capture; poses without the name of an image belong to the images in their order.
+
+    depth_scale: millimetres per count of the depth images.
+    """
+    intrinsics = Intrinsics(_numbers(folder / "cam_K.txt", 9).reshape(3, 3), depth_scale)
+    return _convert(folder, out, model, intrinsics, "ycbineoat", lambda *found: _annotated(folder, *found))
 
 
 def convert_images(folder: Path, out: Path, model: ObjectModel, intrinsics: Intrinsics | None = None) -> Converted:
     """rgb/ and depth/ as a capture; intrinsics default to the folder's camera.json."""
     intrinsics = intrinsics or read_camera(folder / "camera.json")
-    return _convert(folder, out, model, intrinsics, "images", lambda names: {})
+    return _convert(folder, out, model, intrinsics, "images", lambda *_: {})
 
 
 def read_camera(path: Path) -> Intrinsics:
-    """A camera.json: fx, fy, cx, cy or cam_K (9), and depth_scale (millimetres per count, 1 when not said)."""
+    """A camera.json: fx, fy, cx, cy or cam_K (9), depth_scale (millimetres per count, 1 when not said), and width and
+    height of its images where they are told. Raises CaptureError, for coefficients of a distortion, too.
+    """
     if not path.is_file():
         raise CaptureError(f"{path.parent}: expected camera.json or --intrinsics fx,fy,cx,cy, found neither")
     content = bop.read_json(path, refuse)
@@ -76,7 +89,38 @@ def read_camera(path: Path) -> Intrinsics:
         entry = bop.camera_entry(content)
     except InputError as error:
         raise CaptureError(f"{path}: expected fx, fy, cx, cy or cam_K, and depth_scale: {error}") from error
-    return Intrinsics(entry.matrix, entry.depth_scale)
+    sides = [content[name] for name in ("width", "height") if name in content]
+    if len(sides) == 1:
+        raise CaptureError(
+            f"{path}: expected width and height, got {'width' if 'width' in content else 'height'} alone"
+        )
+    if entry.size is not None and list(entry.size) != [float(side) for side in sides]:
+        raise CaptureError(f"{path}: expected width and height in whole pixels, got {sides[0]}, {sides[1]}")
+    cure = "undistort them, and leave the coefficients out"
+    for name in DISTORTIONS:
+        if content.get(name) is not None:
+            check_undistorted(f"{path}: {name}", _coefficients(content[name], f"{path}: {name}"), cure)
+    return Intrinsics(entry.matrix, entry.depth_scale, entry.size)
+
+
+def _coefficients(said: Any, where: str) -> Array:
+    """(k,) numbers of a list, of lists as OpenCV writes them, or of a table with a name for each."""
+    if isinstance(said, dict):
+        said = list(said.values())
+    try:
+        return np.asarray(said, dtype=np.float64).ravel()
+    except (TypeError, ValueError) as error:
+        raise CaptureError(f"{where}: expected numbers, got {str(said)[:60]}") from error
+
+
+def read_depth_scale(path: Path) -> float:
+    """Millimetres per count that a camera.json says, whatever else it lacks, else 1; raises CaptureError."""
+    content = bop.read_json(path, refuse)
+    told = {"depth_scale": content["depth_scale"]} if isinstance(content, dict) and "depth_scale" in content else {}
+    try:
+        return bop.camera_entry({"cam_K": [1, 0, 0, 0, 1, 0, 0, 0, 1], **told}).depth_scale
+    except InputError as error:
+        raise CaptureError(f"{path}: {error}") from error
 
 
 def _convert(
@@ -85,19 +129,19 @@ def _convert(
     model: ObjectModel,
     intrinsics: Intrinsics,
     source: str,
-    read_truths: Callable[[list[str]], dict[str, Path]],
+    read_truths: Callable[[list[str], Dropped], dict[str, Path]],
 ) -> Converted:
-    entry = bop.SceneCamera(intrinsics.matrix, intrinsics.depth_scale, None, None)
+    entry = bop.SceneCamera(intrinsics.matrix, intrinsics.depth_scale, None, intrinsics.size)
     files = {name: _files(folder / name) for name in ("depth", "rgb")}
     mask_folder = next((folder / name for name in MASK_FOLDERS if (folder / name).is_dir()), folder / "masks")
     files["mask"] = _files(mask_folder)
-    names = sorted(files["depth"])
+    names = list(files["depth"])
     if not names:
         raise CaptureError(f"{folder}: expected depth images ({', '.join(IMAGE_ENDINGS)}) in depth/, found none")
     dropped = Dropped()
     dropped.add("rgb", "no depth image of that name", len(set(files["rgb"]) - set(names)))
     dropped.add("masks", "no depth image of that name", len(set(files["mask"]) - set(names)))
-    truths = read_truths(names)
+    truths = read_truths(names, dropped)
     numbers = _numbering(names)
 
     def frames() -> Iterator[Frame]:
@@ -109,6 +153,10 @@ def _convert(
             if len({image.shape[:2] for image in seen}) > 1:
                 sizes = ", ".join(f"{image.shape[1]}x{image.shape[0]}" for image in seen)
                 raise CaptureError(f"{folder}, image {name}: expected images of one size, got {sizes}")
+            told, (height, width) = intrinsics.size, seen[0].shape[:2]
+            if told is not None and told != (width, height):
+                expected = f"expected width x height {width}x{height} as the images of {folder}"
+                raise CaptureError(f"{folder / 'camera.json'}: {expected}, got {told[0]}x{told[1]}")
             yield Frame(
                 index=numbers[name],
                 where=f"{folder}, image {name}",
@@ -132,7 +180,16 @@ def _files(folder: Path) -> dict[str, Path]:
     """Image files by their name without the ending."""
     if not folder.is_dir():
         return {}
-    return {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in IMAGE_ENDINGS}
+    found = {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in IMAGE_ENDINGS}
+    return {name: found[name] for name in sorted(found, key=_in_time)}
+
+
+def _in_time(name: str) -> tuple[list[str | int], str]:
+    """Sorts names by the numbers in them: frame_2 before frame_10, and seconds since 1970 by their decimals."""
+    seconds = _SECONDS.fullmatch(name)
+    if seconds is not None:
+        return ["", int(seconds[1]), ".", int(seconds[2].ljust(STAMP_DIGITS, "0"))], name
+    return [int(part) if at % 2 else part for at, part in enumerate(re.split(r"(\d+)", name))], name
 
 
 def _numbering(names: list[str]) -> dict[str, int]:
@@ -163,12 +220,15 @@ def _pose(path: Path) -> Array:
     return poses.check_pose(_numbers(path, 16).reshape(4, 4), str(path))
 
 
-def _annotated(folder: Path, names: list[str]) -> dict[str, Path]:
-    """Pose file of each image: by name where they agree, else in order when there are as many."""
+def _annotated(folder: Path, names: list[str], dropped: Dropped) -> dict[str, Path]:
+    """Pose file of each image: by name where names agree, else in order when there are as many."""
     place = folder / "annotated_poses"
-    files = {path.stem: path for path in sorted(place.glob("*.txt"))} if place.is_dir() else {}
-    if not files or set(files) <= set(names):
-        return files
+    files = {path.stem: path for path in sorted(place.glob("*.txt"), key=lambda path: _in_time(path.stem))}
+    images_there = set(names)
+    named = {name: path for name, path in files.items() if name in images_there}
+    if named or not files:
+        dropped.add("poses", "no depth image of that name", len(files) - len(named))
+        return named
     if len(files) != len(names):
         raise CaptureError(f"{place}: expected a pose for each of {len(names)} images, got {len(files)}")
     return dict(zip(names, files.values()))

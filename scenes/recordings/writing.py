@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,17 @@ FORMAT = "palpate-capture"
 VERSION = 1
 OBJECT_ID = 1
 WORLDS = ("camera", "robot base")
+# What a capture is written as, and the results that runs leave beside it: all that may be replaced by another capture.
+_OWN = re.compile(
+    r"(capture|scene_camera|rgb_camera|scene_gt|scene_gt_info|prior|result)\.json"
+    r"|(joints|hand_poses|contacts|no_contact|wrenches|poses)\.csv"
+    r"|(result|times)\.jsonl|report\.html|report/(pictures\.jsonl|[^/]+\.jpg|part_\d+\.js)"
+    r"|track\.checkpoint|grasp\.(json|html)"
+    r"|(depth|rgb)/\d{6,}\.png|clouds/\d{6,}\.ply|mask_visib/\d{6,}_\d{6,}\.png"
+    r"|models/(obj_\d{6,}\.ply|models_info\.json)"
+    r"|hand/(hand\.urdf|sensors\.json|meshes/[^/]+\.stl)"
+    r"|tactile/[^/]+/\d{6,}\.(csv|png)"
+)
 
 
 def write_capture(
@@ -45,8 +58,8 @@ def write_capture(
     all or by the number of every frame that has a camera. object_id: BOP's number of the object, from 0.
     model_unit: unit of the mesh file, one of m, cm, mm, inch. with_mask: write the frames' masks where they have one.
     notes: kept in capture.json (how it was made); so is what the frames say their sensors are worth, all of them the
-    same. An older capture of the same name is replaced once the new one is complete; raises CaptureError for a folder
-    that holds anything else, InputError for frames that do not fit.
+    same. An older capture of the same name is replaced once the new one is complete, with results that lie in it;
+    raises CaptureError for a folder that holds any other file, InputError for frames that do not fit.
     """
     folder = Path(folder)
     if world not in WORLDS:
@@ -92,12 +105,26 @@ def model_file(object_id: int) -> str:
 
 
 def refuse_foreign_folder(folder: Path) -> None:
-    """Raise CaptureError when `folder` exists and is neither empty nor a capture: nothing of the user's is lost."""
+    """Raise CaptureError when `folder` exists and holds anything but a capture and what palpate leaves in one: the line
+    names the first file that nobody here has written, for replacing the folder would lose it.
+    """
     if folder.is_dir():
-        if any(folder.iterdir()) and not (folder / "capture.json").is_file():
-            raise CaptureError(f"{folder}: expected a new, empty or capture folder to write to, it holds other files")
+        plain = (folder / "capture.json").is_file()
+        foreign = next((name for name in _names_below(folder) if not plain or _OWN.fullmatch(name) is None), None)
+        if foreign is not None:
+            expected = "expected a new, empty or capture folder to write to"
+            raise CaptureError(f"{folder}: {expected}, it holds other files: {foreign}")
     elif folder.exists():
         raise CaptureError(f"{folder}: expected a folder to write to, found a file")
+
+
+def _names_below(folder: Path) -> Iterator[str]:
+    """Everything in the folder but folders, by its name from there; links to folders are not followed."""
+    for place, folders, files in os.walk(folder):
+        folders.sort()
+        links = [name for name in folders if (Path(place) / name).is_symlink()]
+        for name in sorted([*files, *links]):
+            yield (Path(place) / name).relative_to(folder).as_posix()
 
 
 def _check_scales(depth_scale: float | Mapping[int, float]) -> None:

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fusion.cli.formats import SOURCES, TABLE, TARGETS, refuse_unused
 from fusion.cli.options import (
     add_object,
     add_trust,
@@ -25,25 +26,10 @@ if TYPE_CHECKING:
     from scenes.geometry.objects import ObjectModel
     from scenes.recordings.captures import Capture
 
-SOURCES = {
-    "bop": "scene folder of a BOP data set",
-    "ycbineoat": "sequence folder: cam_K.txt, rgb/, depth/, annotated_poses/",
-    "ros": "ROS 1 .bag, ROS 2 folder, .mcap or .db3, with --topics",
-    "tacman": ".ini of a contact set with its .off files",
-    "handover": "cloud.off, contacts.off, model.off, or a folder of such folders",
-    "digit": "grasps of DIGITs: Image_heatmap_K.png, poses_sensors.txt, background.png",
-    "feelsight": "a log folder: data.pkl, realsense/, allegro/; --hand for its fingers",
-    "contacts": "contacts as .off, .ply or .csv, with --object",
-    "images": "rgb/ and depth/ with camera.json or --intrinsics",
-}
-TARGETS = {
-    "bop": "BOP data set",
-    "glb": "3-D scene as binary glTF",
-    "tum": "trajectory, timestamp tx ty tz qx qy qz qw",
-    "off": "point lists and mesh",
-}
 TABLES = (".off", ".ply", ".csv")
 STAMP_RATE = 30.0
+# Frames a second between which stamps are whole nanoseconds that differ, and fit the 64 bits of a time.
+STAMP_RATES = (1e-3, 1e9)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -77,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="images, ready topic maps: the camera, pixels")
     parser.add_argument(
-        "--depth-scale", metavar="MM", type=positive_number, help="images: millimetres per count (default 1)"
+        "--depth-scale", metavar="MM", type=positive_number, help="images, ycbineoat: millimetres per count (default 1)"
     )
     parser.add_argument(
         "--result", metavar="FILE", type=Path, help="glb, tum: poses.csv, result.json or their folder; else the truth"
@@ -128,12 +114,15 @@ def convert(args: argparse.Namespace) -> Converted:
 
         result = find_result(source)
         if result is not None:
-            args.source, args.result = capture_of(result, read_result(result)[0]), result
-            return _export(args)
+            if args.result is not None:
+                raise InputError(f"--result: expected a capture beside it, got {source}, which is a result")
+            args.source = capture_of(result, read_result(result)[0])
+            return _export(args, result)
     if args.to is not None:
         raise InputError(f"{source}: expected a capture (capture.json) for --to {args.to}, found none")
     kind = args.kind or _kind(source, args.out)
-    if kind == "table":
+    refuse_unused(args, source=kind)
+    if kind == TABLE:
         from scenes.formats.conversion import Converted
 
         return Converted((_convert_file(source, args.out),))
@@ -154,7 +143,7 @@ def _kind(source: Path, out: Path) -> str:
         if source.suffix.lower() == ".ini":
             return "tacman"
         as_capture = source.suffix.lower() in TABLES and out.suffix == ""
-        return "contacts" if as_capture else "table"
+        return "contacts" if as_capture else TABLE
     checks = (
         ("bop", bop_scene.is_scene),
         ("ros", ros_bag.is_bag),
@@ -203,7 +192,8 @@ def _import(kind: str, args: argparse.Namespace) -> Converted:
         choice = bop_scene.Choice(args.object_id, args.instance, args.models)
         return bop_scene.convert(source, out, choice, _object(args))
     if kind == "ycbineoat":
-        return image_folder.convert_sequence(source, out, _needed(args, "a YCBInEOAT sequence"))
+        model = _needed(args, "a YCBInEOAT sequence")
+        return image_folder.convert_sequence(source, out, model, args.depth_scale or 1.0)
     if kind == "images":
         return image_folder.convert_images(source, out, _needed(args, "a folder of images"), _intrinsics(args))
     if kind == "contacts":
@@ -224,6 +214,8 @@ def _import(kind: str, args: argparse.Namespace) -> Converted:
             k = None if given is None else given.matrix
             known = None if k is None else (float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
             return ros.convert(source, out, maps.ready_map(str(args.topics), source, known), _object(args))
+        if args.intrinsics is not None:
+            raise InputError(f"--intrinsics: expected a ready topic map ({', '.join(maps.names())}), got {args.topics}")
         return ros.convert(source, out, ros_map.read_map(args.topics), _object(args))
     if kind == "feelsight":
         from scenes.formats.gels import feelsight
@@ -288,13 +280,18 @@ def _intrinsics(args: argparse.Namespace) -> Any:
         entry = bop.camera_entry({"cam_K": [fx, 0, cx, 0, fy, cy, 0, 0, 1]})
     except InputError as error:
         raise InputError(f"--intrinsics: expected FX,FY,CX,CY in pixels, got {args.intrinsics!r}") from error
-    return image_folder.Intrinsics(np.asarray(entry.matrix), args.depth_scale or 1.0)
+    beside = args.source / "camera.json"
+    scale = args.depth_scale
+    if scale is None:  # other intrinsics make no other counts
+        scale = image_folder.read_depth_scale(beside) if beside.is_file() else 1.0
+    return image_folder.Intrinsics(np.asarray(entry.matrix), scale)
 
 
 # ---- from a capture
 
 
-def _export(args: argparse.Namespace) -> Converted:
+def _export(args: argparse.Namespace, result: Path | None = None) -> Converted:
+    """A capture, with the poses of `result` where the source was one, as --to or the ending of OUT says."""
     from scenes.errors import InputError
     from scenes.formats import handover
     from scenes.formats.bop import scene as bop_scene
@@ -308,19 +305,21 @@ def _export(args: argparse.Namespace) -> Converted:
         raise InputError(f"{args.out}: expected a folder, or a file that ends in {' or '.join(endings)}; else say --to")
     images = (capture.path / "scene_camera.json").is_file()
     to = args.to or endings.get(ending, "bop" if images else "off")
+    refuse_unused(args, target=to)
     (check_folder if to in ("bop", "off") else check_target)(args.out)
     if to == "bop":
         return bop_scene.export(capture, args.out)
     if to == "off":
         written = handover.export(capture, args.out)
         return Converted(tuple(written), len(written))
-    poses = _poses(capture, args.result)
+    result = result or args.result
+    poses = _poses(capture, result)
     if to == "tum":
         from scenes.formats.tum import write_tum
 
         write_tum(args.out, poses, _stamps(capture, args.fps))
     else:
-        _write_glb(capture, args, poses)
+        _write_glb(capture, args, poses, result is not None)
     return Converted((args.out,), len(poses))
 
 
@@ -364,6 +363,9 @@ def _stamps(capture: Capture, fps: float | None) -> dict[int, int]:
     from scenes.errors import InputError
     from scenes.recordings.manifest import frame_stamps
 
+    low, high = STAMP_RATES
+    if fps is not None and not low <= fps <= high:
+        raise InputError(f"--fps: expected frames a second from {low:g} to {high:g}, got {fps:g}")
     try:
         said = frame_stamps(capture.manifest.notes, capture.frame_ids)
     except InputError as error:
@@ -376,7 +378,7 @@ def _stamps(capture: Capture, fps: float | None) -> dict[int, int]:
     return {number: round(1e9 * number / fps) for number in capture.frame_ids}
 
 
-def _write_glb(capture: Capture, args: argparse.Namespace, found: dict[int, Any]) -> None:
+def _write_glb(capture: Capture, args: argparse.Namespace, found: dict[int, Any], estimated: bool) -> None:
     from scenes.formats.glb import write_glb
     from scenes.geometry import poses
 
@@ -386,7 +388,7 @@ def _write_glb(capture: Capture, args: argparse.Namespace, found: dict[int, Any]
     for number in found:
         one = capture.frame(number)
         world_from_camera[number] = poses.inverse(one.camera_from_world)
-        if args.result is not None and one.camera_from_object_truth is not None:
+        if estimated and one.camera_from_object_truth is not None:
             truths[number] = one.camera_from_object_truth
     write_glb(args.out, capture.model, found, frame, world_from_camera, truths, capture.world)
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError
-from scenes.formats.conversion import Converted, Dropped, at_least_one
+from scenes.formats.conversion import Converted, Dropped, at_least_one, check_undistorted
 from scenes.formats.ros.bag import Bag, frame_id, open_bag, stamp_ns
 from scenes.formats.ros.pixels import IMAGES, Plan, Scale, whole_frames
 from scenes.formats.ros.streams import (
@@ -51,8 +51,6 @@ TYPES = {
     "tf": ("TFMessage", "tfMessage"),
     "tf_static": ("TFMessage", "tfMessage"),
 }
-# A camera whose distortion coefficients are all below this draws straight lines straight.
-LARGEST_DISTORTION = 1e-9
 
 
 @dataclass
@@ -188,11 +186,8 @@ def _intrinsics(topic: Topic, message: Any) -> tuple[Array, int, int]:
     if topic.options.get("rectified", False):
         projection = of("p").reshape(3, 4)[:, :3]
         matrix = projection if projection[0, 0] > 0 else matrix
-    elif np.abs(of("d")).max(initial=0.0) > LARGEST_DISTORTION:
-        raise CaptureError(
-            f"{topic.name}: expected images without distortion, got coefficients up to {np.abs(of('d')).max():.3g}:"
-            ' rectify them, and say "rectified": true'
-        )
+    else:
+        check_undistorted(topic.name, of("d"), 'rectify them, and say "rectified": true')
     try:
         entry = bop.camera_entry({"cam_K": matrix.ravel().tolist()})
     except InputError as error:

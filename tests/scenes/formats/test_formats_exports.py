@@ -56,6 +56,13 @@ def test_the_truth_as_a_trajectory(capture, tmp_path):
     np.testing.assert_allclose(list(back.values()), truths, atol=1e-12)
 
 
+@pytest.mark.parametrize("fps", ["1e-300", "1e-9", "1e10", "1e300"])
+def test_frames_a_second_that_no_stamps_can_tell(capture, tmp_path, capsys, fps):
+    line = refused(capsys, "convert", capture[0], tmp_path / "t.tum", "--fps", fps)
+    assert "--fps: expected frames a second from 0.001 to 1e+09, got 1e" in line
+    assert not (tmp_path / "t.tum").exists()
+
+
 def test_the_poses_of_a_result(capture, tmp_path, capsys):
     folder, truths = capture
     moved = truths[1] @ poses.exp([0.1, 0, 0, 0, 0.01, 0])

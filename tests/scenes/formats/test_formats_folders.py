@@ -37,6 +37,22 @@ def test_ycbineoat(tmp_path, masks, named):
     assert rows[1].startswith("1581120424.100262102 0.0 0.1 0.6 ")
 
 
+def test_poses_of_depth_images_that_are_not_there_are_dropped(tmp_path):
+    names = [f"{i:07d}" for i in range(4)]
+    _, truths = sequence(tmp_path / "s", names, True)
+    (tmp_path / "s" / "depth" / "0000002.png").unlink()
+    (tmp_path / "s" / "annotated_poses" / "0000003.txt").unlink()
+    argv = ("convert", tmp_path / "s", tmp_path / "c", "--object", "box", "--json", tmp_path / "j.json")
+    assert run(*argv) == 0
+    assert json.loads((tmp_path / "j.json").read_text())["dropped"] == [
+        {"what": what, "why": "no depth image of that name", "count": 1} for what in ("rgb", "poses")
+    ]
+    capture = read_capture(tmp_path / "c")
+    for frame, truth in zip(capture, (truths[0], truths[1], None), strict=True):
+        assert (frame.camera_from_object_truth is None) == (truth is None)
+        assert truth is None or np.allclose(frame.camera_from_object_truth, truth, atol=1e-12)
+
+
 def test_malformed_sequences(tmp_path, capsys):
     folder = tmp_path / "s"
     sequence(folder, ["000000", "000001"])
@@ -85,6 +101,120 @@ def test_a_folder_of_images(tmp_path, capsys):
     assert "expected FX,FY,CX,CY in pixels, got '80,82'" in refused(capsys, *base, "--intrinsics", "80,82")
     assert "expected --intrinsics beside it" in refused(capsys, *base, "--depth-scale", "1")
     assert "expected a number above 0" in refused(capsys, *base, "--depth-scale", "0")
+
+
+def test_intrinsics_keep_the_depth_scale_of_camera_json(tmp_path, capsys):
+    images(tmp_path / "s")
+    base = ("convert", tmp_path / "s", tmp_path / "c", "--object", "box", "--intrinsics", "80,82,31.5,23.5")
+    for content, more, depth in (
+        ({"depth_scale": 0.5}, (), 0.2),
+        ({"fx": 9, "fy": 9, "cx": 9, "cy": 9, "depth_scale": 0.5}, (), 0.2),
+        ({"fx": 9, "fy": 9, "cx": 9, "cy": 9, "depth_scale": 0.5}, ("--depth-scale", 2), 0.8),
+        ({}, (), 0.4),
+    ):
+        (tmp_path / "s" / "camera.json").write_text(json.dumps(content))
+        assert run(*base, *more) == 0
+        frame = read_capture(tmp_path / "c")[0]
+        assert frame.depth[0, 0] == pytest.approx(depth)
+        np.testing.assert_allclose(frame.camera.matrix, K)
+    capsys.readouterr()
+    (tmp_path / "s" / "camera.json").write_text('{"depth_scale": -1}')
+    assert "camera.json: depth_scale: expected" in refused(capsys, *base)
+
+
+@pytest.mark.parametrize(
+    ("told", "message"),
+    [
+        ({"width": 64, "height": 48}, None),
+        ({"width": 640, "height": 480}, "camera.json: expected width x height 64x48 as the images of "),
+        ({"width": 48, "height": 64}, "got 48x64"),
+        ({"width": 64}, "camera.json: expected width and height, got width alone"),
+        ({"width": 64, "height": 47.5}, "camera.json: expected width and height in whole pixels, got 64, 47.5"),
+        ({"distortion": [0, 0, 0, 0, 0], "dist_coeffs": [[0.0, 0.0]], "D": None, "coeffs": []}, None),
+        ({"distortion": [0.1, -0.2, 0, 0]}, "camera.json: distortion: expected images without distortion, got"),
+        ({"dist_coeffs": [[0, 0, 0, 1e-3, 0]]}, "dist_coeffs: expected images without distortion, got coefficients"),
+        ({"distortion": {"k1": 0.1, "k2": 0}}, "up to 0.1: undistort them, and leave the coefficients out"),
+        ({"distortion": [float("nan")]}, "distortion"),
+        ({"distortion": "plumb"}, "distortion: expected numbers, got plumb"),
+        ({"distortion": [[1], [1, 2]]}, "distortion: expected numbers, got [[1], [1, 2]]"),
+    ],
+)
+def test_a_camera_json_of_other_images_or_of_a_bent_lens(tmp_path, capsys, told, message):
+    images(tmp_path / "s")
+    (tmp_path / "s" / "camera.json").write_text(json.dumps({"fx": 80, "fy": 82, "cx": 31.5, "cy": 23.5, **told}))
+    base = ("convert", tmp_path / "s", tmp_path / "c", "--object", "box")
+    if message is None:
+        assert run(*base) == 0
+    else:
+        assert message in refused(capsys, *base)
+        assert not (tmp_path / "c").exists()
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        [f"frame_{i}" for i in (1, 2, 9, 10, 11, 100)],
+        ["a2b9", "a2b10", "a10b1", "b1"],
+        ["1305031102.16", "1305031102.5", "1305031103.05", "1305031103.1"],
+        ["2", "10", "1234567"],
+    ],
+)
+def test_images_are_in_the_order_of_the_numbers_in_their_names(tmp_path, names):
+    images(tmp_path / "s", names)
+    assert run("convert", tmp_path / "s", tmp_path / "c", "--object", "box", "--intrinsics", "80,80,32,24") == 0
+    capture = read_capture(tmp_path / "c")
+    assert [int(frame.rgb[0, 0, 0]) for frame in capture] == list(range(len(names)))
+
+
+def test_poses_in_order_are_in_the_order_of_their_numbers(tmp_path):
+    _, truths = sequence(tmp_path / "s", [f"frame_{i}" for i in range(12)])
+    place = tmp_path / "s" / "annotated_poses"
+    for i in range(12):
+        (place / f"{i:07d}.txt").rename(place / f"pose{i}.txt")
+    assert run("convert", tmp_path / "s", tmp_path / "c", "--object", "box") == 0
+    for frame, truth in zip(read_capture(tmp_path / "c"), truths, strict=True):
+        np.testing.assert_allclose(frame.camera_from_object_truth, truth, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        ("images", ("--instance 1", "--object-id 1", "--models .", "--topics a.json", "--hand h.urdf", "--frame 0")),
+        ("images", ("--result poses.csv", "--fps 10")),
+        ("ycbineoat", ("--intrinsics 80,80,32,24", "--object-id 0", "--frame 1")),
+        ("bop", ("--intrinsics 80,80,32,24", "--depth-scale 1", "--topics a.json", "--hand h.urdf")),
+        ("tum", ("--depth-scale 1", "--instance 0", "--object box", "--frame 0")),
+        ("glb", ("--fps 10", "--intrinsics 80,80,32,24")),
+        ("off", ("--result poses.csv", "--frame 0")),
+    ],
+)
+def test_options_that_a_format_does_not_use_are_refused(tmp_path, capsys, kind, options):
+    if kind == "ycbineoat":
+        sequence(tmp_path / "s", ["0", "1"])
+    elif kind == "bop":
+        (tmp_path / "s").mkdir()
+        (tmp_path / "s" / "scene_camera.json").write_text("{}")
+    else:
+        images(tmp_path / "s")
+    argv = ["convert", tmp_path / "s", tmp_path / "c"]
+    if kind == "images" or kind == "ycbineoat":
+        argv += ["--object", "box"]
+    elif kind != "bop":
+        assert run(*argv, "--object", "box", "--intrinsics", "80,80,32,24") == 0
+        capsys.readouterr()
+        argv = ["convert", tmp_path / "c", tmp_path / "e", "--to", kind]
+    for option in options:
+        name, value = option.split()
+        line = refused(capsys, *argv, name, value)
+        assert line.startswith(f"palpate: {name}: expected a conversion ")
+        assert f"converted {'to' if kind in ('tum', 'glb', 'off') else 'from'} {kind}" in line
+
+
+def test_depth_scale_of_a_sequence(tmp_path):
+    counts, _ = sequence(tmp_path / "s", ["0", "1"])
+    argv = ("convert", tmp_path / "s", tmp_path / "c", "--object", "box", "--depth-scale", "0.25")
+    assert run(*argv) == 0
+    assert np.array_equal(np.rint(read_capture(tmp_path / "c")[1].depth * 4e3), counts[1])
 
 
 def test_numbers_in_names_are_kept(tmp_path):

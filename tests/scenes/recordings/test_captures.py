@@ -100,6 +100,37 @@ def test_writing_replaces_a_capture_and_nothing_else(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["c", "other"], "no partial folder stays behind"
 
 
+@pytest.mark.parametrize(
+    "foreign",
+    ["thesis.tex", "depth/notes.txt", "models/mug.blend", "hand/hand.xacro", "photos/000000.png", "rgb/a.png"],
+)
+def test_files_of_ones_own_in_a_capture_are_not_lost(tmp_path, foreign):
+    folder = tmp_path / "c"
+    write_capture(folder, [some_frame(0)], make("box"), hand=hand_with_array())
+    for name in ("poses.csv", "result.json", "result.jsonl", "times.jsonl", "report.html", "scene_gt_info.json"):
+        (folder / name).write_text("results")
+    (folder / foreign).parent.mkdir(exist_ok=True)
+    (folder / foreign).write_text("years of work")
+    before = sorted(folder.rglob("*"))
+    with pytest.raises(CaptureError, match=rf"holds other files: {foreign}$"):
+        write_capture(folder, [some_frame(5)], make("mug"))
+    assert sorted(folder.rglob("*")) == before
+    assert (folder / foreign).read_text() == "years of work"
+    (folder / foreign).unlink()
+    write_capture(folder, [some_frame(5)], make("mug"))
+    assert not (folder / "poses.csv").exists()
+
+
+def test_a_linked_folder_in_a_capture_is_not_lost(tmp_path):
+    folder = tmp_path / "c"
+    write_capture(folder, [some_frame(0)], make("box"))
+    (tmp_path / "elsewhere").mkdir()
+    (folder / "data").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(CaptureError, match=r"holds other files: data$"):
+        write_capture(folder, [some_frame(0)], make("box"))
+    assert (folder / "data").is_symlink()
+
+
 def test_depth_out_of_range_is_refused_not_wrapped(tmp_path):
     far = replace(some_frame(0), depth=np.full((48, 64), 7.0, dtype=np.float32))
     with pytest.raises(CaptureError, match=r"up to 6\.55 m"):
