@@ -133,7 +133,9 @@ class Capture:
         rgb = self._attempt("rgb_camera.json", number, lambda: self._registered(number, rgb, depth, entry))
         truth = self._attempt("scene_gt.json", number, lambda: self._truth(number))
         mask_name = f"mask_visib/{number:06d}_{truth[1] if truth else 0:06d}.png"
-        mask = self._image_file(mask_name, number, images.read_mask)
+        # a mask's second number is its object's row: in a frame of other objects alone all are theirs
+        foreign = truth is None and number in self._truths
+        mask = None if foreign else self._image_file(mask_name, number, images.read_mask)
         fits = self._same_size(number, {"depth": depth, "rgb": rgb, mask_name: mask})
         rgb, mask = rgb if fits["rgb"] else None, mask if fits[mask_name] else None
         shape = next((image.shape for image in (depth, rgb, mask) if image is not None), None)

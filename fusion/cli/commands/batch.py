@@ -55,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Exit code 1 when a capture failed, a frame could not be used, or one is lost."""
     from fusion.estimation.asked import check_senses
+    from fusion.estimation.settings import usual_settings
     from fusion.results.batch import Job, Outcome, find_captures, finished
     from fusion.results.batch_files import write_all
     from fusion.results.runs import frame_setter
@@ -74,8 +75,9 @@ def run(args: argparse.Namespace) -> int:
         "report": not args.no_report,
     }
     asked |= {"trust_paths": args.trust_paths, "told": believed}
-    if args.config is not None or args.sure_within is not None:
-        asked["settings"] = with_sure(estimate_settings(args.config), args)
+    settings = with_sure(estimate_settings(args.config), args)
+    if settings != usual_settings():  # what is usual is what rows of a run without any say
+        asked["settings"] = settings
     jobs = []
     for path in paths:
         name = path.relative_to(args.folder).as_posix()

@@ -17,7 +17,9 @@ import pytest
 from browser import in_browser
 from made_frames import plain_view
 
+from fusion.cli.commands import batch as command
 from fusion.cli.main import main
+from fusion.estimation.settings import EstimateSettings
 from fusion.results.batch import (
     COLUMNS,
     MARKER,
@@ -319,3 +321,22 @@ def test_bad_use_is_one_line(tmp_path, capsys):
     for argv in (["batch", str(tmp_path / "x")], ["batch", str(tmp_path)], ["batch", str(tmp_path), "--workers", "0"]):
         assert main(argv) == 2
         assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize("flag", ["--no-outline", "--print", "--sure-within=3"])
+def test_what_is_asked_of_every_frame_reaches_the_jobs(tmp_path, monkeypatch, flag):
+    write_capture(tmp_path / "in" / "c", [plain_view("box")], make("box"))
+    asked = []
+
+    def listening(args, jobs):
+        asked.extend(jobs)
+        return iter(())
+
+    monkeypatch.setattr(command, "_outcomes", listening)
+    for more in ([], [flag]):
+        with pytest.raises(KeyError):  # nothing is answered
+            main(["batch", str(tmp_path / "in"), "--out", str(tmp_path / "o"), *more])
+    plain, told = asked
+    assert plain.settings is None
+    assert told.settings is not None
+    assert told.settings != EstimateSettings()

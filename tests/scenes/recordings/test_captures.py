@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from made_frames import hand_with_array, some_frame
+from made_frames import hand_with_array, plain_view, some_frame
 
 from scenes.errors import CaptureError, InputError, PalpateError
 from scenes.files.images import read_mask
@@ -388,3 +388,16 @@ def test_a_mask_is_whatever_is_not_black(tmp_path, colour):
     expected = np.zeros((4, 5), bool)
     expected[1:3, 2:4] = True
     assert np.array_equal(read_mask(tmp_path / "mask.png"), expected)
+
+
+def test_the_mask_of_another_object_is_not_this_ones(tmp_path):
+    frame = replace(plain_view("box"), mask=np.ones((240, 320), dtype=bool))
+    path = write_capture(tmp_path / "c", [frame], make("box"), with_mask=True)
+    assert next(iter(read_capture(path))).mask is not None
+    truths = json.loads((path / "scene_gt.json").read_text())
+    for entries in truths.values():
+        entries[0]["obj_id"] = 7
+    (path / "scene_gt.json").write_text(json.dumps(truths))
+    read = next(iter(read_capture(path)))
+    assert read.camera_from_object_truth is None
+    assert read.mask is None
