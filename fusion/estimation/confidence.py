@@ -258,7 +258,7 @@ def observations(
         found["visible"] = float(np.log(max(float(picture.agree[0]), s.least_agreeing)))
         found["sharp"] = float(picture.seen[0]) / max(float(picture.agree[0]), s.least_agreeing)
         found["past"] = min(float(picture.past[0]), s.most_past)
-        found["outline"] = min(float(picture.running[0]), s.most_outline)
+        found["outline"] = min(float(picture.outline[0]), s.most_outline)
         found["within"] = min(float(picture.within[0]), s.most_within)
         found["ends"] = float(picture.ends[0])
         found["hidden"], found["behind_hand"] = float(picture.hidden[0]), float(picture.behind_hand[0])
