@@ -117,7 +117,7 @@ def feel(
     settings, beliefs = settings or TouchSettings(), beliefs or Beliefs()
     readings, patches = readings_of(frame), patches_of(frame, settings.patches)
     reported = _reported(frame, readings, patches, settings).of_unknown_worth(beliefs.touch.unknown_sigma)
-    with_hand = frame.hand is not None and frame.joints is not None and frame.world_from_hand is not None
+    with_hand = _has_hand(frame)
     # a contact of unknown worth cannot be told from a false one: it is never gated out
     rows = tables.from_contacts(reported, np.where(reported.sigma_told, settings.contact_gate, tables.NO_GATE))
     if with_hand and len(reported):
@@ -139,10 +139,17 @@ def feel(
 
 def places_touched(frame: Frame, settings: TouchSettings | None = None) -> Array:
     """(n, 3) where a frame's contacts, wrenches, arrays and gels touch the object, camera frame, m, as the robot
-    reports it; one place a finger and kind of sensor at most.
+    reports it; one place a finger and kind of sensor at most. Sensors of a hand that nothing places touch nowhere.
     """
     settings = settings or TouchSettings()
+    if not _has_hand(frame):
+        return frame.contacts.moved(frame.camera_from_world).points
     return _reported(frame, readings_of(frame), patches_of(frame, settings.patches), settings).points
+
+
+def _has_hand(frame: Frame) -> bool:
+    """Whether a frame tells where every part of its hand is."""
+    return frame.hand is not None and frame.joints is not None and frame.world_from_hand is not None
 
 
 def _reported(frame: Frame, readings: Sequence[Reading], patches: Sequence[Patch], settings: TouchSettings) -> Contacts:

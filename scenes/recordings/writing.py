@@ -37,6 +37,8 @@ _OWN = re.compile(
     r"|models/(obj_\d{6,}\.ply|models_info\.json)"
     r"|hand/(hand\.urdf|sensors\.json|meshes/[^/]+\.stl)"
     r"|tactile/[^/]+/\d{6,}\.(csv|png)"
+    # what desktops leave in any folder that was looked at
+    r"|([^/]+/)*(\.DS_Store|Thumbs\.db|desktop\.ini)"
 )
 
 

@@ -38,6 +38,13 @@ def predicted(found, pose, side):
     return *sums, *(share * one for one in border), scatter(found, seen, expected, near), int(hit.sum())
 
 
+def as_predicted(got):
+    """(n, k) what a Prediction has of n poses, in the order of `predicted`."""
+    shares = got.seen, got.agree, got.past, got.hidden, got.behind_hand
+    border = got.outline, got.running - got.outline, got.within, got.ends, got.dark
+    return np.stack([*shares, *border, got.scatter, got.count], axis=1)
+
+
 def scatter(found, seen, z, near):
     """Standard deviation of how far what agrees is off, in sigmas of noise and bias."""
     if not near.any():

@@ -212,7 +212,13 @@ def test_what_wrenches_feel_joins_the_cloud_too(hand):
     assert not len(frame.contacts)
     cloud = np.random.default_rng(0).normal(size=(900, 3))
     assert len(comparing.with_contacts(cloud, frame)) > len(cloud)
-    assert np.isfinite(Judge(model).agreement(frame, frame.camera_from_object_truth).contacts)
+    truth, judge = frame.camera_from_object_truth, Judge(model)
+    assert np.isfinite(judge.agreement(frame, truth).contacts)
+    # of a hand whose joints nobody tells they are nowhere, and pixels are judged all the same
+    lost = replace(frame, joints=None)
+    assert comparing.with_contacts(cloud, lost) is cloud
+    assert np.isnan(judge.agreement(lost, truth).contacts)
+    assert np.isfinite(judge.agreement(lost, truth).cloud)
 
 
 def test_frames_of_two_folders_of_one_name_are_not_the_same(tmp_path):

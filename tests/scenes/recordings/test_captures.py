@@ -109,6 +109,7 @@ def test_files_of_ones_own_in_a_capture_are_not_lost(tmp_path, foreign):
     write_capture(folder, [some_frame(0)], make("box"), hand=hand_with_array())
     for name in ("poses.csv", "result.json", "result.jsonl", "times.jsonl", "report.html", "scene_gt_info.json"):
         (folder / name).write_text("results")
+    (folder / "depth/.DS_Store").write_text("where icons are")
     (folder / foreign).parent.mkdir(exist_ok=True)
     (folder / foreign).write_text("years of work")
     before = sorted(folder.rglob("*"))

@@ -82,19 +82,8 @@ def test_the_kernels_say_what_plain_arrays_say(lab_frame, drill, rng, known):
     candidates = np.array([truth, *around, *far])
     for side in (7, 16):
         got = found.predict(candidates, side)
-        shares = (
-            got.seen,
-            got.agree,
-            got.past,
-            got.hidden,
-            got.behind_hand,
-            got.outline,
-            got.running - got.outline,
-            got.within,
-        )
-        columns = *shares, got.ends, got.dark, got.scatter, got.count
         expected = [predicted_twin.predicted(found, pose, side) for pose in candidates]
-        np.testing.assert_allclose(np.array(columns).T, expected, atol=1e-9)
+        np.testing.assert_allclose(predicted_twin.as_predicted(got), expected, atol=1e-9)
         beside = np.array([predicted_twin.beside_the_mask(found, pose) for pose in candidates])
         twin = predicted_twin.cost(found, candidates, got) + beside
         np.testing.assert_allclose(found.costs(candidates, side), twin, atol=1e-9)
@@ -139,19 +128,8 @@ def test_as_many_rays_meet_a_stick_however_it_lies_in_the_image(rng, bent, degre
     around = np.array([poses.displaced(pose, 0.2, 0.02, model.centroid, rng) for _ in range(6)])
     for candidates in (np.concatenate([pose[None], around]), around[:1]):
         got = found.predict(candidates)
-        shares = (
-            got.seen,
-            got.agree,
-            got.past,
-            got.hidden,
-            got.behind_hand,
-            got.outline,
-            got.running - got.outline,
-            got.within,
-        )
         expected = [predicted_twin.predicted(found, one, found.side) for one in candidates]
-        columns = *shares, got.ends, got.dark, got.scatter, got.count
-        np.testing.assert_allclose(np.array(columns).T, expected, atol=1e-9)
+        np.testing.assert_allclose(predicted_twin.as_predicted(got), expected, atol=1e-9)
 
 
 def test_a_surface_that_goes_through_the_object_is_another_thing(lab_frame, drill):
