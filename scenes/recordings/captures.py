@@ -133,7 +133,9 @@ class Capture:
         rgb = self._attempt("rgb_camera.json", number, lambda: self._registered(number, rgb, depth, entry))
         truth = self._attempt("scene_gt.json", number, lambda: self._truth(number))
         mask_name = f"mask_visib/{number:06d}_{truth[1] if truth else 0:06d}.png"
-        mask = self._image_file(mask_name, number, images.read_mask)
+        # where the frame's ground truths are told and the object is none of them, row 0 is another thing's
+        known = truth is not None or number not in self._truths
+        mask = self._image_file(mask_name, number, images.read_mask) if known else None
         fits = self._same_size(number, {"depth": depth, "rgb": rgb, mask_name: mask})
         rgb, mask = rgb if fits["rgb"] else None, mask if fits[mask_name] else None
         shape = next((image.shape for image in (depth, rgb, mask) if image is not None), None)

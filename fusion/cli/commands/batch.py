@@ -74,8 +74,9 @@ def run(args: argparse.Namespace) -> int:
         "report": not args.no_report,
     }
     asked |= {"trust_paths": args.trust_paths, "told": believed}
-    if args.config is not None or args.sure_within is not None:
-        asked["settings"] = with_sure(estimate_settings(args.config), args)
+    settings = with_sure(estimate_settings(args.config), args)
+    if settings != estimate_settings(None):  # the usual ones are not named: they are the same question as none
+        asked["settings"] = settings
     jobs = []
     for path in paths:
         name = path.relative_to(args.folder).as_posix()

@@ -319,3 +319,25 @@ def test_bad_use_is_one_line(tmp_path, capsys):
     for argv in (["batch", str(tmp_path / "x")], ["batch", str(tmp_path)], ["batch", str(tmp_path), "--workers", "0"]):
         assert main(argv) == 2
         assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize("flags", [["--no-outline"], ["--print"], []], ids=["--no-outline", "--print", "neither"])
+def test_flags_of_settings_reach_the_jobs(folder, tmp_path, monkeypatch, flags):
+    """Without --config, too; the usual settings are no settings, so that earlier results still count."""
+    found = []
+
+    def noted(jobs, backend, work=None):
+        found.extend(jobs)
+        return iter([Outcome(one, "error", [error_row(one, "not tried")]) for one in jobs])
+
+    monkeypatch.setattr("fusion.results.batch.run_jobs", noted)
+    main(["batch", str(folder), "--out", str(tmp_path / "o"), *flags])
+    assert found
+    for one in found:
+        if not flags:
+            assert one.settings is None
+            continue
+        assert one.settings.contour.used is ("--no-outline" not in flags)
+        assert one.settings.look.colour.used is ("--no-outline" not in flags)
+        assert one.settings.texture.counts is ("--print" in flags)
+        assert one.fingerprint != replace(one, settings=None).fingerprint

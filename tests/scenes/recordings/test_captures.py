@@ -357,3 +357,15 @@ def test_a_mask_is_whatever_is_not_black(tmp_path, colour):
     expected = np.zeros((4, 5), bool)
     expected[1:3, 2:4] = True
     assert np.array_equal(read_mask(tmp_path / "mask.png"), expected)
+
+
+def test_another_objects_mask_is_not_this_ones(tmp_path, sound):
+    """A frame whose ground truths leave the object out has no mask; one without ground truths has that of row 0."""
+    folder = tmp_path / "c"
+    shutil.copytree(sound, folder)
+    assert read_capture(folder).frame(1).mask is not None
+    edit(folder / "scene_gt.json", lambda d: put("obj_id", 77)(d["1"][0]))
+    assert read_capture(folder).frame(1).mask is None
+    assert read_capture(folder).frame(0).mask is not None
+    edit(folder / "scene_gt.json", lambda d: d.pop("1") and None)
+    assert read_capture(folder).frame(1).mask is not None
