@@ -133,8 +133,8 @@ class TrackRun:
         how, numbers = self.options, self.capture.frame_ids
         if self.done >= len(numbers):
             return
-        self._look_before(how.hertz is not None)
         pace = InTurn(numbers, self.done) if how.hertz is None else RealTime(numbers, how.hertz, self.done)
+        self._look_before(how.hertz is not None)
         for one in pace:
             yield self._step(one, pace)
             if time.monotonic() - self._saved_at >= how.checkpoint_every:

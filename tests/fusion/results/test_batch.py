@@ -341,3 +341,22 @@ def test_flags_of_settings_reach_the_jobs(folder, tmp_path, monkeypatch, flags):
         assert one.settings.look.colour.used is ("--no-outline" not in flags)
         assert one.settings.texture.counts is ("--print" in flags)
         assert one.fingerprint != replace(one, settings=None).fingerprint
+
+
+def test_linked_captures_are_found_once_and_linked_results_are_shown(tmp_path):
+    many, elsewhere, out = tmp_path / "many", tmp_path / "elsewhere", tmp_path / "o"
+    for place in (many / "a", elsewhere / "b"):
+        place.mkdir(parents=True)
+        (place / "capture.json").write_text("{}")
+    (many / "linked").symlink_to(elsewhere / "b")
+    (many / "circle").symlink_to(many)
+    assert [p.relative_to(many).as_posix() for p in find_captures(many)] == ["a", "linked"]
+    (elsewhere / "results").mkdir()
+    (elsewhere / "results" / "report.html").write_text("<p>")
+    out.mkdir()
+    (out / "a").symlink_to(elsewhere / "results")
+    row = dict.fromkeys(COLUMNS) | {"capture": "a", "frame": 0, "status": "done", "verdict": "ok", "contacts": 0}
+    outcomes = [Outcome(job(tmp_path, "a"), "done", [row])]
+    outcomes = [replace(one, job=replace(one.job, out=str(out / "a"))) for one in outcomes]
+    write_all(out, "o", outcomes)
+    assert 'href="../elsewhere/results/report.html"' in (out / "index.html").read_text()

@@ -278,6 +278,14 @@ DAMAGES = {
         lambda c: set_cell(next((c / "tactile").glob("*/000000.csv")), 2, "taxel", "0.5"),
         "column taxel: expected a whole number",
     ),
+    "taxel twice": (
+        lambda c: set_cell(next((c / "tactile").glob("*/000000.csv")), 3, "taxel", "0"),
+        "000000.csv, frame 0: line 3: expected each taxel once, got 0 twice",
+    ),
+    "a frame of 5000 digits": (
+        lambda c: edit_text(c / "prior.json", '"0":', f'"{"1" * 5000}": [], "0":'),
+        "prior.json: expected frame numbers as keys, got '1111",
+    ),
     "symmetry of nothing": (
         lambda c: edit(c / "models/models_info.json", lambda d: put("symmetries_discrete", [[1, 2]])(d["1"])),
         "symmetries_discrete: expected 16",
