@@ -274,9 +274,8 @@ def _depth_problem(frame: Frame) -> str | None:
 def _pose_problem(frame: Frame, pose: Array, model: ObjectModel, source: str) -> str | None:
     """What makes a pose (4, 4), by its source, of another unit than the contacts or the depth image."""
     centre, diameter = poses.apply(pose, model.centroid[None])[0], model.diameter
-    if frame.camera is not None and centre[2] <= 0:
-        which = "a prior" if source == "prior" else source
-        said = f"expected {which} of an object before the camera, got one {-centre[2]:.3g} m behind it"
+    if source == "prior" and frame.camera is not None and centre[2] <= 0:
+        said = f"expected a prior of an object before the camera, got one {-centre[2]:.3g} m behind it"
         return f"{said}: is it inverted, or of a camera that looks along -z?"
     away = float(np.linalg.norm(centre))
     if frame.camera is not None and away > max(FARTHEST_HELD, SUSPICIOUS_RATIO * diameter):

@@ -127,11 +127,3 @@ def test_hands_and_objects_that_no_camera_sees_are_of_another_unit():
     truth[:3, 3] = [0.0, 0.0, 700.0]
     told = scale_problem(replace(frame, camera_from_object_truth=truth), model)
     assert "by the ground truth, 700 m away: mm read as m?" in (told or "")
-
-
-def test_a_truth_behind_the_camera_is_a_problem():
-    frame = replace(some_frame(0), contacts=Contacts(np.zeros((0, 3))), prior=None)
-    behind = frame.camera_from_object_truth.copy()
-    behind[2, 3] *= -1.0
-    said = scale_problem(replace(frame, camera_from_object_truth=behind), make("box")) or ""
-    assert "expected ground truth of an object before the camera, got one 0." in said
