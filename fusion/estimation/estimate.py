@@ -80,7 +80,8 @@ def estimate(
     prior: a coarse camera_from_object (4, 4), or a Gaussian on it; default the frame's own prior. use: the senses
     allowed. tolerance (m, rad): standard deviations that are good enough; when vision alone is sure and that good,
     touch is skipped, and when the rows are that good before shared errors are solved for, that is
-    skipped. budget_ms: once it is spent, the joint solution (calibration, depth scale, bias) is skipped. beliefs: what
+    skipped. budget_ms: once it is spent, the joint solution (calibration, depth scale, bias) is skipped, and an
+    answer that took longer says so in its notes. beliefs: what
     the sensors are worth; default what the frame says of its own. sure_within (m): the answer's confidence is the
     probability that its ADD-S is below that, and only a sure answer is `ok`; default 5 mm.
     Returns an Estimate; data that tell nothing give the verdict "lost" and a covariance that says so, not an error.
@@ -111,10 +112,10 @@ def estimate(
             by_vision = replace(asked, senses=frozenset({"vision"}), settings=light, or_none=True)
             alone = _estimate(frame, model, by_vision, trace, looked)
             if alone is not None and good_enough(model, alone, tolerance, settings):
-                return trace.skipping(alone, "feel", "vision alone is within the tolerance")
+                return trace.noting_budget(trace.skipping(alone, "feel", "vision alone is within the tolerance"))
         answer = _estimate(frame, model, asked, trace, looked)
     assert answer is not None
-    return answer
+    return trace.noting_budget(answer)
 
 
 def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: Looked) -> Estimate | None:

@@ -65,6 +65,13 @@ class Trace:
         """Whether optional work should be skipped."""
         return self._budget is not None and self.spent_ms > self._budget
 
+    def noting_budget(self, answer: Estimate) -> Estimate:
+        """The answer with a note when it took longer than the budget: what cannot be skipped takes its time."""
+        if not self.over_budget:
+            return answer
+        note = f"the time budget of {self._budget:g} ms was exceeded: {self.spent_ms:.0f} ms"
+        return replace(answer, notes=(*answer.notes, note))
+
     def skipping(self, answer: Estimate, name: str, why: str) -> Estimate:
         """The answer with a line of its trace rewritten: stage `name` was skipped, for this reason."""
         stages = tuple(Stage(name, False, why) if s.name == name and not s.ran else s for s in answer.trace)

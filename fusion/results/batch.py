@@ -106,11 +106,19 @@ class Outcome:
 
 
 def find_captures(folder: Path) -> list[Path]:
-    """The captures below a folder, sorted; a capture's own folders and hidden ones are not looked into."""
+    """The captures below a folder, sorted, links followed, each place once; a capture's own folders and hidden ones are
+    not looked into.
+    """
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of captures, found {'a file' if folder.exists() else 'nothing'}")
     found = []
-    for place, folders, files in os.walk(folder):
+    been: set[str] = set()
+    for place, folders, files in os.walk(folder, followlinks=True):
+        real = os.path.realpath(place)
+        if real in been:  # links may lead in circles
+            folders.clear()
+            continue
+        been.add(real)
         if "capture.json" in files:
             found.append(Path(place))
             folders.clear()

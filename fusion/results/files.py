@@ -67,12 +67,14 @@ def write_results(out: Path, capture: Capture, answers: Sequence[Estimate], cont
     scene = scene if isinstance(scene, int) else 0
     write_poses(
         out / "poses.csv",
-        [
-            PoseRow(scene, a.frame, number, a.modes[0].weight if a.modes else 0.0, a.pose, a.time_ms / 1e3)
-            for a in answers
-        ],
+        [PoseRow(scene, a.frame, number, score_of(a), a.pose, a.time_ms / 1e3) for a in answers],
     )
     write_json(out / "result.json", content)
+
+
+def score_of(answer: Estimate) -> float:
+    """What poses.csv says an answer is worth, 0 to 1: the weight of its first mode; 0 where the object is lost."""
+    return answer.modes[0].weight if answer.modes and answer.verdict != "lost" else 0.0
 
 
 def find_result(path: str | Path) -> Path | None:

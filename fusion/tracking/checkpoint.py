@@ -74,6 +74,9 @@ def restore_tracker(tracker: Tracker, content: bytes, hand: Hand | None = None) 
         raise InputError(f"a tracker's state: expected what save_tracker wrote: {error}") from error
     if type(made) is not type(tracker):
         raise InputError(f"a tracker's state: expected a {type(tracker).__name__}, got a {type(made).__name__}")
+    lacks = sorted(set(vars(tracker)) - set(vars(made)))
+    if lacks:
+        raise InputError(f"a tracker's state: expected {lacks[0]}, found none: another version of palpate wrote it")
     vars(tracker).clear()
     vars(tracker).update(vars(made))
 
@@ -161,6 +164,11 @@ class _Reader:
             owner = self._given[name]
             if owner is None:
                 raise InputError(f"expected the {name} that it was saved with, got none")
+            lazy = isinstance(getattr(type(owner), part, None), cached_property)  # made when it is asked for
+            if part and not lazy and part not in vars(owner):
+                raise InputError(
+                    f"expected a part of the {name}, got {part[:80]!r}: another version of palpate wrote it"
+                )
             return getattr(owner, part) if part else owner
         if "same" in entry:
             return self._made[entry["same"]]

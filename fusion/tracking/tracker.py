@@ -89,7 +89,7 @@ def track(
 
 
 class Tracker:
-    """`track` for frames that arrive one by one."""
+    """`track` for frames that arrive one by one. begun: whether one of them has shown the object."""
 
     def __init__(
         self,
@@ -106,7 +106,7 @@ class Tracker:
         come; answers then depend on how fast frames come, too.
         """
         check_kinds(model, seed, settings, beliefs, TrackSettings)
-        self.model, self.live = model, live
+        self.model, self.live, self.begun = model, live, False
         settings = settings or TrackSettings()
         first = sure_to_be_within(settings.first, sure_within)
         rules = replace(first.verdict, way_round=settings.way_round)
@@ -182,7 +182,7 @@ class Tracker:
             self._aside.forget()
         near = self._near(answer.modes[0], s.first.confidence)
         state.right = min(1.0, several.sure_of(answer) / near) if near > 1e-9 else 0.0
-        state.sure = answer.verdict == "ok"
+        self.begun, state.sure = True, answer.verdict == "ok"
         self._velocity.restart(frame.index, answer.pose)
         self._watch.let_go()
         self._skins(frame, felt)

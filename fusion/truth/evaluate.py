@@ -30,6 +30,8 @@ VSD_TAUS = tuple(np.arange(0.05, 0.51, 0.05))
 VSD_DELTA = 0.015
 # Poses nearer to the camera than the truth by this factor are in metres (a factor of 1000), not wrong.
 METRES_FOR_MILLIMETRES = 200.0
+# Poses nearer to the camera than this (m) have no unit: a frame that is lost without a start is at the origin.
+NOWHERE = 1e-6
 
 
 def evaluate(
@@ -67,7 +69,8 @@ def _check_unit(rows: Sequence[PoseRow], capture: Capture) -> None:
     """Raise InputError for translations that were written in metres, where a poses.csv has millimetres."""
     truths = {number: capture.frame(number).camera_from_object_truth for number in {row.im_id for row in rows}}
     pairs = [(row.pose[:3, 3], truth[:3, 3]) for row in rows if (truth := truths[row.im_id]) is not None]
-    ratios = [np.linalg.norm(said) / np.linalg.norm(true) for said, true in pairs if np.any(true)]
+    pairs = [(said, true) for said, true in pairs if np.linalg.norm(said) > NOWHERE and np.any(true)]
+    ratios = [np.linalg.norm(said) / np.linalg.norm(true) for said, true in pairs]
     if ratios and np.median(ratios) < 1.0 / METRES_FOR_MILLIMETRES:
         raise InputError(
             f"poses: expected t in millimetres, got {1e3 * np.linalg.norm(pairs[0][0]):.3g} from the camera where the"

@@ -82,6 +82,8 @@ def write_json(path: str | Path, content: Any) -> None:
 
 # Frames are counted in 64 bits.
 LARGEST_FRAME = 2**63 - 1
+# Python reads no numbers of thousands of digits, and nobody counts so far.
+MOST_DIGITS = 100
 
 
 class FrameEntries(Mapping[int, Any]):
@@ -139,7 +141,7 @@ def read_frames(path: str | Path, report: Report) -> Mapping[int, Any]:
         return {}
     frames = {}
     for key, entry in content.items():
-        if key.isdecimal():
+        if key.isdecimal() and len(key) <= MOST_DIGITS:
             frames[int(key)] = entry
         else:
             report(Problem(str(path), None, f"expected frame numbers as keys, got {key[:40]!r}"))
@@ -164,7 +166,7 @@ def _frame_places(path: Path) -> dict[int, tuple[int, int]] | None:
             at, mark = _blank(text, at + 1), "}"
         while mark == ",":
             key, end = decoder.raw_decode(text, at)
-            if not key.isdecimal():
+            if not key.isdecimal() or len(key) > MOST_DIGITS:
                 return None
             start = _past(text, end, ":")
             _, end = decoder.raw_decode(text, start)

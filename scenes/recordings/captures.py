@@ -352,6 +352,10 @@ class Capture:
                 count = int(taxel.max()) + 1 if len(taxel) else 0
             for line in rows.lines[taxel >= count]:
                 self.report(Problem(str(path), number, f"line {line}: expected a taxel from 0 to {count - 1}"))
+            twice = np.setdiff1d(np.arange(len(taxel)), np.unique(taxel, return_index=True)[1])
+            if len(twice):
+                message = f"line {rows.lines[twice[0]]}: expected each taxel once, got {taxel[twice[0]]} twice"
+                self.report(Problem(str(path), number, message))
             pressure = np.full(count, np.nan)
             inside = taxel < count
             pressure[taxel[inside]] = rows.numbers["pressure"][inside] if len(rows) else ()

@@ -90,3 +90,13 @@ def test_a_track_is_of_frames_and_a_model(mug):
         Tracker(mug, settings={})
     with pytest.raises(InputError, match=r"frame: expected Frame .*, got NoneType"):
         Tracker(mug).step(None)
+
+
+@pytest.mark.parametrize(("budget", "said"), [(0.0, True), (1e9, False), (None, False)])
+def test_an_exceeded_budget_is_said_once(budget, said):
+    from made_frames import plain_view
+
+    frame, model = plain_view("box"), library.make("box")
+    notes = [note for note in estimate(frame, model, budget_ms=budget).notes if "time budget" in note]
+    assert len(notes) == said
+    assert all(note.startswith("the time budget of 0 ms was exceeded: ") for note in notes)

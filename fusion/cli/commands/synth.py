@@ -36,7 +36,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--occluders", metavar="KIND", help=hiders)
     pieces = "; ".join(f"{name}: {what}" for name, what in PIECES.items())
     parser.add_argument("--scene", metavar="A+B", help=f"what else is there, joined by +. {pieces}")
-    errors = "fat (1 mm), scaled (1 %%), scan (another one, bumps of some mm), bent: the mesh is not quite the object's"
+    errors = (
+        "fat (1 mm), scaled (1 %%), scan (another one, bumps of some mm), bent, dented: the mesh is not quite"
+        " the object's"
+    )
     parser.add_argument("--mesh-error", metavar="NAME", help=errors)
     moves = (
         "carry, turn, slip, slide, regrasp, leave, close, shake or camera: one grasp filmed;"

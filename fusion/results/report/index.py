@@ -5,6 +5,7 @@ network, no library.
 from __future__ import annotations
 
 import html
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -135,7 +136,8 @@ def _beside(folder: Path, outcome: Outcome, name: str) -> str | None:
     path = Path(outcome.job.out) / name
     if outcome.status == "error" or not path.is_file():
         return None
-    return quote(path.resolve().relative_to(folder.resolve()).as_posix())
+    # results may be elsewhere: a link in their place is followed
+    return quote(Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix())
 
 
 def _picture(folder: Path, outcome: Outcome) -> str:

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from fusion.results.files import score_of
 from fusion.tracking.answer import TrackedEstimate
 from fusion.truth.errors import Errors, json_number
 from scenes.errors import InputError
@@ -58,8 +59,8 @@ class GrowingFiles:
         self, answer: TrackedEstimate, errors: Errors | None, times: dict[str, float], scene: int, object_id: int
     ) -> None:
         """A frame's answer; times: milliseconds by name. scene, object_id: BOP's numbers."""
-        score = answer.modes[0].weight if answer.modes else 0.0
-        self._append(POSES, pose_lines([PoseRow(scene, answer.frame, object_id, score, answer.pose, UNTIMED)]))
+        row = PoseRow(scene, answer.frame, object_id, score_of(answer), answer.pose, UNTIMED)
+        self._append(POSES, pose_lines([row]))
         entry = answer.to_json() | ({} if errors is None else {"errors": errors.to_json()})
         entry.pop("time_ms")
         stages = [stage.pop("ms") for stage in entry["trace"]]

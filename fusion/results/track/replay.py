@@ -7,6 +7,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+from scenes.errors import InputError
+
+# A replay (s) of which no end is to be seen: no system sleeps for thousands of years.
+LONGEST = 365 * 86400.0
+
 
 @dataclass(frozen=True)
 class Next:
@@ -56,8 +61,12 @@ class RealTime(InTurn):
         clock: Callable[[], float] = time.perf_counter,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """The clock starts when the first frame is asked for."""
+        """The clock starts when the first frame is asked for. Raises InputError for a rate at which it takes years."""
         super().__init__(numbers, first)
+        frames = numbers[-1] - numbers[first] if first < len(numbers) else 0
+        if frames / hertz > LONGEST:
+            said = f"so many frames a second that {frames} take less than a year, got {hertz:g}"
+            raise InputError(f"realtime: expected {said}")
         self.hertz = hertz
         self._numbers = numbers
         self._clock, self._sleep = clock, sleep

@@ -56,7 +56,7 @@ class RunOptions:
 @dataclass(frozen=True)
 class Step:
     """A frame done: its number; answer, None for one without (why says why); errors of the recording's files that the
-    answer had to do without; behind: frames passed over before it; ms: wall time of the tracker; done, total: frames.
+    answer had to do without; behind: frames passed over before it; ms: wall time of the tracker; done: frames so far.
     """
 
     number: int
@@ -66,7 +66,6 @@ class Step:
     behind: int
     ms: float
     done: int
-    total: int
 
 
 class TrackRun:
@@ -83,7 +82,7 @@ class TrackRun:
         options: RunOptions | None = None,
         resume: bool = False,
     ) -> None:
-        """prepare: what is done to the first frame (its coarse start); asked: as for a Checkpoint.
+        """prepare: what is done to frames until one shows the object (their coarse start); asked: as for a Checkpoint.
 
         resume: go on where the folder's checkpoint is; without one, begin. Raises InputError when it is of a track
         that was asked something else, and for a folder that another track is being written to.
@@ -134,8 +133,8 @@ class TrackRun:
         how, numbers = self.options, self.capture.frame_ids
         if self.done >= len(numbers):
             return
-        self._look_before(how.hertz is not None)
         pace = InTurn(numbers, self.done) if how.hertz is None else RealTime(numbers, how.hertz, self.done)
+        self._look_before(how.hertz is not None)
         for one in pace:
             yield self._step(one, pace)
             if time.monotonic() - self._saved_at >= how.checkpoint_every:
@@ -197,7 +196,7 @@ class TrackRun:
             self.answered += 1
             if self.answered == 1:  # the first is found by a search: it is not to be made again
                 self.save()
-        return Step(number, answer, why, problems, len(one.behind), ms, self.done, len(numbers))
+        return Step(number, answer, why, problems, len(one.behind), ms, self.done)
 
     def _write(
         self, one: Next, pace: InTurn, answer: TrackedEstimate, frame: Frame | None, times: dict[str, float]
@@ -215,8 +214,11 @@ class TrackRun:
         _log.info("frame %d: %s, %s in %.0f ms", answer.frame, answer.how, answer.verdict, times["step_ms"])
 
     def _read(self, number: int) -> tuple[Frame | None, tuple[str, ...]]:
-        """The frame, and what is wrong with its files: a later frame is tracked without what is broken."""
-        if not self.done:  # a coarse start that was asked for is for the beginning; a track goes on by itself
+        """The frame, and what is wrong with its files: a later frame is tracked without what is broken.
+
+        A coarse start that was asked for is for the beginning, however many frames it takes; a track goes on by itself.
+        """
+        if not self.done:
             with _reporting(self.capture, refuse):
                 return self._prepare(self.capture.frame(number), self.model), ()
         found: list[Problem] = []
@@ -225,6 +227,11 @@ class TrackRun:
                 frame = self.capture.frame(number)
         except PalpateError as error:
             return None, (str(error),)
+        if not self._tracker.begun:
+            try:
+                frame = self._prepare(frame, self.model)
+            except InputError:  # a start for the first frame only: the recording's own is still not what was asked for
+                frame = replace(frame, prior=None)
         return frame, tuple(dict.fromkeys(map(str, found)))
 
 

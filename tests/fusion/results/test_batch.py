@@ -17,9 +17,7 @@ import pytest
 from browser import in_browser
 from made_frames import plain_view
 
-from fusion.cli.commands import batch as command
 from fusion.cli.main import main
-from fusion.estimation.settings import EstimateSettings
 from fusion.results.batch import (
     COLUMNS,
     MARKER,
@@ -323,23 +321,42 @@ def test_bad_use_is_one_line(tmp_path, capsys):
         assert capsys.readouterr().err.count("\n") == 1
 
 
-@pytest.mark.parametrize("flag", ["--no-outline", "--print", "--sure-within=3"])
-def test_what_is_asked_of_every_frame_reaches_the_jobs(tmp_path, monkeypatch, flag):
-    write_capture(tmp_path / "in" / "c", [plain_view("box")], make("box"))
-    asked = []
+@pytest.mark.parametrize("flags", [["--no-outline"], ["--print"], []], ids=["--no-outline", "--print", "neither"])
+def test_flags_of_settings_reach_the_jobs(folder, tmp_path, monkeypatch, flags):
+    """Without --config, too; the usual settings are no settings, so that earlier results still count."""
+    found = []
 
-    class Listened(Exception):  # before anything is answered
-        pass
+    def noted(jobs, backend, work=None):
+        found.extend(jobs)
+        return iter([Outcome(one, "error", [error_row(one, "not tried")]) for one in jobs])
 
-    def listening(args, jobs):
-        asked.extend(jobs)
-        raise Listened
+    monkeypatch.setattr("fusion.results.batch.run_jobs", noted)
+    main(["batch", str(folder), "--out", str(tmp_path / "o"), *flags])
+    assert found
+    for one in found:
+        if not flags:
+            assert one.settings is None
+            continue
+        assert one.settings.contour.used is ("--no-outline" not in flags)
+        assert one.settings.look.colour.used is ("--no-outline" not in flags)
+        assert one.settings.texture.counts is ("--print" in flags)
+        assert one.fingerprint != replace(one, settings=None).fingerprint
 
-    monkeypatch.setattr(command, "_outcomes", listening)
-    for more in ([], [flag]):
-        with pytest.raises(Listened):
-            main(["batch", str(tmp_path / "in"), "--out", str(tmp_path / "o"), *more])
-    plain, told = asked
-    assert plain.settings is None
-    assert told.settings is not None
-    assert told.settings != EstimateSettings()
+
+def test_linked_captures_are_found_once_and_linked_results_are_shown(tmp_path):
+    many, elsewhere, out = tmp_path / "many", tmp_path / "elsewhere", tmp_path / "o"
+    for place in (many / "a", elsewhere / "b"):
+        place.mkdir(parents=True)
+        (place / "capture.json").write_text("{}")
+    (many / "linked").symlink_to(elsewhere / "b")
+    (many / "circle").symlink_to(many)
+    assert [p.relative_to(many).as_posix() for p in find_captures(many)] == ["a", "linked"]
+    (elsewhere / "results").mkdir()
+    (elsewhere / "results" / "report.html").write_text("<p>")
+    out.mkdir()
+    (out / "a").symlink_to(elsewhere / "results")
+    row = dict.fromkeys(COLUMNS) | {"capture": "a", "frame": 0, "status": "done", "verdict": "ok", "contacts": 0}
+    outcomes = [Outcome(job(tmp_path, "a"), "done", [row])]
+    outcomes = [replace(one, job=replace(one.job, out=str(out / "a"))) for one in outcomes]
+    write_all(out, "o", outcomes)
+    assert 'href="../elsewhere/results/report.html"' in (out / "index.html").read_text()

@@ -135,3 +135,37 @@ def test_settings_are_alike_when_they_are():
     assert plain_state(TrackSettings()) != plain_state(TrackSettings(coast=31))
     with pytest.raises(InputError, match="expected what a state can keep"):
         plain_state(Alien())
+
+
+def edited_state(content, change):
+    """The bytes with a change to their JSON."""
+    import io
+    import json
+
+    with np.load(io.BytesIO(content)) as file:
+        arrays = {name: file[name] for name in file.files}
+    state = json.loads(arrays["state"].tobytes())
+    change(state["tracker"]["parts"])
+    arrays["state"] = np.frombuffer(json.dumps(state).encode(), dtype=np.uint8)
+    out = io.BytesIO()
+    np.savez(out, **arrays)
+    return out.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda parts: parts.pop("_seed"), "expected _seed, found none: another version"),
+        (lambda parts: parts.update(model={"given": "model.nope"}), "expected a part of the model, got 'nope'"),
+    ],
+    ids=["an attribute is missing", "a part that the model has not"],
+)
+def test_states_of_another_tracker_are_refused(change, message):
+    from scenes.synthesis.library import make
+
+    model = make("box")
+    content, tracker = save_tracker(Tracker(model)), Tracker(model)
+    before = dict(vars(tracker))
+    with pytest.raises(InputError, match=message):
+        restore_tracker(tracker, edited_state(content, change))
+    assert vars(tracker) == before

@@ -107,3 +107,12 @@ def test_the_command_tells_latencies_and_what_was_left_out(tmp_path, hand, capsy
     assert "ms from a frame's arrival at 10 Hz to its answer: p50 20.0, p90" in said
     assert np.isfinite([f["camera_from_object"] for f in content["frames"]]).all()
     assert "expected a number above 0" in refused(capsys, "track", folder, "--realtime", "0")
+
+
+@pytest.mark.parametrize("hertz", [1e-300, 5e-324, 1e-9])
+def test_a_replay_of_years_is_refused(hertz):
+    from scenes.errors import InputError
+
+    with pytest.raises(InputError, match=r"realtime: expected so many frames a second .*, got "):
+        RealTime([3, 4, 2**62], hertz)
+    assert len(list(RealTime([7], hertz, 0))) == 1

@@ -85,3 +85,35 @@ def test_slips_are_counted_once_and_alarms_by_their_beginning():
 def test_losses_are_counted_when_they_end():
     assert losses([0.001, 0.02, 0.03, 0.002, 0.02]) == [2]
     assert losses([0.001]) == []
+
+
+@pytest.mark.parametrize("asked", ["none", "gt", "FILE", None])
+def test_a_prior_holds_until_the_track_has_begun(capture, tmp_path, monkeypatch, asked):
+    """The first frame is lost; the capture's own prior of the second is not what was asked for."""
+    import shutil
+    from dataclasses import replace
+
+    from fusion.tracking import tracker
+    from scenes.recordings.captures import read_capture
+
+    folder, file = tmp_path / "c", tmp_path / "first.json"
+    shutil.copytree(capture, folder)
+    truths = [frame.camera_from_object_truth for frame in read_capture(folder)]
+    own = poses.make_pose(translation=[0.01, 0.0, 0.0]) @ truths[1]
+    (folder / "prior.json").write_text(json.dumps({i: own.tolist() for i in range(3)}))
+    file.write_text(json.dumps({0: truths[0].tolist()}))
+    seen, usual = [], tracker.estimate
+
+    def noted(frame, *args, **named):
+        seen.append(frame.prior)
+        answer = usual(frame, *args, **named)
+        return replace(answer, verdict="lost") if frame.index == 0 else answer
+
+    monkeypatch.setattr(tracker, "estimate", noted)
+    prior = [] if asked is None else ["--prior", str(file) if asked == "FILE" else asked]
+    assert main(["track", str(folder), "--out", str(tmp_path / "o"), "--no-report", "-q", *prior]) in (0, 1)
+    first = {"none": None, "gt": truths[0], "FILE": truths[0], None: own}[asked]
+    then = {"none": None, "gt": truths[1], "FILE": None, None: own}[asked]
+    for found, expected in zip(seen, (first, then)):
+        assert (found is None) is (expected is None)
+        assert expected is None or np.allclose(found, expected, atol=1e-6)

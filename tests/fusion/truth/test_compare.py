@@ -232,3 +232,27 @@ def test_frames_of_two_folders_of_one_name_are_not_the_same(tmp_path):
     assert len({(row.capture, row.frame) for row in rows}) == 2
     (alone,) = compare(captures[:1], ("icp",))
     assert alone.capture == "cap"
+
+
+def test_lost_frames_tell_of_no_unit_and_are_worth_nothing(tmp_path):
+    """Of a frame without evidence `estimate` writes the origin: that is no pose in metres."""
+    from fusion.estimation.estimate import estimate
+    from fusion.results.files import write_results
+    from scenes.recordings.bop import read_poses
+
+    model, seen = make("drill"), plain_view("drill")
+    truth = seen.camera_from_object_truth
+    blank = replace(seen.without_vision().without_touch(), prior=None)
+    capture = read_capture(write_capture(tmp_path / "c", [replace(seen, index=i) for i in range(3)], model))
+    answers = [replace(estimate(blank, model), frame=i) for i in range(2)]
+    assert answers[0].verdict == "lost"
+    found = replace(answers[0], frame=2, pose=truth, verdict="ok")
+    write_results(tmp_path / "out", capture, [*answers, found], {})
+    rows = read_poses(tmp_path / "out" / "poses.csv")
+    assert [row.score for row in rows] == [0.0, 0.0, answers[0].modes[0].weight]
+    assert not rows[0].pose[:3, 3].any()
+    assert evaluate(rows, capture)["frames"][2]["add_mm"] < 1e-6
+    metres = truth.copy()
+    metres[:3, 3] *= 1e-3
+    with pytest.raises(InputError, match=r"got 0\.5 from the camera where the truth is 500: m read as mm"):
+        evaluate([*rows[:2], replace(rows[2], pose=metres)], capture)

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from made_frames import hand_with_array, plain_view, some_frame
+from made_frames import hand_with_array, some_frame
 
 from scenes.errors import CaptureError, InputError, PalpateError
 from scenes.files.images import read_mask
@@ -310,6 +310,14 @@ DAMAGES = {
         lambda c: set_cell(next((c / "tactile").glob("*/000000.csv")), 2, "taxel", "0.5"),
         "column taxel: expected a whole number",
     ),
+    "taxel twice": (
+        lambda c: set_cell(next((c / "tactile").glob("*/000000.csv")), 3, "taxel", "0"),
+        "000000.csv, frame 0: line 3: expected each taxel once, got 0 twice",
+    ),
+    "a frame of 5000 digits": (
+        lambda c: edit_text(c / "prior.json", '"0":', f'"{"1" * 5000}": [], "0":'),
+        "prior.json: expected frame numbers as keys, got '1111",
+    ),
     "symmetry of nothing": (
         lambda c: edit(c / "models/models_info.json", lambda d: put("symmetries_discrete", [[1, 2]])(d["1"])),
         "symmetries_discrete: expected 16",
@@ -391,14 +399,13 @@ def test_a_mask_is_whatever_is_not_black(tmp_path, colour):
     assert np.array_equal(read_mask(tmp_path / "mask.png"), expected)
 
 
-def test_the_mask_of_another_object_is_not_this_ones(tmp_path):
-    frame = replace(plain_view("box"), mask=np.ones((240, 320), dtype=bool))
-    path = write_capture(tmp_path / "c", [frame], make("box"), with_mask=True)
-    assert next(iter(read_capture(path))).mask is not None
-    truths = json.loads((path / "scene_gt.json").read_text())
-    for entries in truths.values():
-        entries[0]["obj_id"] = 7
-    (path / "scene_gt.json").write_text(json.dumps(truths))
-    read = next(iter(read_capture(path)))
-    assert read.camera_from_object_truth is None
-    assert read.mask is None
+def test_another_objects_mask_is_not_this_ones(tmp_path, sound):
+    """A frame whose ground truths leave the object out has no mask; one without ground truths has that of row 0."""
+    folder = tmp_path / "c"
+    shutil.copytree(sound, folder)
+    assert read_capture(folder).frame(1).mask is not None
+    edit(folder / "scene_gt.json", lambda d: put("obj_id", 77)(d["1"][0]))
+    assert read_capture(folder).frame(1).mask is None
+    assert read_capture(folder).frame(0).mask is not None
+    edit(folder / "scene_gt.json", lambda d: d.pop("1") and None)
+    assert read_capture(folder).frame(1).mask is not None
