@@ -58,7 +58,8 @@ class Felt:
 
     reported_contacts and reported_rows: as the robot reports them. correction (4, 4) camera_from_camera: moves that to
     where it is, as far as known by now; `contacts`, `rows` and `patches` are moved. slack (m): what nothing has
-    corrected yet, in the sigmas of `rows`. reported_patches: of gels, those that touch something.
+    corrected yet, in the sigmas of `rows`. reported_patches: of gels, those that touch something. left_out: in words,
+    which sensors are not used and why.
     """
 
     reported_contacts: Contacts
@@ -66,6 +67,7 @@ class Felt:
     correction: Array
     slack: float = 0.0
     reported_patches: tuple[Patch, ...] = ()
+    left_out: tuple[str, ...] = ()
 
     @property
     def patches(self) -> tuple[Patch, ...]:
@@ -112,9 +114,11 @@ def feel(
 
     correction (4, 4) camera_from_camera: moves what the robot reports to where it is; None when nothing has told: a
     frame seen by a camera is then as uncertain as its calibration. region: ball around which the hand's own surface is
-    listed as space the object cannot be in; None lists none.
+    listed as space the object cannot be in; None lists none. Sensors that nothing places are left out, which the answer
+    says. Raises CaptureError for sensors that the hand does not have and readings that do not fit it.
     """
     settings, beliefs = settings or TouchSettings(), beliefs or Beliefs()
+    frame, left_out = placed(frame)
     readings, patches = readings_of(frame), patches_of(frame, settings.patches)
     reported = _reported(frame, readings, patches, settings).of_unknown_worth(beliefs.touch.unknown_sigma)
     with_hand = _has_hand(frame)
@@ -133,18 +137,39 @@ def feel(
     table = tables.stack(*parts)
     pressed = tuple(patch for patch in patches if len(patch))
     if correction is not None or frame.camera is None:
-        return Felt(reported, table, np.eye(4) if correction is None else correction, 0.0, pressed)
-    return Felt(reported, table, np.eye(4), _calibration_slack(table, beliefs.calibration), pressed)
+        return Felt(reported, table, np.eye(4) if correction is None else correction, 0.0, pressed, left_out)
+    return Felt(reported, table, np.eye(4), _calibration_slack(table, beliefs.calibration), pressed, left_out)
 
 
 def places_touched(frame: Frame, settings: TouchSettings | None = None) -> Array:
     """(n, 3) where a frame's contacts, wrenches, arrays and gels touch the object, camera frame, m, as the robot
-    reports it; one place a finger and kind of sensor at most. Sensors of a hand that nothing places touch nowhere.
+    reports it; one place a finger and kind of sensor at most. Sensors that nothing places touch nowhere.
     """
     settings = settings or TouchSettings()
-    if not _has_hand(frame):
-        return frame.contacts.moved(frame.camera_from_world).points
+    frame, _ = placed(frame)
     return _reported(frame, readings_of(frame), patches_of(frame, settings.patches), settings).points
+
+
+def placed(frame: Frame) -> tuple[Frame, tuple[str, ...]]:
+    """The frame without the wrenches, arrays and gels of which nothing tells where they are (there is no hand, or its
+    pose or joints are not known), and without wrenches of sensors whose surface nobody tells; and notes of these.
+    """
+    if not (frame.wrenches or frame.tactile or frame.gels):
+        return frame, ()
+    if frame.hand is None or frame.hand_lacks:
+        kinds = {"wrenches": frame.wrenches, "arrays": frame.tactile, "gels": frame.gels}
+        said = " and ".join(name for name, felt in kinds.items() if felt)
+        note = f"{said} are left out: no {frame.hand_lacks or 'hand'} known"
+        return replace(frame, wrenches=(), tactile={}, gels={}), (note,)
+    if frame.joints is None:  # a hand without any
+        frame = replace(frame, joints={})
+    sensors = frame.hand.sensors
+    bare = {one.sensor for one in frame.wrenches if one.sensor in sensors and sensors[one.sensor].surface is None}
+    if not bare:
+        return frame, ()
+    # what is in a wrist, say, and not in a fingertip
+    note = f"wrenches of {', '.join(sorted(bare))} are left out: no surface known to find contacts on"
+    return replace(frame, wrenches=tuple(one for one in frame.wrenches if one.sensor not in bare)), (note,)
 
 
 def _has_hand(frame: Frame) -> bool:

@@ -129,7 +129,8 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         first, how_sure = nothing.modes[0], settings.confidence
         near = within(model, first.pose, first.covariance, how_sure.tolerance, how_sure.felt.nearest)
         unlikely = doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility, len(looked.pixels))
-        notes = *nothing.notes, *unlikely, *_of_the_hand(frame), *model.filled, *asked.filled
+        unused = *felt.left_out, *_of_the_hand(frame)
+        notes = *nothing.notes, *unlikely, *unused, *model.filled, *asked.filled
         return replace(nothing, confidence=first.weight * near, sure_within=how_sure.tolerance, notes=notes)
 
     how, blur, might_be = settings.proposals, settings.proposals.blur(model), looked.pixels.points
@@ -283,6 +284,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
             *doubts(viewed, looked.hand, beliefs.calibration, settings.plausibility, len(looked.pixels)),
             *useless,
             *felt.untold,
+            *felt.left_out,
             *_of_the_hand(frame),
             *model.filled,
             *asked.filled,

@@ -20,6 +20,7 @@ from scenes.recordings.frames import Frame
 from touch.arrays.ranking import pattern_costs
 from touch.arrays.readings import readings_of
 from touch.arrays.rows import taxel_rows
+from touch.contacts import placed
 from vision.look.hand.hand import HandView
 from vision.sight import Sight
 
@@ -123,7 +124,7 @@ def beyond_rows(frame: Frame, model: ObjectModel, solved: list[JointResult], set
     """What to add to the costs (k,) of several solutions for what taxel arrays say beyond rows of evidence: the shape
     and the pressures of their patterns, in place of their taxels' rows.
     """
-    readings = readings_of(frame) if settings.patterns is not None and len(solved) > 1 else []
+    readings = readings_of(placed(frame)[0]) if settings.patterns is not None and len(solved) > 1 else []
     out = np.zeros(len(solved))
     for k, one in enumerate(solved if readings else ()):
         correction = one.correct()

@@ -54,7 +54,7 @@ from scenes.recordings.frames import Frame
 from scenes.threads import one_blas_thread
 from scenes.words import counted
 from touch.arrays.readings import readings_of
-from touch.contacts import Felt
+from touch.contacts import Felt, placed
 from touch.gels.slip import in_palm
 from vision.filling import as_measured
 from vision.look.looked import Looked
@@ -133,8 +133,7 @@ class Tracker:
         frame, unused = through_one_lens(frame, state, self.settings)
         frame, filled = as_measured(frame, self.settings.first.look.filling)
         if state.belief is None:
-            told = self._asked or frame.beliefs or Beliefs()
-            self._believe(believed_of(frame, told, self.settings.first.look.noise))
+            self._believe(believed_of(frame, self._asked or frame.beliefs or Beliefs(), self.settings.first.look.noise))
             answer = self._begin(frame)
             return replace(answer, notes=(*answer.notes, *unused, *filled))
         if self.live and self._aside is None:
@@ -152,7 +151,8 @@ class Tracker:
         if state.sure and answer.verdict != "ok":
             state.renewal.hurry(frame.index, self.settings.renewal)
         state.sure = answer.verdict == "ok"
-        return replace(answer, notes=(*answer.notes, *unused)) if unused else answer
+        unused = *unused, *placed(self._felt_frame(frame))[1]
+        return replace(answer, notes=tuple(dict.fromkeys((*answer.notes, *unused)))) if unused else answer
 
     # --- beginning, beginning again, and asking whether the beginning was right
 
@@ -376,7 +376,7 @@ class Tracker:
     def _skins(self, frame: Frame, felt: Felt) -> Watched:
         """Whether what presses arrays and gels has moved over them."""
         patches = in_palm(frame, felt.reported_patches) if felt.reported_patches else []
-        return self._watch.feel(readings_of(self._felt_frame(frame)), patches)
+        return self._watch.feel(readings_of(placed(self._felt_frame(frame))[0]), patches)
 
     def _middle(self, pose: Array) -> Array:
         return se3.apply(pose, self.model.centroid[None])[0]
