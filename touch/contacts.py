@@ -156,14 +156,15 @@ def placed(frame: Frame) -> tuple[Frame, tuple[str, ...]]:
     """
     if not (frame.wrenches or frame.tactile or frame.gels):
         return frame, ()
-    if frame.hand is None or frame.hand_lacks:
+    hand = frame.hand
+    if hand is None or frame.hand_lacks:
         kinds = {"wrenches": frame.wrenches, "arrays": frame.tactile, "gels": frame.gels}
         said = " and ".join(name for name, felt in kinds.items() if felt)
         note = f"{said} are left out: no {frame.hand_lacks or 'hand'} known"
         return replace(frame, wrenches=(), tactile={}, gels={}), (note,)
     if frame.joints is None:  # a hand without any
         frame = replace(frame, joints={})
-    sensors = frame.hand.sensors
+    sensors = hand.sensors
     bare = {one.sensor for one in frame.wrenches if one.sensor in sensors and sensors[one.sensor].surface is None}
     if not bare:
         return frame, ()

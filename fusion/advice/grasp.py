@@ -20,7 +20,7 @@ from scenes.errors import InputError
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts, Frame
-from touch.contacts import feel
+from touch.contacts import feel, placed
 from touch.grasp_quality import Quality, WrenchSettings, grasp_quality, margin, on_surface, primitive_wrenches
 
 Array = NDArray[np.float64]
@@ -129,7 +129,7 @@ class GraspAnswer:
     """One frame's grasp: quality at the estimate, over the posterior, and where another finger would help.
 
     sensors: of the contacts that count; left_out: of those that do not belong to the estimate. points, normals (n, 3):
-    those that count, on the surface, object frame. verdict: of the pose.
+    those that count, on the surface, object frame. verdict: of the pose. notes: in words, what is felt and not used.
     """
 
     frame: int
@@ -146,6 +146,7 @@ class GraspAnswer:
     samples: int
     places: tuple[Place, ...] = ()
     map: GraspMap | None = None
+    notes: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Its entry of grasp.json; volumes in N^6, torques divided by length_mm."""
@@ -171,6 +172,7 @@ class GraspAnswer:
                 for s, p, n in zip(self.sensors, self.points, self.normals)
             ],
             "left_out": list(self.left_out),
+            "notes": list(self.notes),
             "places": [place.to_json() for place in self.places],
         }
 
@@ -205,6 +207,7 @@ def assess(
         samples=len(sampled),
         places=places,
         map=map_,
+        notes=placed(frame)[1],
     )
 
 

@@ -66,13 +66,15 @@ def test_a_track_goes_on_without_them(felt, drill):
 
 
 def test_given_poses_and_grasps_are_judged_without_them(felt, drill):
-    frame, _ = felt
+    frame, kind = felt
     bare = replace(frame, joints=None)
     answer = estimate(bare, drill)
     for row in compare_frame(bare, Judge(drill), ("icp_touch", "fused")):
         assert np.isnan(row.agreement.contacts)
         assert np.isfinite(row.agreement.cloud)
-    assert not assess(drill, answer, bare).sensors
+    grasp = assess(drill, answer, bare)
+    assert not grasp.sensors
+    assert grasp.to_json()["notes"] == [f"{kind} are left out: no joints known"]
 
 
 def test_a_wrench_of_a_sensor_without_a_surface_is_no_contact(hand, drill):

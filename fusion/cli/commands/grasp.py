@@ -149,7 +149,7 @@ def _show(grasps: list[GraspAnswer]) -> None:
     show_table(heads, rows)
     for g in grasps:
         if not g.quality.closure:
-            say(f"frame {g.frame}: {g.quality.why}")
+            say("; ".join((f"frame {g.frame}: {g.quality.why}", *g.notes)))
         for place in g.places:
             x, y, z = (1e3 * place.point).round()
             finger = "" if place.finger is None else f"; nearest is {place.finger}"

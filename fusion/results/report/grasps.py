@@ -53,7 +53,7 @@ def _entry(grasp: GraspAnswer, model: ObjectModel, estimate: Estimate, vertices:
     out: dict[str, Any] = {
         "closure": quality.closure,
         "verdict": quality.verdict,
-        "why": quality.why,
+        "why": "; ".join((quality.why, *grasp.notes)),
         "rows": rows,
         "places": [_place(place, model, estimate.pose) for place in grasp.places],
         "map": None,
