@@ -78,7 +78,7 @@ class _Limit:
                 known = [(library, library.get_num_threads()) for library in libraries]
                 self._before = [(library, count) for library, count in known if count is not None and count != 1]
                 for library, _ in self._before:
-                    library.set_num_threads(1)
+                    _set_threads(library, 1)
             self._holding += 1
 
     def leave(self) -> None:
@@ -86,7 +86,17 @@ class _Limit:
             self._holding -= 1
             if not self._holding:
                 for library, count in self._before:
-                    library.set_num_threads(count)
+                    _set_threads(library, count)
+
+
+def _set_threads(library: LibController, count: int) -> None:
+    """Set how many threads a library has, whichever thread asks: of those that set the process's OpenBLAS, a newer
+    threadpoolctl listens to the first, and silently to no other while that lives.
+    """
+    anyone = getattr(library, "clear_controlling_thread", lambda force: None)
+    anyone(force=True)
+    library.set_num_threads(count)
+    anyone(force=True)  # nor does this one keep others from it
 
 
 _limit = _Limit()

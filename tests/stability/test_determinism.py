@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -55,3 +56,13 @@ def test_an_estimate_repeats_and_leaves_its_input_alone(lab_frame, drill):
     assert np.array_equal(lab_frame.depth, depth)
     assert np.array_equal(lab_frame.prior, prior)
     assert np.array_equal(lab_frame.contacts.points, points)
+
+
+def test_an_estimate_is_the_same_in_whatever_thread_it_is_made(lab_frame, drill):
+    here = estimate(lab_frame, drill, seed=1)
+    with ThreadPoolExecutor(2) as pool:
+        others = [asked.result(60.0) for asked in [pool.submit(estimate, lab_frame, drill, seed=1) for _ in range(3)]]
+    for other in others:
+        assert np.array_equal(other.pose, here.pose)
+        assert np.array_equal(other.covariance, here.covariance)
+        assert other.confidence == here.confidence
