@@ -16,6 +16,7 @@ one text of JSON; the only classes that are made are those of the packages below
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import io
 import json
@@ -31,6 +32,7 @@ from numpy.typing import NDArray
 
 from fusion.tracking.tracker import Tracker
 from scenes.errors import InputError
+from scenes.geometry.objects import ObjectModel
 from scenes.robot.hands import Hand
 from vision.look.warm import Looker
 
@@ -48,7 +50,8 @@ _PLAIN = (type(None), bool, int, float, str)
 def save_tracker(tracker: Tracker, hand: Hand | None = None) -> bytes:
     """The tracker's state. hand: that of its frames, when they have one. Raises InputError for what cannot be kept."""
     writer = _Writer({"model": tracker.model, "hand": hand})
-    state = {"format": FORMAT, "version": VERSION, "tracker": writer.object(tracker, "tracker")}
+    kept = {"format": FORMAT, "version": VERSION, "model": _shape_of(tracker.model)}
+    state = {**kept, "tracker": writer.object(tracker, "tracker")}
     text = np.frombuffer(json.dumps(state).encode(), dtype=np.uint8)
     out = io.BytesIO()
     np.savez(out, allow_pickle=False, state=text, **{f"a{i}": array for i, array in enumerate(writer.arrays)})
@@ -57,8 +60,11 @@ def save_tracker(tracker: Tracker, hand: Hand | None = None) -> bytes:
 
 def restore_tracker(tracker: Tracker, content: bytes, hand: Hand | None = None) -> None:
     """Make `tracker`, new and with the same model, the one that was saved. Raises InputError for bytes that are none,
-    and for those of a palpate whose trackers have other attributes; the tracker is then as it was.
+    for those of another object, and for those of a palpate whose trackers have other attributes; the tracker is then as
+    it was.
     """
+    if not isinstance(content, bytes | bytearray | memoryview):
+        raise InputError(f"a tracker's state: expected the bytes of save_tracker, got {type(content).__name__}")
     if not zipfile.is_zipfile(io.BytesIO(content)):  # NumPy would advise to unpickle it
         raise InputError(f"a tracker's state: expected what save_tracker wrote, got {len(content)} other bytes")
     try:
@@ -66,6 +72,8 @@ def restore_tracker(tracker: Tracker, content: bytes, hand: Hand | None = None) 
             state = json.loads(file["state"].tobytes())
             if not isinstance(state, dict) or (state.get("format"), state.get("version")) != (FORMAT, VERSION):
                 raise InputError(f"expected {FORMAT} version {VERSION}")
+            if state.get("model") not in (None, _shape_of(tracker.model)):
+                raise InputError(f"expected that of a track of {tracker.model.name}, got one of another mesh")
             arrays = {name: file[name] for name in file.files}
         made = _Reader({"model": tracker.model, "hand": hand}, arrays).value(state["tracker"])
     except InputError as error:
@@ -79,6 +87,12 @@ def restore_tracker(tracker: Tracker, content: bytes, hand: Hand | None = None) 
         raise InputError(f"a tracker's state: expected {lacks[0]}, found none: another version of palpate wrote it")
     vars(tracker).clear()
     vars(tracker).update(vars(made))
+
+
+def _shape_of(model: ObjectModel) -> str:
+    """What tells an object's mesh from others."""
+    parts = np.ascontiguousarray(model.vertices), np.ascontiguousarray(model.faces)
+    return hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest()
 
 
 def plain_state(value: Any) -> Any:

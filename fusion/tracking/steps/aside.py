@@ -53,6 +53,10 @@ class Aside:
         self._worker = worker or ThreadPoolExecutor(1, thread_name_prefix="palpate-search")
         self._asked: _Asked | None = None
 
+    def __reduce__(self) -> tuple[type, tuple]:
+        """None where a tracker is copied or pickled, which makes its own when it needs one: no thread can be."""
+        return type(None), ()
+
     @property
     def ready(self) -> str:
         """What the search was for that has ended and was not asked about since; "" where there is none."""

@@ -1,5 +1,6 @@
 """A tracker's state is all of it, survives as bytes, and is refused when it is not."""
 
+import pickle
 from collections import deque
 from dataclasses import dataclass, field, replace
 
@@ -122,6 +123,29 @@ def test_bytes_of_something_else_are_refused(capture, followed):
         with pytest.raises(InputError, match="a tracker's state: "):
             restore_tracker(tracker, bad)
     assert set(vars(tracker)) == before
+    for bad in (None, "text"):
+        with pytest.raises(InputError, match=r"expected the bytes of save_tracker, got (NoneType|str)"):
+            restore_tracker(tracker, bad)
+
+
+def test_a_track_of_another_object_is_refused(capture, followed):
+    from scenes.synthesis.library import make
+
+    tracker = Tracker(make("mug"))
+    before = dict(vars(tracker))
+    with pytest.raises(InputError, match="a tracker's state: expected that of a track of mug, got one of another mesh"):
+        restore_tracker(tracker, save_tracker(followed, capture.hand), capture.hand)
+    assert vars(tracker) == before
+
+
+def test_a_live_tracker_is_pickled_without_its_thread(capture):
+    tracker = Tracker(capture.model, live=True)
+    for index in range(3):
+        tracker.step(capture[index])
+    assert tracker._aside is not None
+    again = pickle.loads(pickle.dumps(tracker))
+    assert again._aside is None
+    assert again.step(capture[3]).how == "tracked"
 
 
 def test_settings_are_alike_when_they_are():

@@ -48,3 +48,10 @@ def test_another_camera_is_believed_when_it_stays():
     assert noted == [True] * SETTINGS.other_lens + [False] * (8 - SETTINGS.other_lens)
     bare = replace(frame(9.0), depth=None)
     assert through_one_lens(bare, state, SETTINGS) == (bare, ())
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint32, np.int64])
+def test_numbers_of_fixed_size_count_as_all_do(kind):
+    told = through_one_lens(replace(frame(), index=kind(7)), TrackState(), SETTINGS)[0]
+    assert type(told.index) is int
+    assert told.index == 7
