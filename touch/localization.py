@@ -9,7 +9,7 @@ from importlib import import_module
 import numpy as np
 
 from scenes.errors import InputError, unknown
-from scenes.evidence.align import Prior
+from scenes.evidence.align import Prior, check_prior
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -55,13 +55,15 @@ def localize(
     frame (regions felt to be empty, links). prior: a Gaussian on the pose; local methods start at its mean.
     method: one of METHODS; settings are those of the default. sure_within (m): the answer's confidence is the
     probability that its ADD-S is below; default 5 mm. Whatever the method, what is drawn from the posterior tells.
-    Raises InputError for no contacts, or a sure_within that is not above 0.
+    Raises InputError for no contacts, a prior that is no Gaussian, or a sure_within that is not above 0.
     """
     if method not in METHODS:
         raise unknown("method", method, METHODS)
     check_is_model(model)
     check_are_contacts(contacts)
     check_seed(seed)
+    if prior is not None:
+        check_prior(prior)
     if len(contacts) == 0:
         raise InputError("localize: expected at least one contact, got none")
     if settings is not None and method != "multistart":

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fusion.estimation.settings import EstimateSettings
 from scenes.errors import InputError
-from scenes.evidence.align import Prior
+from scenes.evidence.align import Prior, check_prior
 from scenes.geometry import poses as se3
 from scenes.recordings.beliefs import Beliefs, usual_beliefs
 from scenes.recordings.frames import Frame
@@ -107,7 +107,10 @@ def _is_number(value: object) -> bool:
 
 
 def as_prior(prior: Array | Prior | None, settings: EstimateSettings) -> Prior | None:
-    """A Gaussian on the pose from what the caller gave."""
+    """A Gaussian on the pose from what the caller gave. Raises InputError for what is none."""
     if prior is None or isinstance(prior, Prior):
-        return prior
-    return Prior.isotropic(se3.check_pose(prior, "prior"), settings.prior_angle, settings.prior_distance)
+        return prior if prior is None else check_prior(prior)
+    pose = se3.check_pose(prior, "prior")
+    if pose.ndim != 2:
+        raise InputError(f"prior: expected one 4x4 transform, got {len(pose)}")
+    return Prior.isotropic(pose, settings.prior_angle, settings.prior_distance)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scenes.errors import InputError
 from scenes.evidence import kernels, solver_kernels
 from scenes.evidence.table import COLUMNS, Evidence
+from scenes.geometry import poses as se3
 from scenes.geometry import rotation_kernels
 from scenes.geometry.objects import ObjectModel
 from scenes.threads import run_chunks
@@ -22,6 +23,8 @@ Array = NDArray[np.float64]
 COARSE = 1.5
 # A prior that says nothing, as the kernels take it.
 NO_PRIOR = np.eye(3), np.zeros(3), np.zeros((6, 6))
+# How far (shares of the largest entry) an information may be from symmetric, and below 0: it is a rounded inverse.
+INEXACT = 1e-4
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,27 @@ class Prior:
     def _known(self) -> list[Any]:
         """The centroid of the object last asked for, and what was told."""
         return []
+
+
+def check_prior(prior: object) -> Prior:
+    """The prior itself. Raises InputError for what is no Prior, a pose that is not rigid, and an information that is
+    not six by six, finite, symmetric and positive semidefinite: no Gaussian has another.
+    """
+    if not isinstance(prior, Prior):
+        raise InputError(f"prior: expected Prior (Prior.isotropic(pose, rad, m)), got {type(prior).__name__}")
+    information = prior.checked[2]
+    se3.check_pose(prior.pose, "prior")
+    # angles and lengths differ by orders of magnitude: each in its own unit
+    told = np.abs(np.diag(information))
+    most = np.repeat(np.maximum(told.reshape(2, 3).max(axis=1), 1e-300), 3)
+    scale = np.sqrt(np.maximum(told, INEXACT * most))
+    scaled = information / scale / scale[:, None]
+    largest = float(np.abs(scaled).max())
+    if float(np.abs(scaled - scaled.T).max()) > INEXACT * largest:
+        raise InputError("prior: expected a symmetric information (6, 6), got one that is not")
+    if float(np.linalg.eigvalsh(scaled)[0]) < -INEXACT * largest:
+        raise InputError("prior: expected an information (6, 6) that is negative nowhere, got one that is")
+    return prior
 
 
 @dataclass(frozen=True)

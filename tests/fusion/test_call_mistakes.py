@@ -11,7 +11,9 @@ from made_frames import plain_view
 from fusion import Tracker, estimate
 from fusion.tracking.checkpoint import restore_tracker
 from scenes.errors import CaptureError, InputError
+from scenes.evidence.align import Prior
 from scenes.formats.bop.scene import Choice, convert
+from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.captures import read_capture, write_capture
@@ -87,3 +89,40 @@ def test_a_folder_of_captures_says_so(tmp_path):
     write_capture(tmp_path / "all/one", [replace(plain_view("box"), prior=None)], make("box"))
     with pytest.raises(CaptureError, match=r"found no capture.json: a capture in it is .*all/one$"):
         read_capture(tmp_path / "all")
+
+
+@pytest.mark.parametrize(
+    ("information", "told"),
+    [
+        (np.full((6, 6), np.nan), "expected a finite pose"),
+        (np.diag([np.inf] * 6), "expected a finite pose"),
+        (np.eye(3), r"expected a finite pose \(4, 4\) and information \(6, 6\)"),
+        (np.triu(np.ones((6, 6))), "expected a symmetric information"),
+        (np.diag([1.0, 1.0, 1.0, 1e4, 1e4, -1e2]), "negative nowhere"),
+    ],
+    ids=["nan", "infinite", "small", "not symmetric", "negative"],
+)
+def test_a_prior_is_a_gaussian(information, told):
+    frame, model = plain_view("drill"), make("drill")
+    prior = Prior(frame.prior, information)
+    asking = (
+        lambda: estimate(frame, model, prior),
+        lambda: Tracker(model, prior),
+        lambda: localize(model, frame.contacts, prior=prior),
+    )
+    for call in asking:
+        with pytest.raises(InputError, match=f"prior: .*{told}"):
+            call()
+
+
+def test_priors_of_another_kind():
+    frame, model = plain_view("drill"), make("drill")
+    with pytest.raises(InputError, match=r"prior: expected Prior .*, got ndarray"):
+        localize(model, frame.contacts, prior=frame.prior)
+    with pytest.raises(InputError, match="prior: expected one 4x4 transform, got 2"):
+        estimate(frame, model, np.stack([frame.prior, frame.prior]))
+    # one that leaves directions open, and one that is rounded, are Gaussians
+    open_about_z = np.diag([1e3, 1e3, 0.0, 1e6, 1e6, 1e6])
+    assert estimate(frame, model, Prior(frame.prior, open_about_z)).verdict == "ok"
+    wide = poses.adjoint(frame.prior) @ np.diag([0.04, 0.04, 0.04, 1e-5, 1e-5, 1e-5]) @ poses.adjoint(frame.prior).T
+    assert estimate(frame, model, Prior(frame.prior, np.linalg.inv(wide))).verdict == "ok"
