@@ -236,7 +236,9 @@ class _FrameBuilder:
     def _contacts(self, contacts: Any, estimate: Estimate, centre: Array) -> list[Json]:
         """One entry a contact of the frame, then the residuals that no recorded contact belongs to (from wrenches)."""
         out: list[Json] = []
-        paired = len(estimate.contacts) == len(contacts)
+        # an estimate lists the recorded contacts first, then those of other sensors
+        told = tuple(residual.sensor for residual in estimate.contacts[: len(contacts)])
+        paired = told == tuple(contacts.sensors)
         for row in range(len(contacts)):
             normal = contacts.normals[row]
             residual = estimate.contacts[row] if paired else None
@@ -250,19 +252,17 @@ class _FrameBuilder:
                     "outlier": bool(residual.outlier) if residual else False,
                 }
             )
-        if not paired:
-            out += [
-                {
-                    "sensor": residual.sensor,
-                    "p": None,
-                    "n": None,
-                    "mm": rounded(residual.residual_mm, 2),
-                    "deg": rounded(residual.normal_deg, 1),
-                    "outlier": bool(residual.outlier),
-                }
-                for residual in estimate.contacts
-            ]
-        return out
+        return out + [
+            {
+                "sensor": residual.sensor,
+                "p": None,
+                "n": None,
+                "mm": rounded(residual.residual_mm, 2),
+                "deg": rounded(residual.normal_deg, 1),
+                "outlier": bool(residual.outlier),
+            }
+            for residual in estimate.contacts[len(contacts) if paired else 0 :]
+        ]
 
     def _next(self, frame: Frame, estimate: Estimate, touches: Sequence[NextTouch] | None, centre: Array) -> list[Json]:
         """Where one more contact would tell most: place and normal in the picture's frame, and the same in words."""

@@ -215,6 +215,16 @@ class TestData:
         assert entry["contacts"][0]["mm"] is None
         assert "Position error" not in {n["label"] for n in entry["numbers"]}
 
+    def test_contacts_of_other_sensors_stand_beside_the_recorded_ones(self, ring, renderer):
+        frame = make_frame(ring, renderer)
+        recorded = make_estimate(frame).contacts
+        pushed = ContactResidual("ring_finger", 1.5, 2.0, True)
+        entry = report_data("c", [frame], ring, [make_estimate(frame, contacts=(*recorded, pushed))])["frames"][0]
+        assert [one["sensor"] for one in entry["contacts"]] == ["thumb", "index", "middle", "ring_finger"]
+        assert [one["mm"] for one in entry["contacts"]] == [0.4, 0.4, 0.4, 1.5]
+        assert [one["outlier"] for one in entry["contacts"]] == [False, True, False, True]
+        assert entry["contacts"][3]["p"] is None
+
     def test_a_lost_pose_of_nan_makes_a_page(self, ring, renderer):
         frame = make_frame(ring, renderer)
         lost = make_estimate(frame, "lost", pose=np.full((4, 4), np.nan), covariance=np.full((6, 6), np.nan))
