@@ -1,0 +1,58 @@
+"""Where the object may be, by all that was sensed: the search from starts and proposals, and what a print says of it.
+
+The step between sensing and solving for shared errors. Camera frame, metres, radians.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation.asked import Asked
+from fusion.estimation.search.modes import Found, find_modes
+from fusion.estimation.search.proposals import search_stages, starts_of
+from fusion.estimation.search.sources import modes_anywhere, modes_near
+from fusion.estimation.steps.facing import Faced, Facing, faced, why_no_print
+from fusion.estimation.steps.sense import Sensed
+from fusion.estimation.trace import Trace
+from scenes.words import counted
+
+Array = NDArray[np.float64]
+
+
+def searched(sensed: Sensed, asked: Asked, trace: Trace) -> Faced:
+    """The modes that rows and picture leave, the likeliest first, each the way round that its print has it."""
+    found = _found(sensed, asked, trace)
+    why_not = why_no_print(sensed, asked.settings.texture)
+    out = Faced(found, np.zeros(0), asked, sensed, Facing(why=why_not))
+    with trace.stage("print", not why_not, why_not) as stage:
+        if not why_not:
+            out = faced(sensed, found, asked)
+            stage.note(out.facing.pixels, out.facing.why)
+    return out
+
+
+def _found(sensed: Sensed, asked: Asked, trace: Trace) -> Found:
+    settings, pool, felt, rows = asked.settings, sensed.pool, sensed.felt, sensed.rows
+    model, costs, believed = pool.model, sensed.sight.costs, asked.prior
+    how, blur = settings.proposals, settings.proposals.blur(model)
+    with trace.stage("search", True, "") as stage:
+        starts: list[Array] = []
+
+        def begun() -> Array:
+            pixels, contacts = pool.seen(), felt.contacts
+            starts.append(starts_of(model, believed, pixels, contacts, rows, costs, how, pool.rng, felt.patches))
+            return starts[0]
+
+        wide = search_stages(blur, how.wide if sensed.contacts else how.sifted)
+        if believed is not None:
+            near = search_stages(blur, how.near)
+            found = modes_near(pool, rows, sensed.seen, begun(), near, settings.plan, trace)
+        elif pool.predictor.sees:
+            found = modes_anywhere(pool, rows, begun, wide, settings.plan, trace)
+        else:
+            found = find_modes(model, rows, begun(), wide, None, costs, settings.plan, settings.modes)
+        gels = f", by {counted(len(felt.patches), 'gel')} too" if felt.patches and believed is None else ""
+        tried = f"{found.looked_at} of {len(starts[0])} starts{gels}" if starts else "pairs of pixels"
+        stage.note(len(rows), f"{tried}, blur {1e3 * blur:.1f} mm; {found.why}")
+    return found
