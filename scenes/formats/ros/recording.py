@@ -15,7 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError
-from scenes.formats.conversion import Converted, Dropped, at_least_one, check_undistorted
+from scenes.formats.conversion import (
+    Converted,
+    Dropped,
+    at_least_one,
+    check_undistorted,
+    gaps_of,
+    numbers_in_time,
+    period_of,
+)
 from scenes.formats.ros.bag import Bag, frame_id, open_bag, stamp_ns
 from scenes.formats.ros.pixels import IMAGES, Plan, Scale, whole_frames
 from scenes.formats.ros.streams import (
@@ -67,9 +75,9 @@ class _Recording:
 def convert(path: Path, out: Path, topics: TopicMap, model: ObjectModel | None = None) -> Converted:
     """Write the bag as a capture; model: instead of the map's object.
 
-    Frames are numbered from 0 in the order of their stamps, which are kept in the notes. Raises PalpateError, one line,
-    for a damaged bag, a topic that is not there, a type or encoding that a role cannot be read from, numbers that are
-    not finite, a frame that TF does not know.
+    Frames are numbered from 0 by their stamps, in periods of the depth camera; the stamps are kept in the notes. Raises
+    PalpateError, one line, for a damaged bag, a topic that is not there, a type or encoding that a role cannot be read
+    from, numbers that are not finite, a frame that TF does not know.
     """
     if model is None:
         if topics.mesh is None:
@@ -83,6 +91,9 @@ def convert(path: Path, out: Path, topics: TopicMap, model: ObjectModel | None =
         _check_topics(bag, topics)
         recording = _read(bag, topics, dropped)
         plans = _plan(path, topics, recording, dropped, missing)
+        period = period_of(recording.streams[topics.of_role("depth")[0].name].stamps)
+        for plan, number in zip(plans, numbers_in_time([plan.stamp for plan in plans], period)):
+            plan.frame = replace(plan.frame, index=number)
         scale = Scale(topics.of_role("depth")[0].options.get("depth_scale"))
         whole = whole_frames(bag, topics, plans, scale, dropped)
         frames = (replace(frame, beliefs=topics.beliefs) for frame in whole)
@@ -99,7 +110,8 @@ def convert(path: Path, out: Path, topics: TopicMap, model: ObjectModel | None =
         )
     near = f"{1e3 * topics.tolerance_s:g} ms"
     remarks = [f"{n} of {len(plans)} frames without {what} within {near}" for what, n in missing.items()]
-    return Converted((written,), len(plans), dropped, (*remarks, *_silent_joints(recording)))
+    remarks += [*_silent_joints(recording), *gaps_of([plan.frame.index for plan in plans], period)]
+    return Converted((written,), len(plans), dropped, tuple(remarks))
 
 
 def _silent_joints(recording: _Recording) -> list[str]:
@@ -199,7 +211,7 @@ def _intrinsics(topic: Topic, message: Any) -> tuple[Array, int, int]:
 
 
 def _plan(path: Path, topics: TopicMap, recording: _Recording, dropped: Dropped, missing: Counter[str]) -> list[Plan]:
-    """The frames that the depth images make, with everything but their pixels, in time order."""
+    """The frames that the depth images make, with everything but their pixels, in time order and counted."""
     tolerance = recording.tree.tolerance_ns
     near = f"{1e3 * topics.tolerance_s:g} ms"
     depth = recording.streams[topics.of_role("depth")[0].name]
