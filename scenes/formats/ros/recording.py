@@ -110,6 +110,7 @@ def convert(path: Path, out: Path, topics: TopicMap, model: ObjectModel | None =
         )
     near = f"{1e3 * topics.tolerance_s:g} ms"
     remarks = [f"{n} of {len(plans)} frames without {what} within {near}" for what, n in missing.items()]
+    remarks += scale.remarks(topics.of_role("depth")[0].name)
     remarks += [*_silent_joints(recording), *gaps_of([plan.frame.index for plan in plans], period)]
     return Converted((written,), len(plans), dropped, tuple(remarks))
 
@@ -188,8 +189,10 @@ def _value(topic: Topic, message: Any, hand: Hand | None, dropped: Dropped) -> A
     return contacts_of(topic, message, dropped)
 
 
-def _intrinsics(topic: Topic, message: Any) -> tuple[Array, int, int]:
-    """K (3, 3), width, height of a CameraInfo (ROS 1 writes its fields in capitals)."""
+def _intrinsics(topic: Topic, message: Any) -> tuple[Array, int, int, str]:
+    """K (3, 3), width, height of the images of a CameraInfo (ROS 1 writes its fields in capitals), and how they were
+    made of the full image: K and P are of that, the region counts in its pixels and is then binned.
+    """
 
     def of(name: str) -> Array:
         return np.asarray(getattr(message, name, getattr(message, name.upper(), ())), dtype=np.float64)
@@ -204,7 +207,26 @@ def _intrinsics(topic: Topic, message: Any) -> tuple[Array, int, int]:
         entry = bop.camera_entry({"cam_K": matrix.ravel().tolist()})
     except InputError as error:
         raise CaptureError(f"{topic.name}: {error}") from error
-    return entry.matrix, int(message.width), int(message.height)
+    return _as_sent(topic, message, entry.matrix)
+
+
+def _as_sent(topic: Topic, message: Any, full: Array) -> tuple[Array, int, int, str]:
+    """The K (3, 3) of the full image, its width and height, as the images have them, as image_geometry has it."""
+    width, height = int(message.width), int(message.height)
+    x, y = int(message.roi.x_offset), int(message.roi.y_offset)
+    # zeros stand for the full image, and for no binning
+    across, down = int(message.roi.width) or width - x, int(message.roi.height) or height - y
+    bins = max(1, int(message.binning_x)), max(1, int(message.binning_y))
+    if across < bins[0] or down < bins[1] or x + across > width or y + down > height:
+        region = f"{across}x{down} at {x}, {y}, binned {bins[0]}x{bins[1]}"
+        raise CaptureError(f"{topic.name}: expected a region of the {width}x{height} pixels, got {region}")
+    if (x, y, across, down, *bins) == (0, 0, width, height, 1, 1):
+        return full, width, height, ""
+    matrix = full.copy()
+    matrix[:2, 2] -= x, y
+    matrix[:2] /= np.array(bins, dtype=np.float64)[:, None]
+    cut = f" ({width}x{height}, of which {across}x{down} at {x}, {y}, binned {bins[0]}x{bins[1]})"
+    return matrix, across // bins[0], down // bins[1], cut
 
 
 # ---- which messages make a frame
@@ -263,15 +285,16 @@ def _plan(path: Path, topics: TopicMap, recording: _Recording, dropped: Dropped,
         missing.update(absent)
         if recording.hand is not None and known["joints"] is None:
             known["world_from_hand"] = None  # a hand whose fingers may be anywhere says nothing
+        camera, cut = _camera(topics, recording, stamp)
         frame = Frame(
             index=len(plans),
             where=f"{path}, image at {stamp / 1e9:.3f} s",
-            camera=_camera(topics, recording, stamp),
+            camera=camera,
             camera_from_world=camera_from_world if topics.world != "camera" else np.eye(4),
             hand=recording.hand,
             **known,
         )
-        plans.append(Plan(frame, stamp, images))
+        plans.append(Plan(frame, stamp, images, cut))
     _count_unused(topics, recording, dropped, near)
     return plans
 
@@ -343,19 +366,20 @@ def _absent(topics: TopicMap, known: dict[str, Any], images: dict[str, int]) -> 
     return [role for role, there in have.items() if not there and (topics.of_role(role) or role in topics.frames)]
 
 
-def _camera(topics: TopicMap, recording: _Recording, stamp: int) -> Camera:
+def _camera(topics: TopicMap, recording: _Recording, stamp: int) -> tuple[Camera, str]:
+    """The camera of the depth image, and how its image was made of a larger one."""
     if topics.intrinsics is not None:
         depth = recording.streams[topics.of_role("depth")[0].name]
         width, height = recording.sizes[depth.topic.name]
         fx, fy, cx, cy = topics.intrinsics
-        return Camera(fx, fy, cx, cy, width, height)
+        return Camera(fx, fy, cx, cy, width, height), ""
     topic = topics.of_role("camera_info")[0]
     stream = recording.streams[topic.name]
     at = stream.nearest(stamp, None)
     if at is None:
         raise CaptureError(f"{topic.name}: expected a camera_info, got no message")
-    matrix, width, height = stream.values[at]
-    return Camera.from_matrix(matrix, width, height)
+    matrix, width, height, cut = stream.values[at]
+    return Camera.from_matrix(matrix, width, height), cut
 
 
 def _count_unused(topics: TopicMap, recording: _Recording, dropped: Dropped, near: str) -> None:
