@@ -357,7 +357,10 @@ def _result_poses(path: Path, capture: Capture) -> dict[int, Any]:
 
 
 def _stamps(capture: Capture, fps: float | None) -> dict[int, int]:
-    """Nanoseconds by frame: what the recording said, else frames at `fps` from 0, which is said unless asked for."""
+    """Nanoseconds by frame: what the recording said, else frames at `fps` from 0, which is said unless asked for.
+
+    Raises InputError for a rate beside the recording's own times: who gives it believes that it does something.
+    """
     from scenes.errors import InputError
     from scenes.recordings.manifest import frame_stamps
 
@@ -368,6 +371,9 @@ def _stamps(capture: Capture, fps: float | None) -> dict[int, int]:
         said = frame_stamps(capture.manifest.notes, capture.frame_ids)
     except InputError as error:
         raise InputError(f"{capture.path / 'capture.json'}: {error}") from error
+    if said is not None and fps is not None:
+        where = f"{capture.path / 'capture.json'}, which has them (stamps_ns)"
+        raise InputError(f"--fps: expected a recording without times, got {where}: leave it out")
     if said is not None:
         return said
     if fps is None:
