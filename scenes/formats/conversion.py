@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, PalpateError
-from scenes.files.whole import draft_folder
+from scenes.files.whole import draft_folder, followed
 from scenes.recordings.frames import Frame
 from scenes.words import counted
 
@@ -147,6 +147,7 @@ def new_folder(out: Path) -> Iterator[Path]:
         raise CaptureError(f"{out}: expected a new or empty folder to write to, found {found}")
     with draft_folder(out) as partial:
         yield partial
-        if out.is_dir():
-            out.rmdir()
-        partial.rename(out)
+        target = followed(out)
+        if target.is_dir():
+            target.rmdir()
+        partial.rename(target)
