@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import os
 import time
@@ -14,6 +13,7 @@ from typing import Any
 
 from fusion.advice.next_touch import next_touches
 from fusion.results.files import answer_of, frame_errors
+from fusion.results.runs import reporting
 from fusion.results.track.checkpoints import CHECKPOINT, Checkpoint
 from fusion.results.track.files import FRAMES, REPORT_FOLDER, TIMES, GrowingFiles, lines
 from fusion.results.track.pictures import Photographer
@@ -164,14 +164,14 @@ class TrackRun:
 
     def _sight(self, number: int) -> str:
         """What the recording's frame of that number shows, without what is broken of it."""
-        with _reporting(self.capture, lambda problem: None):
+        with reporting(self.capture, lambda problem: None):
             return _what_it_shows(self.capture.frame(number))
 
     def _look_before(self, in_real_time: bool) -> None:
         """Whether the first frame can be what it says. Where a clock will run it is rehearsed, too: times should tell
         of frames. Otherwise no frame is searched twice.
         """
-        with _reporting(self.capture, refuse):
+        with reporting(self.capture, refuse):
             first = self._prepare(self.capture[0], self.model)
         check_scale(first, self.model)
         if in_real_time:
@@ -229,11 +229,11 @@ class TrackRun:
         A coarse start that was asked for is for the beginning, however many frames it takes; a track goes on by itself.
         """
         if not self.done:
-            with _reporting(self.capture, refuse):
+            with reporting(self.capture, refuse):
                 return self._prepare(self.capture.frame(number), self.model), ()
         found: list[Problem] = []
         try:
-            with _reporting(self.capture, found.append):
+            with reporting(self.capture, found.append):
                 frame = self.capture.frame(number)
         except PalpateError as error:
             return None, (str(error),)
@@ -268,17 +268,6 @@ def asked_for(
         "settings": digest(settings or TrackSettings()),
         "beliefs": digest(beliefs),
     }
-
-
-@contextlib.contextmanager
-def _reporting(capture: Capture, report: Callable[[Problem], None]) -> Iterator[None]:
-    """Whoever hears of what is wrong with a frame's files."""
-    before = capture.report
-    capture.report = report
-    try:
-        yield
-    finally:
-        capture.report = before
 
 
 def _claim(out: Path) -> int:
