@@ -70,7 +70,8 @@ def close(
     if not np.isfinite(vertices[used]).all():
         raise MeshError(f"{name}: expected finite vertices, got NaN or infinity")
     extent = np.ptp(vertices[used], axis=0)
-    diameter = float(np.linalg.norm(extent))
+    with np.errstate(over="ignore"):
+        diameter = float(np.linalg.norm(extent))
     if diameter <= 0 or extent.min() < 1e-5 * diameter:
         raise MeshError(
             f"{name}: expected a solid, got a flat mesh of extent {extent[0]:.3g} x {extent[1]:.3g} x {extent[2]:.3g}"
