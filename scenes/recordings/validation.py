@@ -101,9 +101,9 @@ def validate(
     if nowhere and capture.frame_ids:
         message = f"expected the hand's {NOWHERE} in a frame at least, found none: the hand is left out"
         problems.append(Problem(str(capture.path / "hand_poses.csv"), None, message))
-    for several in (*doubted.values(), _other_objects(capture)) if doubts is not None else ():
-        for first in several[:1]:
-            more = f" ({counted(len(several) - 1, 'more frame')} alike)" if len(several) > 1 else ""
+    if doubts is not None:
+        for first, *alike in filter(None, (*doubted.values(), _other_objects(capture))):
+            more = f" ({counted(len(alike), 'more frame')} alike)" if alike else ""
             doubts(Problem(first.file, first.frame, first.message + more))
     return list(dict.fromkeys(problems))
 
