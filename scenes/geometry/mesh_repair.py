@@ -114,12 +114,13 @@ def close(
             )
         mended.append(f"{counted(holes, 'hole')} {FILLED} ({share:.1%} of the surface)")
     bodies = mesh.split(only_watertight=False, repair=False) if mesh.body_count > 1 else [mesh]
-    if mesh.volume < 0 or any(b.volume < 0 and _outermost(b, bodies) for b in bodies):
-        if len(bodies) > 1:
-            trimesh.repair.fix_inversion(mesh, multibody=True)
-        else:
-            mesh.invert()
-        mended.append("inside-out surface turned outwards")
+    with np.errstate(divide="ignore", invalid="ignore"):  # trimesh divides by the volume of what has none
+        if mesh.volume < 0 or any(b.volume < 0 and _outermost(b, bodies) for b in bodies):
+            if len(bodies) > 1:
+                trimesh.repair.fix_inversion(mesh, multibody=True)
+            else:
+                mesh.invert()
+            mended.append("inside-out surface turned outwards")
     if not mesh.volume > 1e-9 * diameter**3:
         raise MeshError(
             f"{name}: expected a solid, got a mesh of volume {mesh.volume:.3g} for a diameter of {diameter:.3g}"
