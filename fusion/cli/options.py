@@ -10,6 +10,7 @@ import errno
 import json
 import logging
 import math
+import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -279,17 +280,24 @@ def number(value: float | None, digits: int = 2) -> str:
 
 def check_target(path: Path | None) -> None:
     """Make the folder of a file to write, or raise OSError: before the work, not after it."""
+    from scenes.files.whole import followed, is_stream
+
     if path is None:
         return
-    check_folder(path.parent)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    if is_stream(path):  # opening a pipe would wait for its reader, and closing it would end what that reads
+        if not os.access(path, os.W_OK):
+            raise PermissionError(errno.EACCES, "cannot be written", str(path))
+        return
+    folder = followed(path).parent
+    check_folder(folder)
+    folder.mkdir(parents=True, exist_ok=True)
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, "expected a file to write, found a folder", str(path))
     try:
         if path.exists():
             path.open("ab").close()
         else:
-            _try_writing(path.parent)
+            _try_writing(folder)
     except OSError as error:
         raise PermissionError(errno.EACCES, "cannot be written", str(path)) from error
 

@@ -9,6 +9,7 @@ import logging
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ from scenes.errors import InputError, unknown
 if TYPE_CHECKING:
     from fusion.estimation.answer import Estimate
     from fusion.estimation.settings import EstimateSettings
+    from scenes.files.problems import Report
     from scenes.geometry.objects import ObjectModel
     from scenes.recordings.captures import Capture
     from scenes.recordings.frames import Frame
@@ -58,6 +60,17 @@ def load_object(name: str, unit: str = "m") -> ObjectModel:
     if not Path(name).exists():
         raise unknown("object", name, known, "a mesh file or one of")
     return ObjectModel.load(name, unit=unit)
+
+
+@contextmanager
+def reporting(capture: Capture, report: Report) -> Iterator[None]:
+    """Meanwhile `report` hears of what is wrong with the files of the capture's frames."""
+    before = capture.report
+    capture.report = report
+    try:
+        yield
+    finally:
+        capture.report = before
 
 
 def frame_setter(prior: str | None, seed: int, told: Sequence[Told] = ()) -> Callable[[Frame, ObjectModel], Frame]:

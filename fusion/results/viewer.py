@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate
-from scenes.errors import InputError
+from fusion.results.runs import reporting
+from scenes.errors import InputError, PalpateError
+from scenes.files.problems import Problem
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.captures import Capture
@@ -51,9 +53,16 @@ class Viewer:
     """Serves one capture until it is stopped. shown: the names of the nodes of the frame that is on view."""
 
     def __init__(
-        self, capture: Capture, model: ObjectModel, answers: Sequence[Estimate] = (), port: int = 8080
+        self,
+        capture: Capture,
+        model: ObjectModel,
+        answers: Sequence[Estimate] = (),
+        port: int = 8080,
+        tell: Callable[[str], None] = lambda problem: None,
     ) -> None:
-        """Start the server on this machine alone. Raises InputError without viser or for a port that is taken."""
+        """Start the server on this machine alone. tell: hears once of each problem of a frame's files, which is shown
+        without what is broken. Raises InputError without viser or for a port that is taken.
+        """
         try:
             import viser
         except ImportError as error:
@@ -61,6 +70,7 @@ class Viewer:
         self.capture, self.model = capture, model
         self.answers = {answer.frame: answer for answer in answers}
         self.shown: dict[str, Any] = {}
+        self._tell, self._told = tell, set[str]()
         self._lock = threading.Lock()
         try:
             self.server = viser.ViserServer(host="127.0.0.1", port=port, label=capture.name, verbose=False)
@@ -118,18 +128,33 @@ class Viewer:
         return middle + away * way
 
     def show(self, position: int) -> None:
-        """Draw the frame at that position of the capture."""
+        """Draw the frame at that position of the capture, without what is broken of it."""
         with self._lock:
-            frame = self.capture[min(position, len(self.capture) - 1)]
-            answer = self.answers.get(frame.index)
+            number = self.capture.frame_ids[min(position, len(self.capture) - 1)]
+            frame, problems = self._read(number)
+            answer = self.answers.get(number)
             for handle in self.shown.values():
                 handle.remove()
             self.shown = {}
             self._framed = self._ball(frame, answer)
             self._draw_seen(frame, answer)
             self._draw_answer(answer)
-            self.words.content = _words(frame, answer)
+            self.words.content = "\n\n".join([_words(frame, answer), *problems])
         self._apply_toggles()
+        for problem in problems:
+            if problem not in self._told:
+                self._told.add(problem)
+                self._tell(problem)
+
+    def _read(self, number: int) -> tuple[Frame, tuple[str, ...]]:
+        """The frame of that number and what is wrong with its files; one of nothing where nothing can be read."""
+        found: list[Problem] = []
+        try:
+            with reporting(self.capture, found.append):
+                frame = self.capture.frame(number)
+        except PalpateError as error:
+            return Frame(number), (str(error),)
+        return frame, tuple(dict.fromkeys(map(str, found)))
 
     def _ball(self, frame: Frame, answer: Estimate | None) -> tuple[Array, float]:
         """Centre and radius of a ball around the object, where it is thought to be, and the hand near it; around all

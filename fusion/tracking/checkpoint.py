@@ -95,10 +95,16 @@ def _shape_of(model: ObjectModel) -> str:
     return hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest()
 
 
-def plain_state(value: Any) -> Any:
-    """Settings and the like as JSON values, alike where they are alike. Raises InputError for what cannot be kept."""
+def digest(value: Any) -> str:
+    """Settings, frames and the like in twelve characters, alike where they are alike. Raises InputError for what cannot
+    be kept.
+    """
     writer = _Writer({})
-    return {"value": writer.value(value, "value"), "arrays": [[str(a.dtype), a.tolist()] for a in writer.arrays]}
+    found = hashlib.sha256(json.dumps(writer.value(value, "value")).encode())
+    for array in writer.arrays:
+        found.update(f"{array.dtype.str}{array.shape}".encode())
+        found.update(array.tobytes())
+    return found.hexdigest()[:12]
 
 
 class _Writer:

@@ -1,16 +1,23 @@
-"""The one place where trimesh reads a file: whatever its readers trip over is one line."""
+"""The one place where trimesh reads a file: what its readers trip over is one line, what they grumble about ours."""
 
 from __future__ import annotations
 
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+_log = logging.getLogger(__name__)
 
 # Endings of which one archive or compressed file is told by both.
 _DOUBLE = (".gz", ".bz2")
 
 
 def loaded(path: Path, force: str | None = None) -> Any:
-    """What trimesh makes of a file; force: "mesh" for one mesh of all its parts.
+    """What trimesh makes of a file; force: "mesh" for one mesh of all its parts. What its readers warn of and go on
+    without (a picture that is not there) is logged as information.
 
     Raises ValueError, one line without the path: its readers, and the packages that read single formats for it, each
     have errors of their own.
@@ -18,10 +25,37 @@ def loaded(path: Path, force: str | None = None) -> Any:
     import trimesh
 
     try:
-        return trimesh.load(path, force=force, process=False)
+        with _heard() as said_of_it:
+            found = trimesh.load(path, force=force, process=False)
+        for words in dict.fromkeys(said_of_it):
+            _log.info("%s: %s", path, words)
+        return found
     except Exception as error:  # a dozen readers check little and share no error
         said = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(f"a {_ending(path)} that cannot be read: {said}") from error
+
+
+@contextmanager
+def _heard() -> Iterator[list[str]]:
+    """What trimesh and the packages below it warn of meanwhile, which is nothing to put on a user's standard error."""
+    said: list[str] = []
+
+    class Ear(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            said.append(" ".join(record.getMessage().split()))
+
+    logger, ear = logging.getLogger("trimesh"), Ear(logging.WARNING)
+    before = logger.propagate
+    logger.propagate = False
+    logger.addHandler(ear)
+    try:
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
+            yield said
+        said += [" ".join(str(one.message).split()) for one in warned]
+    finally:
+        logger.removeHandler(ear)
+        logger.propagate = before
 
 
 def _ending(path: Path) -> str:

@@ -10,9 +10,11 @@ import os
 import re
 import shutil
 import socket
+import stat
+import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from scenes.errors import PalpateError
@@ -22,19 +24,65 @@ KEPT = "kept"
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Write a file; a reader never meets half of it. Its folder is made. OSError names the file."""
-    sweep(path)
+    """Write a file; a reader never meets half of it. Its folder is made. A link stays, and what it leads to is written;
+    into what is no file of its own (a device, a pipe, standard output) it goes as it comes. OSError names the file.
+    """
     with named(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, draft = tempfile.mkstemp(dir=path.parent, prefix=_prefix(path, "draft"))
+        stream = _stream(path)
+        if stream is not None:
+            _pour(stream, path, content)
+            return
+        target = followed(path)
+        sweep(target)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        handle, draft = tempfile.mkstemp(dir=target.parent, prefix=_prefix(target, "draft"))
         try:
             with os.fdopen(handle, "wb") as file:
                 file.write(content)
             os.chmod(draft, 0o644)
-            os.replace(draft, path)
+            os.replace(draft, target)
         except BaseException:
             os.unlink(draft)
             raise
+
+
+def is_stream(path: Path) -> bool:
+    """Whether what is written to the path goes as it comes: there is no file of its own to be replaced."""
+    return _stream(path) is not None
+
+
+def _stream(path: Path) -> int | None:
+    """The handle of standard output or error where the path is one of them, -1 for another device or pipe, None for a
+    file, a folder, and what is not there.
+    """
+    try:
+        there = path.stat()
+    except OSError:
+        return None
+    if stat.S_ISDIR(there.st_mode):
+        return None
+    for handle in (1, 2):
+        with suppress(OSError):
+            # a file that a shell has opened for it, too: its reader holds on to it, whatever has its name
+            if os.path.samestat(there, os.fstat(handle)):
+                return handle
+    return None if stat.S_ISREG(there.st_mode) else -1
+
+
+def _pour(stream: int, path: Path, content: bytes) -> None:
+    if stream < 0:
+        with path.open("wb") as file:
+            file.write(content)
+        return
+    for told in (sys.stdout, sys.stderr):  # what was said before comes before
+        told.flush()
+    with os.fdopen(os.dup(stream), "wb") as file:
+        file.write(content)
+
+
+def followed(path: Path) -> Path:
+    """Where links of that name lead to, whether anything is there or not."""
+    return Path(os.path.realpath(path)) if path.is_symlink() else path
 
 
 @contextmanager
@@ -48,14 +96,15 @@ def named(path: Path) -> Iterator[None]:
 
 @contextmanager
 def draft_folder(out: Path) -> Iterator[Path]:
-    """A new hidden folder beside `out` to write into, gone at the end unless `put` has moved it there.
+    """A new hidden folder beside `out` (or what it leads to) to write into, gone at the end unless `put` has moved it.
 
     Drafts of dead processes are cleared away first. Errors about a file in the draft name its place in `out`.
     """
-    sweep(out)
+    target = followed(out)
+    sweep(target)
     with named(out):
-        out.parent.mkdir(parents=True, exist_ok=True)
-        draft = Path(tempfile.mkdtemp(prefix=_prefix(out, "draft"), dir=out.parent))
+        target.parent.mkdir(parents=True, exist_ok=True)
+        draft = Path(tempfile.mkdtemp(prefix=_prefix(target, "draft"), dir=target.parent))
     try:
         draft.chmod(0o755)
         yield draft
@@ -72,8 +121,10 @@ def draft_folder(out: Path) -> Iterator[Path]:
 
 
 def put(draft: Path, out: Path) -> None:
-    """Rename the draft to `out`, in the place of what is there: absent between two renames, never half written."""
-    old = None
+    """Rename the draft to `out`, in the place of what is there: absent between two renames, never half written. A link
+    stays, and the folder it leads to is replaced.
+    """
+    out, old = followed(out), None
     if out.exists():
         old = Path(tempfile.mkdtemp(prefix=_prefix(out, "old"), dir=out.parent))
         out.rename(old / KEPT)
@@ -84,6 +135,7 @@ def put(draft: Path, out: Path) -> None:
 
 def sweep(out: Path) -> None:
     """Clear away what killed processes left beside `out`; what one had moved aside comes back when `out` is gone."""
+    out = followed(out)
     if not out.parent.is_dir():
         return
     start = f".{out.name}."

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, PalpateError
-from scenes.files.whole import draft_folder
+from scenes.files.whole import draft_folder, followed
 from scenes.recordings.frames import Frame
+from scenes.words import counted
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -23,6 +25,8 @@ T = TypeVar("T")
 MOST_CONTACTS = 300
 # A camera whose distortion coefficients are all below this draws straight lines straight.
 LARGEST_DISTORTION = 1e-9
+# Periods (an hour of 30 Hz) that numbers leave out at most: a longer gap is a clock that was set.
+LONGEST_GAP = 100_000
 
 
 class Dropped:
@@ -79,6 +83,35 @@ def many_contacts(where: str, count: int, hint: str = "") -> tuple[str, ...]:
     return (f"warning: {where}: all {count} points become contacts, more than fingers feel: is it a cloud?{hint}",)
 
 
+def period_of(stamps: Sequence[int]) -> int:
+    """The time from one image to the next as most of them have it, in the unit of the sorted stamps; 0 of a single one.
+
+    A middle one of the differences, not a mean of two: a gap among few images is no period.
+    """
+    steps = sorted(after - before for before, after in pairwise(stamps) if after > before)
+    return steps[(len(steps) - 1) // 2] if steps else 0
+
+
+def numbers_in_time(stamps: Sequence[int], period: int) -> list[int]:
+    """Frame numbers from 0, as many apart as there are periods between the sorted stamps, at least one: a tracker takes
+    numbers for time, and a gap for so many frames that it has missed.
+    """
+    numbers = [0] if stamps else []
+    for before, after in pairwise(stamps):
+        step = (2 * (after - before) + period) // (2 * period) if period else 1
+        numbers.append(numbers[-1] + min(max(step, 1), LONGEST_GAP))
+    return numbers
+
+
+def gaps_of(numbers: Sequence[int], period_ns: int) -> tuple[str, ...]:
+    """A remark on the numbers that no frame has; none where all are there."""
+    missing = [after - before - 1 for before, after in pairwise(numbers) if after - before > 1]
+    if not missing:
+        return ()
+    period = f"{period_ns / 1e6:.4g} ms"
+    return (f"{counted(len(missing), 'gap')} in time: frame numbers leave out {sum(missing)} periods of {period}",)
+
+
 def at_least_one(frames: Iterable[Frame], source: Path, dropped: Dropped) -> Iterator[Frame]:
     """The frames; raises CaptureError with what was dropped when there were none."""
     empty = True
@@ -114,6 +147,7 @@ def new_folder(out: Path) -> Iterator[Path]:
         raise CaptureError(f"{out}: expected a new or empty folder to write to, found {found}")
     with draft_folder(out) as partial:
         yield partial
-        if out.is_dir():
-            out.rmdir()
-        partial.rename(out)
+        target = followed(out)
+        if target.is_dir():
+            target.rmdir()
+        partial.rename(target)

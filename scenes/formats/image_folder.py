@@ -19,7 +19,16 @@ from scenes.errors import CaptureError, InputError
 from scenes.files import images
 from scenes.files.problems import refuse
 from scenes.formats.bop.scene import IMAGE_ENDINGS
-from scenes.formats.conversion import Converted, Dropped, at_least_one, check_undistorted, located
+from scenes.formats.conversion import (
+    Converted,
+    Dropped,
+    at_least_one,
+    check_undistorted,
+    gaps_of,
+    located,
+    numbers_in_time,
+    period_of,
+)
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings import bop
@@ -168,12 +177,14 @@ def _convert(
             )
 
     notes: dict[str, Any] = {"source": source}
-    if all(len(name) == STAMP_DIGITS and name.isdecimal() for name in names):
+    remarks: tuple[str, ...] = ()
+    if _are_stamps(names):
         notes["stamps_ns"] = {str(numbers[name]): int(name) for name in names}
+        remarks = gaps_of(list(numbers.values()), period_of([int(name) for name in names]))
     written = write_capture(
         out, at_least_one(frames(), folder, dropped), model, depth_scale=entry.depth_scale, notes=notes
     )
-    return Converted((written,), len(names), dropped)
+    return Converted((written,), len(names), dropped, remarks)
 
 
 def _files(folder: Path) -> dict[str, Path]:
@@ -193,12 +204,19 @@ def _in_time(name: str) -> tuple[list[str | int], str]:
 
 
 def _numbering(names: list[str]) -> dict[str, int]:
-    """The names as numbers where they are such, else their order."""
+    """The names as numbers where they are such, as times where they are those, else their order."""
     if all(name.isdecimal() and int(name) <= LARGEST_NUMBER for name in names):
         numbers = {name: int(name) for name in names}
         if len(set(numbers.values())) == len(names):
             return numbers
+    if _are_stamps(names):
+        stamps = [int(name) for name in names]
+        return dict(zip(names, numbers_in_time(stamps, period_of(stamps))))
     return {name: position for position, name in enumerate(names)}
+
+
+def _are_stamps(names: list[str]) -> bool:
+    return all(len(name) == STAMP_DIGITS and name.isdecimal() for name in names)
 
 
 def _read(path: Path | None, read: Callable[[Path], Any]) -> Any:

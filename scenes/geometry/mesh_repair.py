@@ -70,7 +70,8 @@ def close(
     if not np.isfinite(vertices[used]).all():
         raise MeshError(f"{name}: expected finite vertices, got NaN or infinity")
     extent = np.ptp(vertices[used], axis=0)
-    diameter = float(np.linalg.norm(extent))
+    with np.errstate(over="ignore"):
+        diameter = float(np.linalg.norm(extent))
     if diameter <= 0 or extent.min() < 1e-5 * diameter:
         raise MeshError(
             f"{name}: expected a solid, got a flat mesh of extent {extent[0]:.3g} x {extent[1]:.3g} x {extent[2]:.3g}"
@@ -113,12 +114,13 @@ def close(
             )
         mended.append(f"{counted(holes, 'hole')} {FILLED} ({share:.1%} of the surface)")
     bodies = mesh.split(only_watertight=False, repair=False) if mesh.body_count > 1 else [mesh]
-    if mesh.volume < 0 or any(b.volume < 0 and _outermost(b, bodies) for b in bodies):
-        if len(bodies) > 1:
-            trimesh.repair.fix_inversion(mesh, multibody=True)
-        else:
-            mesh.invert()
-        mended.append("inside-out surface turned outwards")
+    with np.errstate(divide="ignore", invalid="ignore"):  # trimesh divides by the volume of what has none
+        if mesh.volume < 0 or any(b.volume < 0 and _outermost(b, bodies) for b in bodies):
+            if len(bodies) > 1:
+                trimesh.repair.fix_inversion(mesh, multibody=True)
+            else:
+                mesh.invert()
+            mended.append("inside-out surface turned outwards")
     if not mesh.volume > 1e-9 * diameter**3:
         raise MeshError(
             f"{name}: expected a solid, got a mesh of volume {mesh.volume:.3g} for a diameter of {diameter:.3g}"

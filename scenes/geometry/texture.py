@@ -133,7 +133,8 @@ def sampled(
     image = _image_of(visual) if kind == "texture" else None
     if kind not in ("vertex", "face") and image is None:
         return None
-    area = np.asarray(mesh.area_faces, dtype=np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):
+        area = np.asarray(mesh.area_faces, dtype=np.float64)
     if not (np.isfinite(area).all() and area.sum() > 0.0):
         return None
     rng = np.random.default_rng(0)

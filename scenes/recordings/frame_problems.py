@@ -1,4 +1,6 @@
-"""What is well formed in a frame and still useless or doubtful: found when a capture is validated."""
+"""What is well formed in a frame and still useless, or doubtful though it may be right: found when a capture is
+validated.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from scenes.files.images import LARGEST_COUNT, read_counts
 from scenes.files.problems import Problem
 from scenes.geometry.cameras import Camera
 from scenes.recordings.frames import Frame
@@ -17,6 +20,12 @@ Array = NDArray[np.float64]
 FARTHEST_CONTACT = 0.2
 # An image cut out of a larger one may have its principal point outside; not so many of its own sides away.
 FARTHEST_CENTRE = 1.0
+# Of an image's side, how near to its corner a principal point is one that was never measured.
+CORNER = 0.02
+# Depths (m) between which cameras see hands; most readings of an image are there.
+DEPTHS = (0.05, 20.0)
+# Share of the pixels that may have the largest count of 16 bits by themselves.
+MOST_LARGEST = 0.01
 # What a frame lacks of a hand that is not known in it at all.
 NOWHERE = "pose and joints"
 
@@ -55,6 +64,42 @@ def frame_problems(folder: Path, frame: Frame) -> list[Problem]:
         message = f"expected contacts that were each felt once, got {again} of {len(frame.contacts)} rows repeated"
         found.append(problem("contacts.csv", message))
     return found
+
+
+def frame_doubts(folder: Path, frame: Frame) -> dict[str, Problem]:
+    """What may be right and seldom is, by its kind: a principal point of another image than the frame's, holes that are
+    written as the largest count, depths where no hand is. folder: of the capture.
+    """
+    found = {}
+    if frame.camera is not None and any(image is not None for image in (frame.depth, frame.rgb, frame.mask)):
+        message = _centre_doubt(frame.camera)
+        if message:
+            found["centre"] = Problem(str(folder / "scene_camera.json"), frame.index, message)
+    path = folder / f"depth/{frame.index:06d}.png"
+    if frame.depth is None or not path.is_file():
+        return found
+    largest = read_counts(path) == LARGEST_COUNT
+    if largest.mean() > MOST_LARGEST:
+        message = f"expected 0 where there is no reading, got {LARGEST_COUNT} in {largest.mean():.0%} of the pixels"
+        found["largest"] = Problem(str(path), frame.index, message)
+    readings = frame.depth[(frame.depth > 0) & ~largest]
+    median = float(np.median(readings)) if len(readings) else DEPTHS[0]
+    if not DEPTHS[0] <= median <= DEPTHS[1]:
+        low, high = DEPTHS
+        expected = f"expected depths from {low:g} to {high:g} m, got a median of {median:.3g}"
+        message = f"{expected}: is depth_scale millimetres per count?"
+        found["depths"] = Problem(str(path), frame.index, message)
+    return found
+
+
+def _centre_doubt(camera: Camera) -> str:
+    """In words, a principal point in a corner of its image or beside it, else "". Far away it is a problem."""
+    shares = camera.cx / camera.width, camera.cy / camera.height
+    beside = any(not 0.0 <= share <= 1.0 for share in shares)
+    if centre_problems(camera) or not (beside or all(min(share, 1.0 - share) < CORNER for share in shares)):
+        return ""
+    size, expected = f"{camera.width}x{camera.height}", "expected a principal point about the middle"
+    return f"{expected}, got {camera.cx:g}, {camera.cy:g} for {size} pixels: was the image cut out of a larger one?"
 
 
 def _no_arrays(frame: Frame) -> list[tuple[str, str]]:

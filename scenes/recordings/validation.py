@@ -20,10 +20,11 @@ from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings import bop
 from scenes.recordings.captures import CSV_FILES, Capture
-from scenes.recordings.frame_problems import NOWHERE, frame_problems
+from scenes.recordings.frame_problems import NOWHERE, frame_doubts, frame_problems
 from scenes.recordings.frames import Contacts, Frame
 from scenes.recordings.manifest import frame_stamps
 from scenes.recordings.strays import strays
+from scenes.words import counted
 
 __all__ = [
     "Problem",
@@ -68,10 +69,12 @@ MOST_READINGS = 2_000
 FEWEST_POINTS = 30
 
 
-def validate(folder: str | Path, trust_paths: bool = False) -> list[Problem]:
+def validate(
+    folder: str | Path, trust_paths: bool = False, doubts: Callable[[Problem], None] | None = None
+) -> list[Problem]:
     """Every problem of a capture, in the order of its files and frames; an empty list means that it can be used.
 
-    trust_paths: as for `read_capture`.
+    trust_paths: as for `read_capture`; doubts: called with what may be right and seldom is, each kind once.
     """
     problems: list[Problem] = []
     try:
@@ -83,6 +86,7 @@ def validate(folder: str | Path, trust_paths: bool = False) -> list[Problem]:
     problems += _strays(capture)
     model = _attempt(capture, problems)
     nowhere = True
+    doubted: dict[str, list[Problem]] = {}
     for number in capture.frame_ids:
         frame = capture.frame(number)
         nowhere = nowhere and frame.hand_lacks == NOWHERE
@@ -91,10 +95,30 @@ def validate(folder: str | Path, trust_paths: bool = False) -> list[Problem]:
         message = None if model is None else scale_problem(frame, model)
         if message is not None:
             problems.append(Problem(str(capture.path), number, message))
+        if doubts is not None and not any(problem.frame == number for problem in problems):
+            for kind, doubt in frame_doubts(capture.path, frame).items():
+                doubted.setdefault(kind, []).append(doubt)
     if nowhere and capture.frame_ids:
         message = f"expected the hand's {NOWHERE} in a frame at least, found none: the hand is left out"
         problems.append(Problem(str(capture.path / "hand_poses.csv"), None, message))
+    if doubts is not None:
+        for first, *alike in filter(None, (*doubted.values(), _other_objects(capture))):
+            more = f" ({counted(len(alike), 'more frame')} alike)" if alike else ""
+            doubts(Problem(first.file, first.frame, first.message + more))
     return list(dict.fromkeys(problems))
+
+
+def _other_objects(capture: Capture) -> list[Problem]:
+    """Frames with the truth of other objects and none of the capture's: it is passed over."""
+    path, own = capture.path / "scene_gt.json", capture.manifest.object_id
+    found = []
+    for number, rows in bop.read_frames(path, lambda problem: None).items() if path.is_file() else ():
+        told = [row.get("obj_id", own) for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+        if told and own not in told:
+            others = ", ".join(dict.fromkeys(map(str, told)))
+            message = f"expected the truth of obj_id {own}, as capture.json has it, got {others[:60]}"
+            found.append(Problem(str(path), number, message))
+    return found
 
 
 def _by_schema(capture: Capture, known: list[Problem]) -> list[Problem]:

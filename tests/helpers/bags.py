@@ -92,7 +92,17 @@ class Messages:
         )
         self.add(topic, "sensor_msgs/msg/CompressedImage", stamp, message)
 
-    def camera_info(self, topic: str, stamp: int, matrix=MATRIX, size=(WIDTH, HEIGHT), distortion=(0.0,) * 5) -> None:
+    def camera_info(
+        self,
+        topic: str,
+        stamp: int,
+        matrix=MATRIX,
+        size=(WIDTH, HEIGHT),
+        distortion=(0.0,) * 5,
+        binning=(0, 0),
+        region=(0, 0, 0, 0),
+    ) -> None:
+        """region: x, y, width, height in pixels of the full image."""
         names = dict.fromkeys("dkrp") if self.kind != "ros1" else dict.fromkeys("DKRP")
         values = (
             np.array(distortion),
@@ -100,15 +110,16 @@ class Messages:
             np.eye(3).ravel(),
             np.hstack([matrix, np.zeros((3, 1))]).ravel(),
         )
-        roi = self.make("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
+        names_of_region = ("x_offset", "y_offset", "width", "height")
+        roi = self.make("sensor_msgs/msg/RegionOfInterest", **dict(zip(names_of_region, region)), do_rectify=False)
         message = self.make(
             "sensor_msgs/msg/CameraInfo",
             header=self.header(stamp, "camera"),
             height=size[1],
             width=size[0],
             distortion_model="plumb_bob",
-            binning_x=0,
-            binning_y=0,
+            binning_x=binning[0],
+            binning_y=binning[1],
             roi=roi,
             **dict(zip(names, values)),
         )

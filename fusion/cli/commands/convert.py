@@ -18,6 +18,7 @@ from fusion.cli.options import (
     whole,
     write_json,
 )
+from fusion.cli.point_lists import ENDINGS, convert_list
 from fusion.cli.telling import add_beliefs, beliefs_told
 from fusion.results.runs import load_object
 
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from scenes.geometry.objects import ObjectModel
     from scenes.recordings.captures import Capture
 
-TABLES = (".off", ".ply", ".csv")
 STAMP_RATE = 30.0
 # Frames a second between which stamps are whole nanoseconds that differ, and fit the 64 bits of a time.
 STAMP_RATES = (1e-3, 1e9)
@@ -123,9 +123,7 @@ def convert(args: argparse.Namespace) -> Converted:
     kind = args.kind or _kind(source, args.out)
     refuse_unused(args, source=kind)
     if kind == TABLE:
-        from scenes.formats.conversion import Converted
-
-        return Converted((_convert_file(source, args.out),))
+        return convert_list(source, args.out)
     return _import(kind, args)
 
 
@@ -142,7 +140,7 @@ def _kind(source: Path, out: Path) -> str:
             return "ros"
         if source.suffix.lower() == ".ini":
             return "tacman"
-        as_capture = source.suffix.lower() in TABLES and out.suffix == ""
+        as_capture = source.suffix.lower() in ENDINGS and out.suffix == ""
         return "contacts" if as_capture else TABLE
     checks = (
         ("bop", bop_scene.is_scene),
@@ -199,7 +197,7 @@ def _import(kind: str, args: argparse.Namespace) -> Converted:
     if kind == "contacts":
         from fusion.cli.commands.localize import read_contacts
 
-        model = _needed(args, f"a capture (or OUT ending in {', '.join(TABLES)})")
+        model = _needed(args, f"a capture (or OUT ending in {', '.join(ENDINGS)})")
         return tacman.convert_contacts(read_contacts(source), out, model, str(source))
     if kind == "ros":
         from scenes.formats.ros import recording as ros
@@ -359,7 +357,10 @@ def _result_poses(path: Path, capture: Capture) -> dict[int, Any]:
 
 
 def _stamps(capture: Capture, fps: float | None) -> dict[int, int]:
-    """Nanoseconds by frame: what the recording said, else frames at `fps` from 0, which is said unless asked for."""
+    """Nanoseconds by frame: what the recording said, else frames at `fps` from 0, which is said unless asked for.
+
+    Raises InputError for a rate beside the recording's own times: who gives it believes that it does something.
+    """
     from scenes.errors import InputError
     from scenes.recordings.manifest import frame_stamps
 
@@ -370,6 +371,9 @@ def _stamps(capture: Capture, fps: float | None) -> dict[int, int]:
         said = frame_stamps(capture.manifest.notes, capture.frame_ids)
     except InputError as error:
         raise InputError(f"{capture.path / 'capture.json'}: {error}") from error
+    if said is not None and fps is not None:
+        where = f"{capture.path / 'capture.json'}, which has them (stamps_ns)"
+        raise InputError(f"--fps: expected a recording without times, got {where}: leave it out")
     if said is not None:
         return said
     if fps is None:
@@ -391,47 +395,3 @@ def _write_glb(capture: Capture, args: argparse.Namespace, found: dict[int, Any]
         if estimated and one.camera_from_object_truth is not None:
             truths[number] = one.camera_from_object_truth
     write_glb(args.out, capture.model, found, frame, world_from_camera, truths, capture.world)
-
-
-def _convert_file(source: Path, out: Path) -> Path:
-    """Between point lists and meshes as .off and .ply, and contacts as .csv."""
-    from scenes.errors import InputError
-    from scenes.files import tables
-    from scenes.files.off import OffData, read_off, write_off
-    from scenes.files.ply import read_cloud, write_ply
-
-    kinds = (source.suffix.lower(), out.suffix.lower())
-    if kinds[0] not in TABLES or kinds[1] not in TABLES:
-        raise InputError(f"convert: expected files ending in {', '.join(TABLES)}, got {source.name} to {out.name}")
-    check_target(out)
-    data: Any
-    if kinds[0] == ".off":
-        data = read_off(source)
-    elif kinds[0] == ".csv":
-        from fusion.cli.commands.localize import read_contacts
-
-        felt = read_contacts(source)
-        data = OffData(felt.points, tables.NO_FACES, None, felt.normals if felt.has_normal.all() else None)
-    else:
-        points, colours = read_cloud(source)
-        data = OffData(points, tables.NO_FACES, colours)
-        faces = _faces(source)
-        if faces is not None:
-            data = OffData(points, faces, colours)
-    if kinds[1] == ".off":
-        write_off(out, data.points, data.faces, data.colours, data.normals)
-    elif kinds[1] == ".ply":
-        write_ply(out, data.points, data.faces if len(data.faces) else None, data.colours)
-    else:
-        rows = zip(
-            data.points.tolist(), [[float("nan")] * 3] * len(data.points) if data.normals is None else data.normals
-        )
-        blank = [float("nan")] * 5
-        tables.write_table(out, tables.CONTACTS, ([0, f"contact{i}", *p, *n, *blank] for i, (p, n) in enumerate(rows)))
-    return out
-
-
-def _faces(path: Path) -> Any:
-    from scenes.files.meshes import loaded
-
-    return getattr(loaded(path), "faces", None)

@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     out = out_folder(args, capture.name)  # before the work, not after it
     model = load_object(args.object, args.unit) if args.object else capture.model
     prepare = prior_setter(args.prior, args.seed)
-    asked = asked_for(capture, model, senses, args.prior, args.seed, settings, beliefs)
+    asked = asked_for(model, senses, args.prior, args.seed, settings, beliefs)
 
     def new_tracker() -> Tracker:
         return Tracker(model, use=senses, seed=args.seed, settings=settings, beliefs=beliefs)

@@ -21,8 +21,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Exit code 1 when there is a problem."""
+    """Exit code 1 when there is a problem; what may be right is a warning."""
     from scenes.errors import CaptureError
+    from scenes.files.problems import Problem
     from scenes.recordings.captures import Capture
     from scenes.recordings.validation import validate
 
@@ -31,16 +32,22 @@ def run(args: argparse.Namespace) -> int:
     if not args.capture.is_dir():
         found = "a file" if args.capture.exists() else "nothing"
         raise CaptureError(f"{args.capture}: expected the folder of a capture, found {found}")
-    problems = validate(args.capture, args.trust_paths)
+    doubts: list[Problem] = []
+    problems = validate(args.capture, args.trust_paths, doubts.append)
     frames = 0 if problems else len(Capture(args.capture, trust_paths=args.trust_paths))
-    entries = [{"file": p.file, "frame": p.frame, "message": p.message} for p in problems]
-    write_json(args.json, {"valid": not problems, "frames": frames, "problems": entries})
+    told = [[{"file": p.file, "frame": p.frame, "message": p.message} for p in some] for some in (problems, doubts)]
+    write_json(args.json, {"valid": not problems, "frames": frames, "problems": told[0], "warnings": told[1]})
     for problem in problems:
         say(str(problem))
+    for doubt in doubts:
+        say(f"warning: {doubt}")
     if problems:
         say(counted(len(problems), "problem"))
         return 1
-    say(f"{args.capture}: {counted(frames, 'frame')}, no problem")
+    say(
+        f"{args.capture}: {counted(frames, 'frame')}, no problem"
+        + (f", {counted(len(doubts), 'warning')}" if doubts else "")
+    )
     return 0
 
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fusion.cli.options import add_object, add_trust, positive, say, write_json
+from fusion.cli.options import add_object, add_trust, positive, say, warn, write_json
 from fusion.results.runs import load_object
 
 if TYPE_CHECKING:
@@ -42,7 +42,9 @@ def run(args: argparse.Namespace) -> int:
         if path is None:
             raise InputError(f"{args.result}: expected a result.json or a folder with one, found none")
         _, answers = read_result(path)
-    viewer = Viewer(capture, model, answers, args.port)
+    viewer = Viewer(
+        capture, model, answers, args.port, lambda problem: warn(f"shown without what is broken: {problem}")
+    )
     try:
         write_json(args.json, {"url": viewer.url, "frames": len(capture), "answers": len(answers)})
         say(f"{viewer.url} (Ctrl-C ends it)")

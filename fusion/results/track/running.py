@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
-import json
 import logging
 import os
 import time
@@ -16,12 +13,13 @@ from typing import Any
 
 from fusion.advice.next_touch import next_touches
 from fusion.results.files import answer_of, frame_errors
+from fusion.results.runs import reporting
 from fusion.results.track.checkpoints import CHECKPOINT, Checkpoint
 from fusion.results.track.files import FRAMES, REPORT_FOLDER, TIMES, GrowingFiles, lines
 from fusion.results.track.pictures import Photographer
 from fusion.results.track.replay import InTurn, Next, RealTime
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
-from fusion.tracking.checkpoint import plain_state, restore_tracker, save_tracker
+from fusion.tracking.checkpoint import digest, restore_tracker, save_tracker
 from fusion.tracking.rehearsal import rehearse
 from fusion.tracking.tracker import Tracker
 from fusion.truth.errors import Judge
@@ -94,6 +92,8 @@ class TrackRun:
         self._judge = Judge(model)
         self.done = self.answered = 0
         self._last = -1
+        self._seen: dict[int, str] = {}
+        self._answered_frame: Frame | None = None
         self._claim = _claim(out)
         try:
             self._begin(resume)
@@ -106,7 +106,8 @@ class TrackRun:
         capture, model, out, asked = self.capture, self.model, self.out, self._asked
         found = Checkpoint.read(out) if resume else None
         if found is not None:
-            found.check(out, asked, capture.frame_ids)
+            found.check(out, asked, capture.frame_ids, self._sight)
+            self._seen = dict(found.seen)
             restore_tracker(self._tracker, found.state, capture.hand)
             self.done, self.answered, self._last = found.done, found.answered, found.last
         else:
@@ -154,14 +155,23 @@ class TrackRun:
         """Write the checkpoint."""
         state = save_tracker(self._tracker, self.capture.hand)
         sizes = self._files.sizes()
-        Checkpoint(self._asked, self.done, self._last, self.answered, sizes, state).write(self.out)
+        if self._answered_frame is not None:
+            first = dict(list(self._seen.items())[:1])
+            self._seen = first | {self._answered_frame.index: _what_it_shows(self._answered_frame)}
+            self._answered_frame = None
+        Checkpoint(self._asked, self.done, self._last, self.answered, sizes, self._seen, state).write(self.out)
         self._saved_at = time.monotonic()
+
+    def _sight(self, number: int) -> str:
+        """What the recording's frame of that number shows, without what is broken of it."""
+        with reporting(self.capture, lambda problem: None):
+            return _what_it_shows(self.capture.frame(number))
 
     def _look_before(self, in_real_time: bool) -> None:
         """Whether the first frame can be what it says. Where a clock will run it is rehearsed, too: times should tell
         of frames. Otherwise no frame is searched twice.
         """
-        with _reporting(self.capture, refuse):
+        with reporting(self.capture, refuse):
             first = self._prepare(self.capture[0], self.model)
         check_scale(first, self.model)
         if in_real_time:
@@ -193,7 +203,7 @@ class TrackRun:
             self._files.skipped(number, "unreadable", why)
         self._last, self.done = number, one.position + 1
         if answer is not None:
-            self.answered += 1
+            self.answered, self._answered_frame = self.answered + 1, frame
             if self.answered == 1:  # the first is found by a search: it is not to be made again
                 self.save()
         return Step(number, answer, why, problems, len(one.behind), ms, self.done)
@@ -219,11 +229,11 @@ class TrackRun:
         A coarse start that was asked for is for the beginning, however many frames it takes; a track goes on by itself.
         """
         if not self.done:
-            with _reporting(self.capture, refuse):
+            with reporting(self.capture, refuse):
                 return self._prepare(self.capture.frame(number), self.model), ()
         found: list[Problem] = []
         try:
-            with _reporting(self.capture, found.append):
+            with reporting(self.capture, found.append):
                 frame = self.capture.frame(number)
         except PalpateError as error:
             return None, (str(error),)
@@ -235,8 +245,13 @@ class TrackRun:
         return frame, tuple(dict.fromkeys(map(str, found)))
 
 
+def _what_it_shows(frame: Frame) -> str:
+    """A digest of what was sensed, wherever the recording lies; start, truth and beliefs may be told anew."""
+    bare = replace(frame, where="", hand=None, beliefs=None, prior=None, camera_from_object_truth=None)
+    return digest(bare)
+
+
 def asked_for(
-    capture: Capture,
     model: ObjectModel,
     senses: tuple[str, ...],
     prior: str | None,
@@ -246,32 +261,13 @@ def asked_for(
 ) -> dict[str, str]:
     """What decides every answer, as words that a checkpoint holds and compares."""
     return {
-        "capture": capture.name,
-        "object": f"{model.name} ({_digest(model.vertices.tobytes(), model.faces.tobytes())})",
+        "object": f"{model.name} ({digest((model.vertices, model.faces))})",
         "senses": ",".join(senses),
         "prior": "the capture's" if prior is None else prior,
         "seed": str(seed),
-        "settings": _digest(json.dumps(plain_state(settings or TrackSettings())).encode()),
-        "beliefs": _digest(json.dumps(plain_state(beliefs)).encode()),
+        "settings": digest(settings or TrackSettings()),
+        "beliefs": digest(beliefs),
     }
-
-
-def _digest(*parts: bytes) -> str:
-    found = hashlib.sha256()
-    for part in parts:
-        found.update(part)
-    return found.hexdigest()[:12]
-
-
-@contextlib.contextmanager
-def _reporting(capture: Capture, report: Callable[[Problem], None]) -> Iterator[None]:
-    """Whoever hears of what is wrong with a frame's files."""
-    before = capture.report
-    capture.report = report
-    try:
-        yield
-    finally:
-        capture.report = before
 
 
 def _claim(out: Path) -> int:

@@ -61,8 +61,9 @@ def is_scene(folder: str | Path) -> bool:
 def convert(folder: Path, out: Path, choice: Choice | None = None, model: ObjectModel | None = None) -> Converted:
     """Write the scene as a capture of the chosen object, mesh from the data set unless `model` is given.
 
-    Depth images keep their counts and each its own scale; images without the object, or without the depth image that
-    others have, are dropped and counted. Raises PalpateError for a choice that is not unique and for broken files.
+    Depth images keep their counts and each its own scale; images without the object, without a camera, or without the
+    depth image that others have, are dropped and counted. Raises PalpateError for a choice that is not unique and for
+    broken files.
     """
     choice = choice or Choice()
     cameras = bop.read_frames(folder / "scene_camera.json", refuse)
@@ -77,6 +78,9 @@ def convert(folder: Path, out: Path, choice: Choice | None = None, model: Object
     beliefs = _beliefs(folder / BELIEFS)
     dropped = Dropped()
     kept: list[int] = []
+    blind = sorted(_image_numbers(folder) - set(entries))
+    if blind:
+        dropped.add("images", f"no entry in scene_camera.json, the first is {blind[0]:06d}", len(blind))
 
     def frames() -> Iterator[Frame]:
         for number in sorted(entries):
@@ -200,6 +204,13 @@ def _model_folders(folder: Path) -> Iterator[Path]:
         named = [path for path in place.iterdir() if path.is_dir() and re.fullmatch(r"models(_\w+)?", path.name)]
         # the plain name first: the others are variants of it
         yield from sorted(named, key=lambda path: (len(path.name), path.name))
+
+
+def _image_numbers(folder: Path) -> set[int]:
+    """Numbers of the images that are there, whatever kind they are of."""
+    places = [folder / name for name in ("depth", "rgb", "gray") if (folder / name).is_dir()]
+    files = (path for place in places for path in place.iterdir() if path.suffix.lower() in IMAGE_ENDINGS)
+    return {int(path.stem) for path in files if path.stem.isdecimal()}
 
 
 def _find(folder: Path, name: str) -> Path | None:

@@ -18,28 +18,46 @@ from scenes.formats.ros.images import decode_depth, decode_mask, decode_rgb
 from scenes.formats.ros.topics import TopicMap
 from scenes.recordings import bop
 from scenes.recordings.frames import Frame
+from scenes.words import counted
 
 IMAGES = ("depth", "rgb", "mask")
 # Millimetres per count: 16UC1 counts millimetres (REP 118); 32FC1 is rounded to a tenth of one.
 SCALE_16UC1, SCALE_32FC1 = 1.0, 0.1
+# A median (m) that no camera of a hand reads, and 32FC1 in millimetres has from 5 cm on, though REP 118 has metres.
+LARGEST_MEDIAN = 50.0
 
 
 @dataclass
 class Plan:
-    """A frame to be: its number, stamp, what is known of it, and the images (topic, order in the bag) it waits for."""
+    """A frame to be: its number, stamp, what is known of it, and the images (topic, order in the bag) it waits for.
+
+    cut: how its camera's full image became the one of the camera_info, in words; "" where it is the full one.
+    """
 
     frame: Frame
     stamp: int
     images: dict[str, int]
+    cut: str = ""
     seen: dict[str, Any] = field(default_factory=dict)
 
 
 class Scale:
-    """Millimetres per count of the depth images that are written, by frame: as published, or a tenth for 32FC1."""
+    """Millimetres per count of the depth images that are written, by frame: as published, or a tenth for 32FC1.
+
+    medians: of the 32FC1 images that were taken as millimetres.
+    """
 
     def __init__(self, asked: float | None) -> None:
         self.asked = asked
         self.by_frame: dict[int, float] = {}
+        self.medians: list[float] = []
+
+    def remarks(self, topic: str) -> list[str]:
+        """A remark on 32FC1 that was no metres; none where all was."""
+        if not self.medians:
+            return []
+        expected = f"{topic}: expected metres in 32FC1 (REP 118), got a median of {self.medians[0]:.4g}"
+        return [f"{expected}: {counted(len(self.medians), 'image')} taken as millimetres"]
 
     def metres(self, number: int, image: NDArray[Any], topic: str, dropped: Dropped) -> NDArray[np.float32]:
         """(h, w) metres; readings beyond what 16 bits hold at this scale are dropped."""
@@ -48,6 +66,11 @@ class Scale:
         self.by_frame[number] = scale
         if counted:
             return (image.astype(np.float64) * (scale * bop.MM)).astype(np.float32)
+        known = image[image > 0]
+        median = float(np.median(known)) if len(known) else 0.0
+        if median > LARGEST_MEDIAN:
+            self.medians.append(median)
+            image = image * np.float32(bop.MM)
         limit = LARGEST_COUNT * scale * bop.MM
         dropped.add(topic, f"depth readings beyond {limit:.4g} m", int((image > limit).sum()))
         return np.where(image <= limit, image, np.float32(0.0)).astype(np.float32)
@@ -84,7 +107,7 @@ def _whole(plan: Plan, topics: TopicMap, scale: Scale, dropped: Dropped, where: 
     camera = plan.frame.camera
     height, width = depth.shape
     if camera is not None and (camera.width, camera.height) != (width, height):
-        got = f"{camera.width}x{camera.height}"
+        got = f"{camera.width}x{camera.height}{plan.cut}"
         raise CaptureError(f"{where}: expected camera_info of {width}x{height} like the depth image, got {got}")
     for role in ("rgb", "mask"):
         image = plan.seen.get(role)

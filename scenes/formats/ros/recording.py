@@ -15,7 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError
-from scenes.formats.conversion import Converted, Dropped, at_least_one, check_undistorted
+from scenes.formats.conversion import (
+    Converted,
+    Dropped,
+    at_least_one,
+    check_undistorted,
+    gaps_of,
+    numbers_in_time,
+    period_of,
+)
 from scenes.formats.ros.bag import Bag, frame_id, open_bag, stamp_ns
 from scenes.formats.ros.pixels import IMAGES, Plan, Scale, whole_frames
 from scenes.formats.ros.streams import (
@@ -67,9 +75,9 @@ class _Recording:
 def convert(path: Path, out: Path, topics: TopicMap, model: ObjectModel | None = None) -> Converted:
     """Write the bag as a capture; model: instead of the map's object.
 
-    Frames are numbered from 0 in the order of their stamps, which are kept in the notes. Raises PalpateError, one line,
-    for a damaged bag, a topic that is not there, a type or encoding that a role cannot be read from, numbers that are
-    not finite, a frame that TF does not know.
+    Frames are numbered from 0 by their stamps, in periods of the depth camera; the stamps are kept in the notes. Raises
+    PalpateError, one line, for a damaged bag, a topic that is not there, a type or encoding that a role cannot be read
+    from, numbers that are not finite, a frame that TF does not know.
     """
     if model is None:
         if topics.mesh is None:
@@ -83,6 +91,9 @@ def convert(path: Path, out: Path, topics: TopicMap, model: ObjectModel | None =
         _check_topics(bag, topics)
         recording = _read(bag, topics, dropped)
         plans = _plan(path, topics, recording, dropped, missing)
+        period = period_of(recording.streams[topics.of_role("depth")[0].name].stamps)
+        for plan, number in zip(plans, numbers_in_time([plan.stamp for plan in plans], period)):
+            plan.frame = replace(plan.frame, index=number)
         scale = Scale(topics.of_role("depth")[0].options.get("depth_scale"))
         whole = whole_frames(bag, topics, plans, scale, dropped)
         frames = (replace(frame, beliefs=topics.beliefs) for frame in whole)
@@ -99,7 +110,9 @@ def convert(path: Path, out: Path, topics: TopicMap, model: ObjectModel | None =
         )
     near = f"{1e3 * topics.tolerance_s:g} ms"
     remarks = [f"{n} of {len(plans)} frames without {what} within {near}" for what, n in missing.items()]
-    return Converted((written,), len(plans), dropped, (*remarks, *_silent_joints(recording)))
+    remarks += scale.remarks(topics.of_role("depth")[0].name)
+    remarks += [*_silent_joints(recording), *gaps_of([plan.frame.index for plan in plans], period)]
+    return Converted((written,), len(plans), dropped, tuple(remarks))
 
 
 def _silent_joints(recording: _Recording) -> list[str]:
@@ -176,8 +189,10 @@ def _value(topic: Topic, message: Any, hand: Hand | None, dropped: Dropped) -> A
     return contacts_of(topic, message, dropped)
 
 
-def _intrinsics(topic: Topic, message: Any) -> tuple[Array, int, int]:
-    """K (3, 3), width, height of a CameraInfo (ROS 1 writes its fields in capitals)."""
+def _intrinsics(topic: Topic, message: Any) -> tuple[Array, int, int, str]:
+    """K (3, 3), width, height of the images of a CameraInfo (ROS 1 writes its fields in capitals), and how they were
+    made of the full image: K and P are of that, the region counts in its pixels and is then binned.
+    """
 
     def of(name: str) -> Array:
         return np.asarray(getattr(message, name, getattr(message, name.upper(), ())), dtype=np.float64)
@@ -192,14 +207,33 @@ def _intrinsics(topic: Topic, message: Any) -> tuple[Array, int, int]:
         entry = bop.camera_entry({"cam_K": matrix.ravel().tolist()})
     except InputError as error:
         raise CaptureError(f"{topic.name}: {error}") from error
-    return entry.matrix, int(message.width), int(message.height)
+    return _as_sent(topic, message, entry.matrix)
+
+
+def _as_sent(topic: Topic, message: Any, full: Array) -> tuple[Array, int, int, str]:
+    """The K (3, 3) of the full image, its width and height, as the images have them, as image_geometry has it."""
+    width, height = int(message.width), int(message.height)
+    x, y = int(message.roi.x_offset), int(message.roi.y_offset)
+    # zeros stand for the full image, and for no binning
+    across, down = int(message.roi.width) or width - x, int(message.roi.height) or height - y
+    bins = max(1, int(message.binning_x)), max(1, int(message.binning_y))
+    if across < bins[0] or down < bins[1] or x + across > width or y + down > height:
+        region = f"{across}x{down} at {x}, {y}, binned {bins[0]}x{bins[1]}"
+        raise CaptureError(f"{topic.name}: expected a region of the {width}x{height} pixels, got {region}")
+    if (x, y, across, down, *bins) == (0, 0, width, height, 1, 1):
+        return full, width, height, ""
+    matrix = full.copy()
+    matrix[:2, 2] -= x, y
+    matrix[:2] /= np.array(bins, dtype=np.float64)[:, None]
+    cut = f" ({width}x{height}, of which {across}x{down} at {x}, {y}, binned {bins[0]}x{bins[1]})"
+    return matrix, across // bins[0], down // bins[1], cut
 
 
 # ---- which messages make a frame
 
 
 def _plan(path: Path, topics: TopicMap, recording: _Recording, dropped: Dropped, missing: Counter[str]) -> list[Plan]:
-    """The frames that the depth images make, with everything but their pixels, in time order."""
+    """The frames that the depth images make, with everything but their pixels, in time order and counted."""
     tolerance = recording.tree.tolerance_ns
     near = f"{1e3 * topics.tolerance_s:g} ms"
     depth = recording.streams[topics.of_role("depth")[0].name]
@@ -251,15 +285,16 @@ def _plan(path: Path, topics: TopicMap, recording: _Recording, dropped: Dropped,
         missing.update(absent)
         if recording.hand is not None and known["joints"] is None:
             known["world_from_hand"] = None  # a hand whose fingers may be anywhere says nothing
+        camera, cut = _camera(topics, recording, stamp)
         frame = Frame(
             index=len(plans),
             where=f"{path}, image at {stamp / 1e9:.3f} s",
-            camera=_camera(topics, recording, stamp),
+            camera=camera,
             camera_from_world=camera_from_world if topics.world != "camera" else np.eye(4),
             hand=recording.hand,
             **known,
         )
-        plans.append(Plan(frame, stamp, images))
+        plans.append(Plan(frame, stamp, images, cut))
     _count_unused(topics, recording, dropped, near)
     return plans
 
@@ -331,19 +366,20 @@ def _absent(topics: TopicMap, known: dict[str, Any], images: dict[str, int]) -> 
     return [role for role, there in have.items() if not there and (topics.of_role(role) or role in topics.frames)]
 
 
-def _camera(topics: TopicMap, recording: _Recording, stamp: int) -> Camera:
+def _camera(topics: TopicMap, recording: _Recording, stamp: int) -> tuple[Camera, str]:
+    """The camera of the depth image, and how its image was made of a larger one."""
     if topics.intrinsics is not None:
         depth = recording.streams[topics.of_role("depth")[0].name]
         width, height = recording.sizes[depth.topic.name]
         fx, fy, cx, cy = topics.intrinsics
-        return Camera(fx, fy, cx, cy, width, height)
+        return Camera(fx, fy, cx, cy, width, height), ""
     topic = topics.of_role("camera_info")[0]
     stream = recording.streams[topic.name]
     at = stream.nearest(stamp, None)
     if at is None:
         raise CaptureError(f"{topic.name}: expected a camera_info, got no message")
-    matrix, width, height = stream.values[at]
-    return Camera.from_matrix(matrix, width, height)
+    matrix, width, height, cut = stream.values[at]
+    return Camera.from_matrix(matrix, width, height), cut
 
 
 def _count_unused(topics: TopicMap, recording: _Recording, dropped: Dropped, near: str) -> None:

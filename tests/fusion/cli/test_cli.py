@@ -120,7 +120,12 @@ def test_compare_writes_table_json_and_plot(capture, tmp_path, capsys):
 
 def test_validate(capture, tmp_path, capsys):
     assert main(["validate", str(capture), "--json", str(tmp_path / "v.json")]) == 0
-    assert json.loads((tmp_path / "v.json").read_text()) == {"valid": True, "frames": 2, "problems": []}
+    assert json.loads((tmp_path / "v.json").read_text()) == {
+        "valid": True,
+        "frames": 2,
+        "problems": [],
+        "warnings": [],
+    }
     broken = tmp_path / "broken"
     write_capture(broken, [plain_view()], make("box"))
     (broken / "depth" / "000000.png").write_bytes(b"no image")

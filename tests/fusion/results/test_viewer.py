@@ -1,6 +1,8 @@
 """The live view: a server that starts on a free port, shows what there is, and stops."""
 
 import builtins
+import json
+import shutil
 import socket
 import urllib.request
 from dataclasses import replace
@@ -71,6 +73,36 @@ def test_it_serves_what_there_is_and_stops(capture):
         viewer.stop()
     with pytest.raises(OSError):
         urllib.request.urlopen(url, timeout=2)
+
+
+def test_broken_frames_are_shown_without_what_is_broken(capture, tmp_path):
+    pytest.importorskip("viser")
+    from fusion.results.viewer import Viewer
+
+    broken = tmp_path / "broken"
+    shutil.copytree(capture, broken)
+    for number in range(2):
+        (broken / "depth" / f"{number:06d}.png").write_bytes(b"none")
+    cameras = json.loads((broken / "scene_camera.json").read_text())
+    recorded, told = read_capture(broken), []
+    viewer = Viewer(recorded, recorded.model, (), free_port(), told.append)
+    try:
+        assert "contacts" in viewer.shown
+        assert "cloud" not in viewer.shown
+        viewer.slider.value = 1  # as in the browser, on a thread of the server's
+        viewer.slider.value = 0
+        viewer.slider.value = 1
+        assert "frame 1: no answer" in viewer.words.content
+        lines = [f"{broken / 'depth' / f'{n:06d}.png'}, frame {n}: expected a PNG image" for n in range(2)]
+        assert lines[1] in viewer.words.content
+        assert len(told) == 2
+        assert all(line.startswith(start) for line, start in zip(told, lines))
+        cameras["0"]["cam_K"] = "none"
+        (broken / "scene_camera.json").write_text(json.dumps(cameras))  # another file than the one that was opened
+        viewer.slider.value = 0
+        assert "scene_camera.json" in viewer.words.content
+    finally:
+        viewer.stop()
 
 
 def test_the_ellipsoid_has_the_covariances_axes():

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from fusion.tracking.checkpoint import REMADE, plain_state, restore_tracker, save_tracker
+from fusion.tracking.checkpoint import REMADE, digest, restore_tracker, save_tracker
 from fusion.tracking.tracker import Tracker
 from scenes.errors import InputError
 from scenes.recordings.captures import read_capture
@@ -155,10 +155,10 @@ def test_settings_are_alike_when_they_are():
 
     from fusion.tracking.answer import TrackSettings
 
-    assert plain_state(TrackSettings()) == plain_state(TrackSettings())
-    assert plain_state(TrackSettings()) != plain_state(TrackSettings(coast=31))
+    assert digest(TrackSettings()) == digest(TrackSettings())
+    assert digest(TrackSettings()) != digest(TrackSettings(coast=31))
     with pytest.raises(InputError, match="expected what a state can keep"):
-        plain_state(Alien())
+        digest(Alien())
 
 
 def edited_state(content, change):

@@ -126,6 +126,32 @@ def test_a_recording_that_has_grown_is_gone_on_with(capture, whole, tmp_path, ha
         assert (out / name).read_bytes() == (whole / name).read_bytes(), name
 
 
+@pytest.mark.parametrize("changed", [0, FRAMES_MADE - 1])
+def test_another_recording_of_the_same_name_is_not_gone_on_with(capture, whole, tmp_path, capsys, changed):
+    """One frame tells: of a recording that begins alike, or ends alike."""
+    import shutil
+
+    out, other = tmp_path / "out", tmp_path / capture.name
+    shutil.copytree(whole, out)
+    shutil.copytree(capture, other)
+    shutil.copy(capture / "depth" / "000003.png", other / "depth" / f"{changed:06d}.png")
+    said = refused(capsys, "track", other, "--out", out, "--no-report", "--resume")
+    assert f"expected frame {changed} to show what it showed to the track, got other readings" in said
+    assert (out / POSES).read_bytes() == (whole / POSES).read_bytes()
+
+
+def test_a_recording_that_was_moved_is_gone_on_with(capture, whole, tmp_path):
+    """Under another name, and with its truth told anew."""
+    import shutil
+
+    out, moved = tmp_path / "out", tmp_path / "elsewhere" / "renamed"
+    shutil.copytree(whole, out)
+    shutil.copytree(capture, moved)
+    (moved / "scene_gt.json").unlink()
+    assert run("track", moved, "--out", out, "--no-report", "--resume") == 0
+    assert (out / POSES).read_bytes() == (whole / POSES).read_bytes()
+
+
 def test_a_broken_file_in_the_middle_is_said_and_done_without(capture, tmp_path, capsys):
     import shutil
 

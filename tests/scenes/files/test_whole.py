@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import csv
 import errno
+import json
 import os
+import stat
 import subprocess
 import sys
 
 import numpy as np
 import pytest
-from commands import refused
+from commands import refused, run
 from made_frames import some_frame
 
 from fusion.results.batch import Job, Outcome, error_row
@@ -89,6 +91,74 @@ def test_a_file_of_a_dead_writer_goes_with_the_next(tmp_path, dead):
     (tmp_path / f".result.json.draft-{_host()}-{dead}-abc").write_text("{")
     replace_file(tmp_path / "result.json", b"{}")
     assert os.listdir(tmp_path) == ["result.json"]
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_link_stays_and_what_it_leads_to_is_written(tmp_path, there):
+    real, link = tmp_path / "elsewhere" / "real.json", tmp_path / "link.json"
+    real.parent.mkdir()
+    if there:
+        real.write_text("old")
+    link.symlink_to(real)
+    replace_file(link, b"new")
+    assert link.is_symlink()
+    assert real.read_text() == "new"
+    assert os.listdir(tmp_path / "elsewhere") == ["real.json"]
+    assert sorted(os.listdir(tmp_path)) == ["elsewhere", "link.json"]
+
+
+def test_a_link_to_a_folder_stays_and_that_is_replaced(tmp_path):
+    real, link = tmp_path / "elsewhere" / "c", tmp_path / "c"
+    real.mkdir(parents=True)
+    link.symlink_to(real)
+    for index in range(2):  # an empty folder, then a capture
+        write_capture(link, [some_frame(index)], make("box"))
+    assert link.is_symlink()
+    assert read_capture(real).frame_ids == (1,)
+    assert os.listdir(tmp_path / "elsewhere") == ["c"]
+
+
+def test_a_pipe_stays_and_its_reader_has_all_once(tmp_path, capsys):
+    """Whoever tries first whether it can be written must not open it: the reader would see it end."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    write_capture(tmp_path / "c", [some_frame(0)], make("box"))
+    reader = subprocess.Popen(["cat", pipe], stdout=subprocess.PIPE)
+    assert run("validate", tmp_path / "c", "--json", pipe) == 0
+    told = json.loads(reader.communicate(timeout=20)[0])
+    assert told["valid"] is True
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
+def test_a_device_is_written_to(tmp_path):
+    link = tmp_path / "nothing"
+    link.symlink_to("/dev/full")
+    with pytest.raises(OSError, match="No space left") as error:
+        replace_file(link, b"some")
+    assert error.value.filename == str(link)
+    assert link.is_symlink()
+    assert stat.S_ISCHR(os.stat("/dev/full").st_mode)
+
+
+@pytest.mark.parametrize("piped", [True, False])
+def test_standard_output_is_written_to_in_turn(tmp_path, piped):
+    """Through a link, for who replaces /dev/stdout itself takes it from every other program."""
+    link, file = tmp_path / "out", tmp_path / "said.txt"
+    link.symlink_to("/proc/self/fd/1")
+    code = (
+        "import sys; from pathlib import Path; from scenes.files.whole import replace_file;"
+        " sys.stdout.write('before\\n'); replace_file(Path(sys.argv[1]), b'{}\\n'); sys.stdout.write('after\\n')"
+    )
+    command = [sys.executable, "-c", code, link]
+    if piped:
+        said = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
+    else:
+        with file.open("w") as opened:
+            subprocess.run(command, stdout=opened, check=True)
+        said = file.read_text()
+    assert said == "before\n{}\nafter\n"
+    assert link.is_symlink()
 
 
 @pytest.mark.parametrize("where", ["/proc/x.json", "/proc/1/x.json"])

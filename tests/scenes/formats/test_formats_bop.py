@@ -163,6 +163,17 @@ def test_what_is_dropped(data, tmp_path, capsys):
     )
 
 
+@pytest.mark.parametrize("folder", ["depth", "rgb"])
+def test_images_without_a_camera_are_dropped_and_counted(data, tmp_path, folder):
+    for number in (12, 5, 1000018):
+        shutil.copy(data.scene / folder / "000003.png", data.scene / folder / f"{number:06d}.png")
+    assert run("convert", data.scene, tmp_path / "c", "--object-id", 2, "--json", tmp_path / "j.json") == 0
+    said = json.loads((tmp_path / "j.json").read_text())
+    why = "no entry in scene_camera.json, the first is 000005"
+    assert said["dropped"] == [{"what": "images", "why": why, "count": 3}]
+    assert read_capture(tmp_path / "c").frame_ids == data.numbers
+
+
 def test_malformed_scenes(data, tmp_path, capsys):
     def says(message, *argv):
         error = refused(capsys, "convert", data.scene, tmp_path / "c", *argv)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -54,6 +55,21 @@ def test_the_truth_as_a_trajectory(capture, tmp_path):
     back = read_tum(tmp_path / "t.txt")
     assert list(back) == [0, 300_000_000, 600_000_000]
     np.testing.assert_allclose(list(back.values()), truths, atol=1e-12)
+
+
+def test_frames_a_second_beside_the_recordings_own_times_are_refused(capture, tmp_path, capsys):
+    """They had done nothing, without a word."""
+    manifest = json.loads((capture[0] / "capture.json").read_text())
+    manifest["notes"] = {"stamps_ns": {"0": 0, "3": 5, "6": 9}}
+    stamped = tmp_path / "stamped"
+    shutil.copytree(capture[0], stamped)
+    (stamped / "capture.json").write_text(json.dumps(manifest))
+    line = refused(capsys, "convert", stamped, tmp_path / "t.tum", "--fps", "10")
+    where = f"{stamped / 'capture.json'}, which has them (stamps_ns): leave it out"
+    assert f"--fps: expected a recording without times, got {where}" in line
+    assert not (tmp_path / "t.tum").exists()
+    assert run("convert", stamped, tmp_path / "t.tum") == 0
+    assert list(read_tum(tmp_path / "t.tum")) == [0, 5, 9]
 
 
 @pytest.mark.parametrize("fps", ["1e-300", "1e-9", "1e10", "1e300"])

@@ -37,6 +37,16 @@ def test_ycbineoat(tmp_path, masks, named):
     assert rows[1].startswith("1581120424.100262102 0.0 0.1 0.6 ")
 
 
+def test_a_gap_between_times_is_a_gap_in_numbers(tmp_path):
+    names = [str(1581120424100262102 + milliseconds * 1_000_000) for milliseconds in (0, 48, 94, 1140)]
+    sequence(tmp_path / "s", names, True)
+    argv = ("convert", tmp_path / "s", tmp_path / "c", "--object", "box", "--json", tmp_path / "j.json")
+    assert run(*argv) == 0
+    assert read_capture(tmp_path / "c").frame_ids == (0, 1, 2, 24)
+    remarks = json.loads((tmp_path / "j.json").read_text())["remarks"]
+    assert remarks == ["1 gap in time: frame numbers leave out 21 periods of 48 ms"]
+
+
 def test_poses_of_depth_images_that_are_not_there_are_dropped(tmp_path):
     names = [f"{i:07d}" for i in range(4)]
     _, truths = sequence(tmp_path / "s", names, True)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from bags import HEIGHT, KINDS, MS, PLAIN, START, WIDTH, converted, plain
+from bags import HEIGHT, KINDS, MS, PLAIN, SECOND, START, WIDTH, Messages, converted, plain
 
+from scenes.formats.conversion import numbers_in_time, period_of
 from scenes.geometry import poses
 
 
@@ -53,3 +54,42 @@ def test_transforms_between_samples(tmp_path):
     np.testing.assert_allclose(middle[:3, 3], start[:3, 3] * 2 / 3 + end[:3, 3] / 3, atol=1e-12)
     turned = poses.log_rotation(start[:3, :3].T @ middle[:3, :3])
     np.testing.assert_allclose(turned, poses.log_rotation(start[:3, :3].T @ end[:3, :3]) / 3, atol=1e-12)
+
+
+def test_a_gap_in_time_is_a_gap_in_the_frames_numbers(tmp_path):
+    """The tracker's clock is the number: a second without images is no thirtieth of one."""
+    out, period = Messages("mcap"), SECOND // 30
+    came = [0, 1, 2, 3, 4, 34, 35, 37]
+    for i in came:
+        stamp = START + i * period + (3 * MS if i == 35 else 0)  # a camera is never on time
+        out.image("/depth", stamp, np.full((HEIGHT, WIDTH), 500, dtype=np.uint16), "16UC1")
+        out.camera_info("/depth/info", stamp)
+    capture, said = converted(tmp_path, out)
+    assert capture.frame_ids == tuple(came)
+    assert capture.manifest.notes["stamps_ns"]["34"] == START + 34 * period
+    assert said["remarks"] == ["2 gaps in time: frame numbers leave out 30 periods of 33.33 ms"]
+
+
+def test_images_that_are_dropped_leave_their_numbers_out(tmp_path):
+    out = plain("mcap", 6)
+    for i in (0, 1, 5):
+        out.transform("/tf", START + 100 * i * MS, "base", "camera", np.eye(4))
+    topics = PLAIN | {"/tf": {"role": "tf"}}
+    capture, said = converted(tmp_path, out, topics, world="robot base", frames={"world": "base"})
+    assert capture.frame_ids == (0, 1, 5)
+    assert said["dropped"][0]["count"] == 3
+
+
+@pytest.mark.parametrize(
+    ("stamps", "numbers"),
+    [
+        ([], []),
+        ([7], [0]),
+        ([7, 7], [0, 1]),
+        ([0, 33, 1033], [0, 1, 31]),  # a gap among three is no period
+        ([0, 33, 50, 99], [0, 1, 2, 3]),
+        ([0, 10, 20, 10**15], [0, 1, 2, 100_002]),  # a clock that was set
+    ],
+)
+def test_numbers_count_periods(stamps, numbers):
+    assert numbers_in_time(stamps, period_of(stamps)) == numbers

@@ -161,11 +161,12 @@ def test_refusals(spoil, message):
         mesh_repair.close(vertices, faces, "cup.ply")
 
 
-def test_a_flat_mesh_that_lies_askew_is_refused():
+def test_a_flat_mesh_that_lies_askew_is_refused(recwarn):
     vertices, faces = box()
     turned = (vertices * [1, 1, 0]) @ np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     with pytest.raises(MeshError, match="expected a solid"):
         mesh_repair.close(turned, faces, "plate")
+    assert not [warning for warning in recwarn if issubclass(warning.category, RuntimeWarning)]
 
 
 def test_half_a_ball_names_how_much_is_missing():

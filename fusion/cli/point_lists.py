@@ -1,0 +1,118 @@
+"""Lists of points and meshes as files that become one another: .off, .ply, and contacts as .csv, in their own unit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fusion.cli.options import check_target
+
+if TYPE_CHECKING:
+    from scenes.files.off import OffData
+    from scenes.formats.conversion import Converted, Dropped
+
+ENDINGS = (".off", ".ply", ".csv")
+
+
+def convert_list(source: Path, out: Path) -> Converted:
+    """Write the list as the ending of `out` says; what that has no place for is dropped and counted. Contacts of a .csv
+    stay in a .csv as they are, of any number of frames.
+
+    Raises PalpateError for other endings, broken files, and a .csv of several frames that becomes a list of points.
+    """
+    from scenes.errors import InputError
+    from scenes.files.off import write_off
+    from scenes.files.ply import write_ply
+    from scenes.formats.conversion import Converted, Dropped
+
+    kinds = (source.suffix.lower(), out.suffix.lower())
+    if kinds[0] not in ENDINGS or kinds[1] not in ENDINGS:
+        raise InputError(f"convert: expected files ending in {', '.join(ENDINGS)}, got {source.name} to {out.name}")
+    check_target(out)
+    dropped = Dropped()
+    if kinds == (".csv", ".csv"):
+        _write_rows(source, out)
+        return Converted((out,))
+    data = _read(source, dropped)
+    if kinds[1] == ".off":
+        write_off(out, data.points, data.faces, data.colours, data.normals)
+    elif kinds[1] == ".ply":
+        dropped.add("normals", "a list of points as PLY has none", 0 if data.normals is None else len(data.normals))
+        write_ply(out, data.points, data.faces if len(data.faces) else None, data.colours)
+    else:
+        dropped.add("faces", "contacts have none", len(data.faces))
+        dropped.add("colours", "contacts have none", 0 if data.colours is None else len(data.colours))
+        _write_contacts(out, data)
+    return Converted((out,), dropped=dropped)
+
+
+def _read(source: Path, dropped: Dropped) -> OffData:
+    from scenes.files.off import OffData, read_off
+    from scenes.files.ply import read_cloud
+    from scenes.files.tables import NO_FACES
+
+    if source.suffix.lower() == ".off":
+        return read_off(source)
+    if source.suffix.lower() == ".csv":
+        return _read_contacts(source, dropped)
+    points, colours = read_cloud(source)
+    faces = _faces(source)
+    return OffData(points, NO_FACES if faces is None else faces, colours)
+
+
+def _read_contacts(source: Path, dropped: Dropped) -> OffData:
+    """Points of contacts, with their normals where all have one; what else is said of them is counted as dropped."""
+    import numpy as np
+
+    from fusion.cli.commands.localize import read_contacts
+    from scenes.files import tables
+    from scenes.files.off import OffData
+    from scenes.files.problems import refuse
+
+    felt = read_contacts(source)
+    rows = tables.read_table(source, tables.LOOSE_CONTACTS, refuse)
+    known = int(felt.has_normal.sum())
+    if known < len(felt):
+        dropped.add("normals", f"{len(felt) - known} of {len(felt)} contacts have none, and points all or none", known)
+    for what, names in (("sigmas", ("sigma_point", "sigma_normal")), ("forces", ("fx", "fy", "fz"))):
+        said = np.isfinite(rows.stack(*names)).any(axis=1)
+        dropped.add(what, "lists of points have no place for them", int(said.sum()))
+    dropped.add("names of sensors", "lists of points have no place for them", sum(map(bool, rows.texts["sensor"])))
+    return OffData(felt.points, tables.NO_FACES, None, felt.normals if known == len(felt) else None)
+
+
+def _write_rows(source: Path, out: Path) -> None:
+    """Contacts to contacts: every row with all that is said of it."""
+    import numpy as np
+
+    from scenes.errors import CaptureError, InputError
+    from scenes.files import tables
+    from scenes.files.problems import refuse
+    from scenes.recordings.captures import contacts_of
+
+    rows = tables.read_table(source, tables.LOOSE_CONTACTS, refuse)
+    if not len(rows):
+        raise CaptureError(f"{source}: expected contacts, got none")
+    try:
+        contacts_of(rows)
+    except InputError as error:
+        raise CaptureError(f"{source}: {error}") from error
+    names = [name or f"contact{i}" for i, name in enumerate(rows.texts["sensor"])]
+    numbers = np.stack([rows.numbers[column.name] for column in tables.CONTACTS[2:]], axis=1).tolist()
+    told = zip(rows.frames().tolist(), names, numbers, strict=True)
+    tables.write_table(out, tables.CONTACTS, ([frame, name, *values] for frame, name, values in told))
+
+
+def _write_contacts(out: Path, data: OffData) -> None:
+    from scenes.files import tables
+
+    unknown = float("nan")
+    normals = [[unknown] * 3] * len(data.points) if data.normals is None else data.normals.tolist()
+    rows = enumerate(zip(data.points.tolist(), normals, strict=True))
+    tables.write_table(out, tables.CONTACTS, ([0, f"contact{i}", *p, *n, *[unknown] * 5] for i, (p, n) in rows))
+
+
+def _faces(path: Path) -> Any:
+    from scenes.files.meshes import loaded
+
+    return getattr(loaded(path), "faces", None)
