@@ -69,6 +69,32 @@ def test_a_false_contact_or_two_lose_nothing_that_the_image_shows(drill):
     assert verdict(drill, (mode,), residuals[:1], float("nan"), shown)[0] == "lost"
 
 
+@pytest.mark.parametrize("count", [2, 4])
+def test_half_of_the_contacts_are_no_majority(drill, count):
+    """Where as many contacts contradict a pose as agree with it, it is not `ok`, however well the image shows it."""
+    mode = Mode(pose=np.eye(4), weight=1.0, covariance=1e-8 * np.eye(6), cost=0.0)
+    points, normals = drill.sample_surface(count, 0)
+    half = Contacts(points + np.where(np.arange(count) % 2, 0.02, 0.0)[:, None] * normals, normals, 0.001, 0.1)
+    residuals = contact_residuals(drill, half, np.eye(4))
+    assert sum(one.outlier for one in residuals) == count // 2
+    shown = Visibility(0.6, 0.4, 0.0, 0.0)
+    assert verdict(drill, (mode,), residuals, 0.95, shown)[0] == "ambiguous"
+    assert verdict(drill, (mode,), (*residuals, residuals[0]), 0.95, shown)[0] == "ok"
+
+
+def test_what_a_rule_doubts_is_not_as_sure_as_an_ok_answer(exact_frame, drill):
+    """The camera shows the object, and three of four contacts, told to be sharp, are where it is not."""
+    points, normals = drill.sample_surface(4, 7)
+    place = exact_frame.camera_from_object_truth
+    points = poses.apply(place, points + np.array([0.0, 0.03, -0.03, 0.03])[:, None] * normals)
+    felt = Contacts(points, normals @ place[:3, :3].T, 0.0004, 0.05)
+    start = poses.perturb(place, 0.01 * np.ones(6), drill.centroid)
+    bare = replace(exact_frame, rgb=None, prior=start, hand=None, joints=None, world_from_hand=None)
+    answer = estimate(replace(bare, contacts=felt, camera_from_world=np.eye(4)), drill)
+    assert answer.verdict != "ok"
+    assert answer.confidence <= VerdictSettings().most_doubted
+
+
 def test_depth_without_noise_is_no_surer_than_believed(exact_frame, drill):
     """Filters take noise away and leave what is shared: an image without any narrows nothing."""
     start = poses.perturb(exact_frame.camera_from_object_truth, 0.01 * np.ones(6), drill.centroid)
