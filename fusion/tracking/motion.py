@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scenes.errors import InputError
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import CalibrationModel
@@ -172,7 +173,11 @@ class HandMotion:
         rows = [i for i, name in enumerate(before.sensors) if name in sensors]
         if not rows:
             return None
-        then, now = frame.hand.forward_kinematics(before.joints), frame.hand.forward_kinematics(frame.joints)
+        now = frame.hand.forward_kinematics(frame.joints)
+        try:
+            then = frame.hand.forward_kinematics(before.joints)
+        except InputError:  # those of another hand: the tool was changed
+            return None
         points = before.points[rows]
         moved = np.zeros_like(points)
         for k, i in enumerate(rows):

@@ -39,13 +39,16 @@ def sentence(estimate: Estimate) -> str:
     """One sentence: how well the pose is known, or why it is not."""
     rotation, translation = worst_sigmas(np.asarray(estimate.covariance, dtype=np.float64))
     known = _known(rotation, translation)
+    why = estimate.notes[0] if estimate.notes else ""  # the verdict's reason
     if estimate.verdict == "lost":
-        return "No pose explains what was sensed: the one shown is the best of a bad lot and must not be used."
+        return f"The pose shown must not be used: {why or 'no pose explains what was sensed'}."
     if estimate.verdict == "ambiguous":
         others = sum(mode.weight >= WORTH_COUNTING for mode in estimate.modes[1:])
         if others:
             share = estimate.modes[0].weight
             return f"{others + 1} poses fit alike; the one shown has {share:.0%} of the weight. {known}"
+        if why and not estimate.unobservable:
+            return f"It is not to be relied on: {why}. {known}"
         return f"The data leave some motion free. {known}"
     return known
 

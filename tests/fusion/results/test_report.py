@@ -161,6 +161,13 @@ class TestWords:
         assert words.headline(make_estimate(frame)) == "Found"
         assert "0.5 mm" in words.sentence(make_estimate(frame))
         assert "must not be used" in words.sentence(make_estimate(frame, "lost"))
+        nothing = "no evidence: no pixel of the object and no contact"
+        assert words.sentence(make_estimate(frame, "lost", notes=(nothing,))).endswith(f"{nothing}.")
+        unsure = make_estimate(frame, "ambiguous", notes=("only 93% sure to be within 5 mm",))
+        assert words.sentence(unsure).startswith("It is not to be relied on: only 93% sure")
+        turns = ("rotation about z",)
+        free = make_estimate(frame, "ambiguous", notes=("rotation about z unknown",), unobservable=turns)
+        assert words.sentence(free).startswith("The data leave some motion free.")
         two = (Mode(np.eye(4), 0.7, 0.0, np.eye(6)), Mode(np.eye(4), 0.3, 0.0, np.eye(6)))
         assert "2 poses" in words.sentence(make_estimate(frame, "ambiguous", modes=two))
         assert "cannot be told" in words.sentence(make_estimate(frame, covariance=np.full((6, 6), np.nan)))

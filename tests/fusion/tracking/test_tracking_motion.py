@@ -112,6 +112,14 @@ def test_fingers_that_move_move_the_object(mug, hand):
     assert HandState.of(Frame(2), contacts) is None
 
 
+def test_fingers_of_another_hand_say_nothing(mug, hand):
+    """A tool changer: sensors may have the same names, the joints have not."""
+    frame = Frame(1, hand=hand, joints=dict.fromkeys(hand.joint_names, 0.3), world_from_hand=np.eye(4))
+    before = HandState(np.eye(4), {"finger_left_slide": 0.01}, (next(iter(hand.sensors)),), np.zeros((1, 3)))
+    moved = HandMotion(mug).in_hand(before, frame, np.eye(4), 1)
+    np.testing.assert_array_equal(moved.motion, np.zeros(6))
+
+
 @given(SEEDS)
 def test_an_update_is_the_kalman_filters_when_nothing_is_shared(mug, seed):
     rng = np.random.default_rng(seed)
