@@ -33,6 +33,7 @@ OF_SOURCES = {
     "topics": ("ros",),
     "intrinsics": ("images", "ros"),
     "depth_scale": ("images", "ycbineoat"),
+    "frame": ("contacts", TABLE),
 }
 OF_TARGETS = {"result": ("glb", "tum"), "frame": ("glb",), "fps": ("tum",)}
 
@@ -43,9 +44,11 @@ def refuse_unused(args: argparse.Namespace, source: str | None = None, target: s
     """
     from scenes.errors import InputError
 
-    for options, preposition, got in ((OF_SOURCES, "from", source), (OF_TARGETS, "to", target)):
-        for name, users in options.items():
-            if getattr(args, name) is not None and got not in users:
-                option, what = f"--{name.replace('_', '-')}", " or ".join(users)
-                found = f"{args.source}, converted " + (f"from {source}" if source else f"to {target}")
-                raise InputError(f"{option}: expected a conversion {preposition} {what}, which use it, got {found}")
+    got = source or target
+    found = f"{args.source}, converted {'from' if source else 'to'} {got}"
+    for name in {**OF_SOURCES, **OF_TARGETS}:
+        sides = {"from": OF_SOURCES.get(name, ()), "to": OF_TARGETS.get(name, ())}
+        if getattr(args, name) is not None and got not in sides["from" if source else "to"]:
+            wanted = " or ".join(f"{side} {' or '.join(users)}" for side, users in sides.items() if users)
+            option = f"--{name.replace('_', '-')}"
+            raise InputError(f"{option}: expected a conversion {wanted}, which use it, got {found}")

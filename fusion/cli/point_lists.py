@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 ENDINGS = (".off", ".ply", ".csv")
 
 
-def convert_list(source: Path, out: Path) -> Converted:
+def convert_list(source: Path, out: Path, frame: int | None = None) -> Converted:
     """Write the list as the ending of `out` says; what that has no place for is dropped and counted. Contacts of a .csv
-    stay in a .csv as they are, of any number of frames.
+    stay in a .csv as they are, of any number of frames; frame: which of them, default the only one, or all.
 
     Raises PalpateError for other endings, broken files, and a .csv of several frames that becomes a list of points.
     """
@@ -28,12 +28,14 @@ def convert_list(source: Path, out: Path) -> Converted:
     kinds = (source.suffix.lower(), out.suffix.lower())
     if kinds[0] not in ENDINGS or kinds[1] not in ENDINGS:
         raise InputError(f"convert: expected files ending in {', '.join(ENDINGS)}, got {source.name} to {out.name}")
+    if frame is not None and kinds[0] != ".csv":
+        raise InputError(f"--frame: expected contacts as .csv, which have frames, got {source}")
     check_target(out)
     dropped = Dropped()
     if kinds == (".csv", ".csv"):
-        _write_rows(source, out)
+        _write_rows(source, out, frame)
         return Converted((out,))
-    data = _read(source, dropped)
+    data = _read(source, frame, dropped)
     if kinds[1] == ".off":
         write_off(out, data.points, data.faces, data.colours, data.normals)
     elif kinds[1] == ".ply":
@@ -46,7 +48,7 @@ def convert_list(source: Path, out: Path) -> Converted:
     return Converted((out,), dropped=dropped)
 
 
-def _read(source: Path, dropped: Dropped) -> OffData:
+def _read(source: Path, frame: int | None, dropped: Dropped) -> OffData:
     from scenes.files.off import OffData, read_off
     from scenes.files.ply import read_cloud
     from scenes.files.tables import NO_FACES
@@ -54,13 +56,13 @@ def _read(source: Path, dropped: Dropped) -> OffData:
     if source.suffix.lower() == ".off":
         return read_off(source)
     if source.suffix.lower() == ".csv":
-        return _read_contacts(source, dropped)
+        return _read_contacts(source, frame, dropped)
     points, colours = read_cloud(source)
     faces = _faces(source)
     return OffData(points, NO_FACES if faces is None else faces, colours)
 
 
-def _read_contacts(source: Path, dropped: Dropped) -> OffData:
+def _read_contacts(source: Path, frame: int | None, dropped: Dropped) -> OffData:
     """Points of contacts, with their normals where all have one; what else is said of them is counted as dropped."""
     import numpy as np
 
@@ -69,8 +71,9 @@ def _read_contacts(source: Path, dropped: Dropped) -> OffData:
     from scenes.files.off import OffData
     from scenes.files.problems import refuse
 
-    felt = read_contacts(source)
+    felt = read_contacts(source, frame)
     rows = tables.read_table(source, tables.LOOSE_CONTACTS, refuse)
+    rows = rows if frame is None else rows.of_frame(frame)
     known = int(felt.has_normal.sum())
     if known < len(felt):
         dropped.add("normals", f"{len(felt) - known} of {len(felt)} contacts have none, and points all or none", known)
@@ -81,8 +84,8 @@ def _read_contacts(source: Path, dropped: Dropped) -> OffData:
     return OffData(felt.points, tables.NO_FACES, None, felt.normals if known == len(felt) else None)
 
 
-def _write_rows(source: Path, out: Path) -> None:
-    """Contacts to contacts: every row with all that is said of it."""
+def _write_rows(source: Path, out: Path, frame: int | None) -> None:
+    """Contacts to contacts: every row with all that is said of it, or every one of that frame."""
     import numpy as np
 
     from scenes.errors import CaptureError, InputError
@@ -93,6 +96,10 @@ def _write_rows(source: Path, out: Path) -> None:
     rows = tables.read_table(source, tables.LOOSE_CONTACTS, refuse)
     if not len(rows):
         raise CaptureError(f"{source}: expected contacts, got none")
+    if frame is not None:
+        rows = rows.of_frame(frame)
+        if not len(rows):
+            raise InputError(f"{source}: expected a frame that has contacts, got {frame}")
     try:
         contacts_of(rows)
     except InputError as error:

@@ -68,7 +68,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--result", metavar="FILE", type=Path, help="glb, tum: poses.csv, result.json or their folder; else the truth"
     )
-    parser.add_argument("--frame", metavar="N", type=whole, help="glb: whose cloud and hand (default the first)")
+    parser.add_argument(
+        "--frame", metavar="N", type=whole, help="glb: whose cloud and hand (or the first); contacts: which"
+    )
     parser.add_argument("--fps", metavar="F", type=positive_number, help="tum: where no stamps are known (30)")
     add_beliefs(parser)
 
@@ -123,7 +125,7 @@ def convert(args: argparse.Namespace) -> Converted:
     kind = args.kind or _kind(source, args.out)
     refuse_unused(args, source=kind)
     if kind == TABLE:
-        return convert_list(source, args.out)
+        return convert_list(source, args.out, args.frame)
     return _import(kind, args)
 
 
@@ -198,7 +200,7 @@ def _import(kind: str, args: argparse.Namespace) -> Converted:
         from fusion.cli.commands.localize import read_contacts
 
         model = _needed(args, f"a capture (or OUT ending in {', '.join(ENDINGS)})")
-        return tacman.convert_contacts(read_contacts(source), out, model, str(source))
+        return tacman.convert_contacts(read_contacts(source, args.frame), out, model, str(source))
     if kind == "ros":
         from scenes.formats.ros import recording as ros
         from scenes.formats.ros import topics as ros_map

@@ -187,6 +187,8 @@ def read_contacts(path: Path, frame: int | None = None) -> Contacts:
 
     if not path.is_file():
         raise CaptureError(f"{path}: expected contacts (.csv, .off or .ply), found no file")
+    if frame is not None and path.suffix.lower() != ".csv":
+        raise InputError(f"--frame: expected contacts as .csv, which have frames, got {path}")
     if path.suffix.lower() == ".csv":
         rows = tables.read_table(path, tables.LOOSE_CONTACTS, refuse)
         frames = sorted(set(map(int, rows.frames())))

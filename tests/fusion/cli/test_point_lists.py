@@ -43,6 +43,20 @@ def test_contacts_of_several_frames_stay_what_they_are(contacts, tmp_path, capsy
     assert "expected contacts of one frame, got 2" in refused(capsys, "convert", contacts, tmp_path / "points.off")
 
 
+def test_one_frame_of_the_contacts_is_chosen(contacts, tmp_path, capsys):
+    contacts.write_text("\n".join([HEAD, *ROWS, ROWS[0].replace("4,", "5,", 1), ""]))
+    dropped(tmp_path, contacts, tmp_path / "points.off", "--frame", "5")
+    assert read_off(tmp_path / "points.off").points.tolist() == [[0.1, 0.2, 0.3]]
+    assert dropped(tmp_path, contacts, tmp_path / "again.csv", "--frame", "4") == set()
+    assert (tmp_path / "again.csv").read_text() == "\n".join([HEAD, *ROWS, ""])
+    capsys.readouterr()
+    assert "got 6" in refused(capsys, "convert", contacts, tmp_path / "no.csv", "--frame", "6")
+    assert "got 6" in refused(capsys, "convert", contacts, tmp_path / "no.off", "--frame", "6")
+    wanted = "expected contacts as .csv, which have frames"
+    assert wanted in refused(capsys, "convert", tmp_path / "points.off", tmp_path / "no.ply", "--frame", "5")
+    assert wanted in refused(capsys, "localize", tmp_path / "points.off", "--object", "drill", "--frame", "5")
+
+
 def test_contacts_that_say_little_get_names(tmp_path):
     (tmp_path / "few.csv").write_text("x,y,z\n0.1,0.2,0.3\n")
     assert dropped(tmp_path, tmp_path / "few.csv", tmp_path / "again.csv") == set()
