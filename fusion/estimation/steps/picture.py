@@ -132,11 +132,24 @@ def narrowed(
     if effective < s.open_fewest:
         return mode, count, 1.0
     values, vectors = np.linalg.eigh(spread)
-    spread = (vectors * np.minimum(values, 1.0)) @ vectors.T
-    covariance = mode.covariance + basis @ (spread - np.eye(count)) @ basis.T
+    covariance = _as_wide(model, mode, basis, np.minimum(values, 1.0), vectors)
     pose = se3.perturb(mode.pose, (basis @ mean)[None], model.centroid)[0]
     left = float(np.sqrt(min(values[-1], 1.0)))
     return replace(mode, pose=pose, covariance=0.5 * (covariance + covariance.T)), count, left
+
+
+def _as_wide(model: ObjectModel, mode: Mode, basis: Array, values: Array, vectors: Array) -> Array:
+    """(6, 6) the mode's covariance with its open directions, basis (6, k), as wide as the eigenvalues (k,) and vectors
+    (k, k) of their spread say, in place of the identity.
+    """
+    if not model.symmetries.axes:
+        return np.asarray(mode.covariance + basis @ ((vectors * values) @ vectors.T - np.eye(len(values))) @ basis.T)
+    # A turn about the object's own axis is no doubt and not in these directions, but goes with them: to take off what
+    # is told of them alone would leave less than nothing of both together. Each motion is made smaller instead.
+    unit = np.repeat([1.0 / max(model.radius, 1e-9), 1.0], 3)
+    told = np.linalg.pinv(basis / unit[:, None]) / unit @ model.symmetries.quotient(mode.pose[:3, :3], model.centroid)
+    smaller = np.eye(6) + basis @ ((vectors * np.sqrt(values)) @ vectors.T - np.eye(len(values))) @ told
+    return np.asarray(smaller @ mode.covariance @ smaller.T)
 
 
 def with_picture(

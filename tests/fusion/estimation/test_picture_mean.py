@@ -103,6 +103,24 @@ def test_a_turn_about_the_own_axis_is_not_open():
     assert left_open(model, mode).shape == (6, 0)
 
 
+def test_what_goes_with_a_turn_about_the_own_axis_stays_a_covariance():
+    """A can that may have slid by 30 mm, and turned about itself as it slid."""
+    frame, model = plain_view("cylinder"), library.make("cylinder")
+    pose = frame.camera_from_object_truth
+    axis = model.symmetries.axes[0]
+    turn = pose[:3, :3] @ axis.direction
+    turning = np.concatenate([turn, np.cross(turn, pose[:3, :3] @ (model.centroid - axis.point))])
+    slid = 0.03 * np.concatenate([np.zeros(3), turn]) + 2.0 * turning
+    mode = Mode(pose, 1.0, 0.0, 1e-6 * np.eye(6) + np.outer(slid, slid))
+    basis = left_open(model, mode)
+    assert basis.shape[1] == 1
+    found, _ = asked_picture(model, mode, np.eye(4), Predictor(frame, model, DepthModel()), 0)
+    assert (np.linalg.eigvalsh(found.covariance) > 0.0).all()
+    known = model.symmetries.quotient(pose[:3, :3], model.centroid)
+    before, after = (np.sqrt(np.trace((known @ c @ known.T)[3:, 3:])) for c in (mode.covariance, found.covariance))
+    assert after < 0.5 * before
+
+
 @pytest.mark.parametrize("covariance", [np.zeros((6, 6)), 4.0 * np.eye(6)])
 def test_nothing_known_and_everything_known_stay_finite(covariance):
     frame, model = plain_view("box"), library.make("box")
