@@ -18,6 +18,7 @@ from touch.arrays.readings import Reading, readings_of
 from touch.arrays.rows import ArrayRowSettings, array_contacts, taxel_rows
 from touch.gels.patches import Patch, PatchSettings, patches_of
 from touch.gels.rows import GelRowSettings, gel_contacts, patch_rows, unspoken
+from touch.thinning import cells_of, informative
 from touch.wrenches.intrinsic import wrench_contacts
 
 Array = NDArray[np.float64]
@@ -41,6 +42,10 @@ class TouchSettings:
 
     # A contact is as likely a false one at this many sigmas.
     contact_gate: float = 4.0
+    # More contacts than this (no unit) are taken by so many of them, spread over what was touched: what all of them
+    # share (calibration, the finger, the mesh) is larger than what the rest would add, and a search's time grows with
+    # its rows. As `LocalizeSettings.most_contacts`, which settles with all.
+    most_contacts: int = 400
     # Points on the hand used as "the object is not in here" (0: none; so many, and fewer than twice as many where there
     # are), their sigma (m) and gate (sigmas).
     hand_points: int = 150
@@ -114,11 +119,16 @@ def feel(
 
     correction (4, 4) camera_from_camera: moves what the robot reports to where it is; None when nothing has told: a
     frame seen by a camera is then as uncertain as its calibration. region: ball around which the hand's own surface is
-    listed as space the object cannot be in; None lists none. Sensors that nothing places are left out, which the answer
-    says. Raises CaptureError for sensors that the hand does not have and readings that do not fit it.
+    listed as space the object cannot be in; None lists none. Sensors that nothing places are left out, and so is what a
+    thousand contacts would add to some hundreds; the answer says so. Raises CaptureError for sensors that the hand does not have and readings that do not fit it.
     """
     settings, beliefs = settings or TouchSettings(), beliefs or Beliefs()
     frame, left_out = placed(frame)
+    if len(frame.contacts) > settings.most_contacts:
+        left_out = *left_out, f"{settings.most_contacts} of {len(frame.contacts)} contacts are used, spread over them"
+        cells = cells_of(frame.contacts, settings.most_contacts)
+        few = frame.contacts.take(informative(frame.contacts, cells, settings.most_contacts))
+        frame = replace(frame, contacts=few)
     readings, patches = readings_of(frame), patches_of(frame, settings.patches)
     reported = _reported(frame, readings, patches, settings).of_unknown_worth(beliefs.touch.unknown_sigma)
     with_hand = _has_hand(frame)
