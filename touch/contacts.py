@@ -119,8 +119,9 @@ def feel(
 
     correction (4, 4) camera_from_camera: moves what the robot reports to where it is; None when nothing has told: a
     frame seen by a camera is then as uncertain as its calibration. region: ball around which the hand's own surface is
-    listed as space the object cannot be in; None lists none. Sensors that nothing places are left out, and so is what a
-    thousand contacts would add to some hundreds; the answer says so. Raises CaptureError for sensors that the hand does not have and readings that do not fit it.
+    listed as space the object cannot be in; None lists none. Sensors that nothing places are left out, and so is what
+    a thousand contacts would add to some hundreds; the answer says so. Raises CaptureError for sensors that the hand
+    does not have and readings that do not fit it.
     """
     settings, beliefs = settings or TouchSettings(), beliefs or Beliefs()
     frame, left_out = placed(frame)
