@@ -173,8 +173,6 @@ def placed(frame: Frame) -> tuple[Frame, tuple[str, ...]]:
         said = " and ".join(name for name, felt in kinds.items() if felt)
         note = f"{said} are left out: no {frame.hand_lacks or 'hand'} known"
         return replace(frame, wrenches=(), tactile={}, gels={}), (note,)
-    if frame.joints is None:  # a hand without any
-        frame = replace(frame, joints={})
     sensors = hand.sensors
     bare = {one.sensor for one in frame.wrenches if one.sensor in sensors and sensors[one.sensor].surface is None}
     if not bare:

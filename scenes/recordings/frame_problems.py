@@ -103,8 +103,8 @@ def _centre_doubt(camera: Camera) -> str:
 
 
 def _no_arrays(frame: Frame) -> list[tuple[str, str]]:
-    """Sensors with pressures that no array of the hand has reported, and what is wrong with each, in words: no estimate
-    is made of such a frame.
+    """Sensors with pressures that no array of the hand has reported, and what is wrong with each, in words: they
+    are left out where nothing places them, and refused where the hand has no such array.
     """
     if frame.tactile and frame.hand is None:
         return [(name, "expected a hand with this array, found no hand") for name in frame.tactile]

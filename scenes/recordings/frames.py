@@ -286,6 +286,7 @@ class Frame:
         where = self.where or f"frame {self.index}"
         if not isinstance(self.index, Integral) or isinstance(self.index, bool):
             raise InputError(f"frame: expected its number first, a whole one, got {type(self.index).__name__}")
+        object.__setattr__(self, "index", int(self.index))  # a number of fixed size would overflow
 
         def put(name: str, check: Callable[..., Any], *more: Any) -> None:
             value = getattr(self, name)
@@ -324,6 +325,8 @@ class Frame:
         if sizes:
             checks.same_size(sizes, where)
         self._check_touch(where)
+        if self.hand is not None and self.joints is None and not self.hand.joint_names:
+            object.__setattr__(self, "joints", {})  # nothing is unknown of a hand that has none
 
     def _check_touch(self, where: str) -> None:
         if self.hand is not None:
@@ -349,7 +352,7 @@ class Frame:
         """What is not known of the hand, "pose", "joints" or both, so that it is left out; "" for all, or no hand."""
         if self.hand is None:
             return ""
-        pose, joints = self.world_from_hand is None, self.joints is None and len(self.hand.joint_names) > 0
+        pose, joints = self.world_from_hand is None, self.joints is None
         return " and ".join(name for name, lacks in (("pose", pose), ("joints", joints)) if lacks)
 
     def without_vision(self) -> Frame:

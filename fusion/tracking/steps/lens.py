@@ -6,8 +6,6 @@ drawn through them says anything. Such an image is not looked at, until it is pl
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from fusion.tracking.answer import TrackSettings
@@ -22,8 +20,6 @@ def through_one_lens(frame: Frame, state: TrackState, settings: TrackSettings) -
     Raises InputError for what is no frame.
     """
     check_is_frame(frame)
-    if not isinstance(frame.index, int):  # numbers of fixed size overflow where frames are told apart by them
-        frame = replace(frame, index=int(frame.index))
     camera = frame.camera
     if camera is None or frame.depth is None:
         return frame, ()

@@ -13,9 +13,24 @@ from scenes import Frame
 from scenes.errors import CaptureError, InputError, PalpateError
 from scenes.geometry import poses
 from scenes.recordings.frames import Contacts, EmptyRegions, Wrench
+from scenes.robot.hands import Hand
+from scenes.robot.urdf import Robot, mesh_shape
 from scenes.synthesis.library import make
 
 DEPTH = np.full((48, 64), 0.5, np.float32)
+
+
+def test_numbers_of_a_message_are_numbers():
+    """A message counts in uint32, in which a difference of two frames overflows."""
+    assert type(Frame(np.uint32(7)).index) is int
+
+
+def test_nothing_is_unknown_of_a_hand_without_joints(drill):
+    """A tool in one piece, say: it had been left out where nobody wrote that it has no joints."""
+    tool = Hand(Robot("tool", "rod", {"rod": (mesh_shape(drill.vertices, drill.faces),)}, ()), {})
+    assert Frame(0, hand=tool, world_from_hand=np.eye(4)).joints == {}
+    assert not Frame(0, hand=tool, world_from_hand=np.eye(4)).hand_lacks
+    assert Frame(0, hand=tool).hand_lacks == "pose"
 
 
 def test_what_is_meant_is_taken():
