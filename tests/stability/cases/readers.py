@@ -63,7 +63,7 @@ def _sensors(path: Path) -> None:
 def _loose(path: Path) -> None:
     from fusion.cli.commands.localize import read_contacts
 
-    read_contacts(path, 0)
+    read_contacts(path, 0 if path.suffix == ".csv" else None)
 
 
 def _covariances(path: Path) -> None:
