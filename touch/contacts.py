@@ -64,7 +64,7 @@ class Felt:
     reported_contacts and reported_rows: as the robot reports them. correction (4, 4) camera_from_camera: moves that to
     where it is, as far as known by now; `contacts`, `rows` and `patches` are moved. slack (m): what nothing has
     corrected yet, in the sigmas of `rows`. reported_patches: of gels, those that touch something. left_out: in words,
-    which sensors are not used and why.
+    what of touch is not used and why.
     """
 
     reported_contacts: Contacts
@@ -125,11 +125,8 @@ def feel(
     """
     settings, beliefs = settings or TouchSettings(), beliefs or Beliefs()
     frame, left_out = placed(frame)
-    if len(frame.contacts) > settings.most_contacts:
-        left_out = *left_out, f"{settings.most_contacts} of {len(frame.contacts)} contacts are used, spread over them"
-        cells = cells_of(frame.contacts, settings.most_contacts)
-        few = frame.contacts.take(informative(frame.contacts, cells, settings.most_contacts))
-        frame = replace(frame, contacts=few)
+    frame, spared = thinned(frame, settings.most_contacts)
+    left_out = *left_out, *spared
     readings, patches = readings_of(frame), patches_of(frame, settings.patches)
     reported = _reported(frame, readings, patches, settings).of_unknown_worth(beliefs.touch.unknown_sigma)
     with_hand = _has_hand(frame)
@@ -180,6 +177,20 @@ def placed(frame: Frame) -> tuple[Frame, tuple[str, ...]]:
     # what is in a wrist, say, and not in a fingertip
     note = f"wrenches of {', '.join(sorted(bare))} are left out: no surface known to find contacts on"
     return replace(frame, wrenches=tuple(one for one in frame.wrenches if one.sensor not in bare)), (note,)
+
+
+def thinned(frame: Frame, most: int) -> tuple[Frame, tuple[str, ...]]:
+    """The frame with `most` contacts at most, spread over what was touched (`touch.thinning`), and a note of it."""
+    contacts = frame.contacts
+    if len(contacts) <= most:
+        return frame, ()
+    few = contacts.take(informative(contacts, cells_of(contacts, most), most))
+    return replace(frame, contacts=few), (f"{most} of {len(contacts)} contacts are used, spread over what was touched",)
+
+
+def unused_touch(frame: Frame, settings: TouchSettings) -> tuple[str, ...]:
+    """In words, what of a frame's touch `feel` does not use and why, without feeling it."""
+    return *placed(frame)[1], *thinned(frame, settings.most_contacts)[1]
 
 
 def _has_hand(frame: Frame) -> bool:

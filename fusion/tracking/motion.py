@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.errors import InputError
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import CalibrationModel
@@ -171,13 +170,9 @@ class HandMotion:
             return None
         sensors = frame.hand.sensors
         rows = [i for i, name in enumerate(before.sensors) if name in sensors]
-        if not rows:
-            return None
-        now = frame.hand.forward_kinematics(frame.joints)
-        try:
-            then = frame.hand.forward_kinematics(before.joints)
-        except InputError:  # those of another hand: the tool was changed
-            return None
+        if not rows or frame.hand.strangers(before.joints):
+            return None  # joints of another hand: the tool was changed
+        then, now = frame.hand.forward_kinematics(before.joints), frame.hand.forward_kinematics(frame.joints)
         points = before.points[rows]
         moved = np.zeros_like(points)
         for k, i in enumerate(rows):

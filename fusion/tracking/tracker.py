@@ -54,7 +54,7 @@ from scenes.recordings.frames import Frame
 from scenes.threads import one_blas_thread
 from scenes.words import counted
 from touch.arrays.readings import readings_of
-from touch.contacts import Felt, placed
+from touch.contacts import Felt, placed, unused_touch
 from touch.gels.slip import in_palm
 from vision.filling import as_measured
 from vision.look.looked import Looked
@@ -151,7 +151,7 @@ class Tracker:
         if state.sure and answer.verdict != "ok":
             state.renewal.hurry(frame.index, self.settings.renewal)
         state.sure = answer.verdict == "ok"
-        unused = *unused, *placed(self._felt_frame(frame))[1]
+        unused = *unused, *unused_touch(self._felt_frame(frame), self.settings.first.touch)
         return replace(answer, notes=tuple(dict.fromkeys((*answer.notes, *unused)))) if unused else answer
 
     # --- beginning, beginning again, and asking whether the beginning was right

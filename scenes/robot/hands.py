@@ -6,6 +6,7 @@ Forward kinematics runs on arrays of configurations: all joints of one depth of 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 
@@ -142,13 +143,17 @@ class Hand:
         write_sensors(path.parent / "sensors.json", self.sensors)
         return path
 
+    def strangers(self, joints: Iterable[str]) -> list[str]:
+        """Those of the names that are no movable joint of this hand, one that follows another included."""
+        return [name for name in joints if name not in self._moving_names]
+
     def joint_values(self, joints: dict[str, float]) -> Array:
         """Values of all moving joints, couplings included; absent joints are 0.
 
         A value given for a coupled joint (encoders report those too) replaces what its coupling says. Raises
         InputError for names that this hand does not have and values that are not finite.
         """
-        unknown = [name for name in joints if name not in self._moving_names]
+        unknown = self.strangers(joints)
         if unknown:
             raise InputError(
                 f"joints: expected joints of hand {self.name!r} ({', '.join(self.joint_names[:3])}, …),"

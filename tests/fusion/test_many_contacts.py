@@ -1,8 +1,11 @@
 """Estimates from more contacts than fingers feel: some of them, spread over what was touched, tell what all do."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from fusion.estimation.estimate import estimate
+from fusion.tracking.tracker import Tracker
 from fusion.truth.errors import Judge
 from scenes.geometry import poses
 from scenes.recordings.frames import Contacts, Frame
@@ -25,7 +28,11 @@ def test_some_of_many_contacts_are_used_and_it_is_said(drill):
     assert answer.verdict == "ok"
     assert Judge(drill).errors(answer.pose, truth).add_s < 0.001
     assert len(answer.contacts) == MOST
-    assert any(note.startswith(f"{MOST} of 10000 contacts are used") for note in answer.notes)
+    said = f"{MOST} of 10000 contacts are used, spread over what was touched"
+    assert said in answer.notes
+    tracker = Tracker(drill, prior=truth)
+    for index in range(2):  # found by itself, and followed
+        assert said in tracker.step(replace(frame, index=index)).notes
 
 
 def test_as_many_as_are_searched_with_are_all_used(drill):

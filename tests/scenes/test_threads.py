@@ -2,6 +2,7 @@
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
@@ -37,7 +38,9 @@ def blas(monkeypatch):
     return made
 
 
-def test_the_limit_holds_until_the_last_thread_leaves(blas):
+@contextmanager
+def held_longer():
+    """One thread holds the limit, and another that came meanwhile holds it on, until this ends."""
     inside, leave = threading.Event(), threading.Event()
 
     def other():
@@ -49,9 +52,14 @@ def test_the_limit_holds_until_the_last_thread_leaves(blas):
     with one_blas_thread():
         thread.start()
         assert inside.wait(10.0)
-    assert (blas.now, blas.ever) == (1, 1)
+    yield
     leave.set()
     thread.join(10.0)
+
+
+def test_the_limit_holds_until_the_last_thread_leaves(blas):
+    with held_longer():
+        assert (blas.now, blas.ever) == (1, 1)
     assert blas.now == 0
     with one_blas_thread(), one_blas_thread():
         assert (blas.now, blas.ever) == (1, 2)
@@ -96,19 +104,8 @@ def test_a_thread_beside_the_first_has_one_thread_too():
 @pytest.mark.skipif(blas_threads() == 1, reason="linear algebra has one thread here")
 def test_whoever_leaves_last_lifts_the_limit():
     before = blas_threads()
-    inside, leave = threading.Event(), threading.Event()
-
-    def other():
-        with one_blas_thread():
-            inside.set()
-            leave.wait(10.0)
-
-    thread = threading.Thread(target=other)
-    with one_blas_thread():
-        thread.start()
-        assert inside.wait(10.0)
-    leave.set()
-    thread.join(10.0)
+    with held_longer():
+        assert blas_threads() == 1
     assert blas_threads() == before
     with one_blas_thread():
         pass
