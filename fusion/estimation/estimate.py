@@ -18,7 +18,7 @@ from fusion.estimation.settings import EstimateSettings, usual_settings
 from fusion.estimation.steps.facing import check_print
 from fusion.estimation.steps.finished import finished
 from fusion.estimation.steps.searched import searched
-from fusion.estimation.steps.sense import look_once, sense
+from fusion.estimation.steps.sense import look_again, look_once, sense
 from fusion.estimation.steps.told import nothing_told, told
 from fusion.estimation.tolerance import good_enough
 from fusion.estimation.trace import Trace
@@ -88,7 +88,13 @@ def estimate(
             if alone is not None and good_enough(model, alone, tolerance, settings):
                 return trace.noting_budget(trace.skipping(alone, "feel", "vision alone is within the tolerance"))
         answer = _estimate(frame, model, asked, trace, looked)
-    assert answer is not None
+        assert answer is not None
+        again = look_again(model, asked, trace, looked, answer)
+        if again is not None:
+            other = _estimate(frame, model, asked, trace, again)
+            assert other is not None
+            answer = max(answer, other, key=lambda one: (one.verdict == "ok", one.confidence))
+        answer = replace(answer, trace=trace.stages)
     return trace.noting_budget(answer)
 
 

@@ -13,8 +13,8 @@ from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis import library
 from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
-from vision.look.look import LookSettings, large_planes
-from vision.look.mask.mask import connected_pieces, object_mask
+from vision.look.look import LookSettings, among_others, large_planes, look
+from vision.look.mask.mask import connected_pieces, exceeds, object_mask
 from vision.look.mask.planes import find_plane, find_planes, on_planes
 from vision.look.mask.settings import MaskSettings
 from vision.look.pixels import read_pixels
@@ -60,6 +60,44 @@ def test_what_the_hand_holds_from_behind_is_found():
     seen = [replace(frame, mask=None, contacts=NOTHING) for frame in frames]
     assert min(overlap(object_mask(one, hammer), frame) for one, frame in zip(seen, frames)) > 0.85
     assert min(overlap(object_mask(one, hammer, settings=near), frame) for one, frame in zip(seen, frames)) < 0.2
+
+
+def wide_frame(length):
+    """A board of that length (m) and its frame, 0.6 m before the camera, with a pixel that flies far beside it."""
+    camera = Camera(500.0, 500.0, 199.5, 99.5, 400, 200)
+    depth = np.zeros((200, 400), np.float32)
+    half = int(0.5 * length * 500.0 / 0.6)
+    depth[90:110, 200 - half : 200 + half] = 0.6
+    mask = depth > 0
+    depth[100, 390], mask[100, 390] = 0.6, True
+    return Frame(0, camera=camera, depth=depth), mask
+
+
+def test_a_piece_longer_than_the_object_is_not_it(cylinder):
+    """What flies between two edges makes nothing longer, and no reading is no length."""
+    for share, longer in ((0.9, False), (1.1, False), (1.4, True)):
+        frame, mask = wide_frame(share * cylinder.diameter)
+        assert exceeds(mask, frame, cylinder, MaskSettings()) == longer
+    assert not exceeds(np.zeros_like(mask), frame, cylinder, MaskSettings())
+
+
+def test_among_other_things_at_the_hand_nobody_says_which_is_the_object(scene, cylinder):
+    """The hand's own pixels are its own all the same, and pieces of what is left propose."""
+    seen = replace(scene, mask=None, contacts=NOTHING, prior=None)
+    usual = look(seen, cylinder)
+    assert usual.told_apart
+    assert usual.at_hand
+    found = among_others(seen, cylinder, usual.hand)
+    assert not found.told_apart
+    assert not found.at_hand
+    assert found.pieces
+    for pixels in (found.pixels, *found.pieces):
+        assert not usual.hand.nearer(pixels.points, LookSettings().hand.margin).any()
+    middles = [np.median(piece.points, axis=0) for piece in found.pieces]
+    there = poses.apply(scene.camera_from_object_truth, cylinder.centroid[None])[0]
+    assert min(np.linalg.norm(middle - there) for middle in middles) < cylinder.radius
+    # touch says which it is
+    assert not look(replace(seen, contacts=scene.contacts), cylinder).at_hand
 
 
 def test_a_colour_image_without_colour_changes_nothing(scene, cylinder):

@@ -220,7 +220,7 @@ class Predictor:
     @property
     def score(self) -> PictureScore:
         """What a picture is worth: less surely the object's where nobody knows the hand."""
-        return self.settings.known_hand if self._hand[0].size else self.settings.unknown_hand
+        return self.settings.known_hand if self._hand[0].size and self.told_apart else self.settings.unknown_hand
 
     @property
     def reach(self) -> int:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import Asked
 from fusion.estimation.ranking import guarded, joint_costs
 from fusion.estimation.search.pool import Pool
@@ -19,6 +20,7 @@ from fusion.estimation.solve.rigs import solve_modes
 from fusion.estimation.trace import Trace
 from scenes.evidence import table as tables
 from scenes.evidence.table import Evidence
+from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
 from scenes.words import counted
@@ -26,7 +28,7 @@ from touch.contacts import Felt, feel
 from touch.held import Held
 from vision.look.colours import parted_by_colour
 from vision.look.hand.hand import HandView, camera_from_hand
-from vision.look.look import coloured_pieces, look, surfaces
+from vision.look.look import LookSettings, among_others, coloured_pieces, look, surfaces
 from vision.look.looked import Looked
 from vision.look.pixels import Pixels
 from vision.picture.predictor import Predictor
@@ -75,6 +77,38 @@ def look_once(model: ObjectModel, asked: Asked, trace: Trace) -> Looked:
         count = len(looked.rows(asked.beliefs.depth, settings.rows))
         stage.note(count, f"{len(looked.pixels)} object pixels, {len(looked.of_hand)} of the hand{looked.how}")
     return looked
+
+
+def look_again(model: ObjectModel, asked: Asked, trace: Trace, looked: Looked, answer: Estimate) -> Looked | None:
+    """What the camera saw, where an answer leaves much of what was taken for the object unexplained: then something
+    else is at the hand, and nobody says what hides the object. None where nothing speaks for that.
+    """
+    settings, hand = asked.settings.look, looked.hand
+    why_not = "what is the object's is not told by the hand" if not looked.at_hand or hand is None else ""
+    if not why_not and answer.verdict == "ok":
+        why_not = "the answer is ok"
+    left = 0.0 if why_not else _unexplained(model, looked, answer, settings)
+    if not why_not and left < settings.other_share:
+        why_not = "the answer explains what was taken for the object"
+    elif not why_not and trace.over_budget:
+        why_not = "the time budget is spent"
+    with trace.stage("look again", not why_not, why_not) as stage:
+        if why_not or hand is None:
+            return None
+        found = among_others(asked.viewed, model, hand, asked.beliefs, settings)
+        count = len(found.rows(asked.beliefs.depth, settings.rows))
+        stage.note(count, f"{left:.0%} of it are something else's; {len(found.pixels)} object pixels{found.how}")
+    return found
+
+
+def _unexplained(model: ObjectModel, looked: Looked, answer: Estimate, settings: LookSettings) -> float:
+    """Share of the object's pixels that are on no surface of it at an answer, farther off than parts two things."""
+    points = looked.pixels.points
+    if not len(points):
+        return 0.0
+    seen_at = answer.pose if answer.as_seen is None else answer.as_seen
+    off = np.abs(model.field.distance(se3.apply(se3.inverse(seen_at), points)))
+    return float((off > np.maximum(settings.mask.step, settings.mask.step_share * points[:, 2])).mean())
 
 
 def sense(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: Looked) -> Sensed:

@@ -68,6 +68,28 @@ def object_mask(
     return mask
 
 
+def exceeds(mask: Mask, frame: Frame, model: ObjectModel, settings: MaskSettings) -> bool:
+    """Whether a connected piece of a mask (h, w) is longer than the object anywhere: then it is something else, or the
+    object and something else.
+    """
+    assert frame.depth is not None
+    assert frame.camera is not None
+    z = np.where(mask, frame.depth, 0.0).astype(np.float64)
+    pieces = connected_pieces(z, mask, settings)
+    size = np.bincount(pieces.ravel() + 1, minlength=1)[1:]
+    samples = _samples(pieces, np.where(size >= settings.smallest, size, 0), z, (0, 0), frame.camera)
+    longest = max((_length(points, settings.longest_share) for points in samples.values()), default=0.0)
+    return longest > settings.longest * model.diameter
+
+
+def _length(points: Array, share: float) -> float:
+    """How long (m) the middle `share` of points (n, 3) is, along the axis along which they are longest."""
+    off = points - median(points)
+    along = off @ np.linalg.svd(off, full_matrices=False)[2][0]
+    low, high = np.quantile(along, (0.5 - 0.5 * share, 0.5 + 0.5 * share))
+    return float(high - low)
+
+
 def _candidates(
     frame: Frame,
     model: ObjectModel,

@@ -73,3 +73,7 @@ class MaskSettings:
     # nine tenths of hiding leave. Then the largest piece within the object's diameter of the hand counts when it alone
     # is more than that: the far end of a hammer that the hand holds from behind.
     fair_share: float = 0.1
+    # A piece is another thing, or not the object alone, when this share of it, the middle of its longest extent, is so
+    # many times as long as the object: the rest flies between edges, and noise and bias lengthen it a little.
+    longest_share: float = 0.94
+    longest: float = 1.15
