@@ -35,6 +35,14 @@ def was_interrupted(error: BaseException) -> bool:
     return False
 
 
+def check_above(settings: object, names: Iterable[str], least: float = 0.0) -> None:
+    """Raise InputError naming the first of these settings that is not above `least`, or no finite number."""
+    for name in names:
+        value = getattr(settings, name)
+        if not least < value < float("inf"):
+            raise InputError(f"{name}: expected a finite number above {least:g}, got {value:g}")
+
+
 def unknown(what: str, got: object, choices: Iterable[str], expected: str = "one of") -> InputError:
     """The error for a name that is none of the choices: lists them, and says which is written alike."""
     from difflib import get_close_matches

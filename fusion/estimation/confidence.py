@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fusion.estimation.answer import ContactResidual, Mode
-from scenes.errors import InputError
+from scenes.errors import check_above
 from scenes.evidence.align import Prior
 from scenes.evidence.alike import Alike, alike
 from scenes.geometry.objects import ObjectModel
@@ -211,10 +211,8 @@ class ConfidenceSettings:
     left_out: float = 0.05
 
     def __post_init__(self) -> None:
-        """Refuse bounds of logarithms that are none."""
-        for name in ("finest", "bluntest", "narrowest", "widest"):
-            if not getattr(self, name) > 0.0:
-                raise InputError(f"{name}: expected a number above 0, got {getattr(self, name):g}")
+        """Refuse bounds of logarithms that are none, and what is no tolerance."""
+        check_above(self, ("tolerance", "finest", "bluntest", "narrowest", "widest", "least_agreeing"))
 
     def none_of(self, right: float) -> float:
         """Probability that the first mode is not the right one, less what a region of 95 % need not hold."""

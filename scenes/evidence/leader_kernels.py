@@ -74,18 +74,20 @@ def lead(rotations, middles, discrete, axis, turns, radius, apart, chosen, group
 
 
 @numba.njit(cache=True, nogil=True, **LENT)
-def are_one(delta, hessian, radius, apart, sigmas, out):
+def are_one(delta, hessian, own, radius, apart, sigmas, out):
     """Fill out (n,) with whether poses that are delta (n, 6) from another are of its mode: nearer than apart (m), by a
-    point at the object's radius (m), or than so many sigmas by its information hessian (6, 6).
+    point at the object's radius (m), or than so many sigmas both by its information hessian (6, 6) and by their own
+    (n, 6, 6).
     """
     for n in range(delta.shape[0]):
         a, b, c, x, y, z = delta[n, 0], delta[n, 1], delta[n, 2], delta[n, 3], delta[n, 4], delta[n, 5]
         moved = math.sqrt(a * a + b * b + c * c) * radius + math.sqrt(x * x + y * y + z * z)
-        square = 0.0
+        square = own_square = 0.0
         for i in range(6):
             for j in range(6):
                 square += delta[n, i] * hessian[i, j] * delta[n, j]
-        out[n] = moved < apart or square < sigmas * sigmas
+                own_square += delta[n, i] * own[n, i, j] * delta[n, j]
+        out[n] = moved < apart or max(square, own_square) < sigmas * sigmas
 
 
 @numba.njit(cache=True, nogil=True, **LENT)

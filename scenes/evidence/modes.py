@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from scenes.errors import check_above
 from scenes.evidence.align import Alignment
 from scenes.evidence.leader_kernels import are_one, displacements
 from scenes.geometry import poses as se3
@@ -57,6 +58,10 @@ class ModeSettings:
     # share errors) and the power of its width, the root of its covariance's determinant. 1 and 1 are Laplace's method.
     temper: float = 1.0
     width: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse no modes at all, and widths that are none."""
+        check_above(self, ("most", "widest_angle", "widest_share"))
 
 
 def covariance_of(model: ObjectModel, hessian: Array, settings: ModeSettings | None = None) -> Array:
@@ -130,7 +135,7 @@ def distinct_modes(model: ObjectModel, alignment: Alignment, settings: ModeSetti
         delta = se3.difference(equivalents, alignment.poses[lead], model.centroid)
         same = np.zeros(len(rest), dtype=bool)
         apart = settings.merge_share * model.radius
-        are_one(delta, hessians[lead], model.radius, apart, float(settings.merge_sigmas), same)
+        are_one(delta, hessians[lead], hessians[rest], model.radius, apart, float(settings.merge_sigmas), same)
         pending = rest[~same]
     covariances = covariance_of(model, alignment.hessians[kept], settings)
     weights = _weights(alignment.costs[kept], covariances, settings)

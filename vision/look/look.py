@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from scenes.errors import check_above
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera, is_reading
 from scenes.geometry.objects import ObjectModel
@@ -81,6 +82,11 @@ class LookSettings:
     noise: NoiseSettings = field(default_factory=NoiseSettings)
     filling: FillingSettings = field(default_factory=FillingSettings)
     rows: RowSettings = field(default_factory=RowSettings)
+
+    def __post_init__(self) -> None:
+        """Refuse looks that leave no pixels."""
+        counts = ("most", "most_inside", "most_near", "most_hand", "most_others", "piece_step", "most_in_piece")
+        check_above(self, counts)
 
 
 def look(

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.evidence.align import Alignment, AlignSettings, Prior, align, terms
-from scenes.evidence.modes import Mode, ModeSettings, covariance_of, displaced, distinct_modes
+from scenes.evidence.modes import Mode, ModeSettings, covariance_of, displaced, distinct_modes, weighed
 from scenes.evidence.near_symmetries import near_symmetries
 from scenes.evidence.search import SETTLED, SearchStage, leaders, search, thin
 from scenes.evidence.table import SIGMA, TOUCH, VISION, Evidence
@@ -232,10 +232,14 @@ def valley_steps(
     return np.concatenate([se3.perturb(pose, np.concatenate(delta), model.centroid), alike]) if delta else alike
 
 
-def worth_solving(found: Found, settings: PlanSettings, most: int) -> list[Array]:
-    """Poses (4, 4) that the joint solution could still put first: modes, at most so many, best first, and `also`."""
-    modes = found.modes
-    worth = [m.pose for m in modes if m.weight >= settings.negligible or m is modes[0] or not settings.skipping]
+def worth_solving(found: Found, settings: PlanSettings, most: int, told: ModeSettings) -> list[Array]:
+    """Poses (4, 4) that the joint solution could still put first: modes, at most so many, best first, and `also`. told:
+    what modes weigh after it; a narrow one may weigh little before, beside one that nothing shows.
+    """
+    modes, after = found.modes, weighed(found.modes, told)
+    shares = [max(mode.weight, later.weight) for mode, later in zip(modes, after)]
+    likely = [share >= settings.negligible or not settings.skipping for share in shares]
+    worth = [mode.pose for mode, may in zip(modes, likely) if may or mode is modes[0]]
     return [*worth[:most], *found.also]
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from scenes.errors import InputError, check_above
+
 
 @dataclass(frozen=True)
 class Level:
@@ -24,6 +26,10 @@ class Rig:
 
     level: float
     share: float
+
+    def __post_init__(self) -> None:
+        """Refuse sizes and shares that are none."""
+        check_above(self, ("level", "share"))
 
 
 @dataclass(frozen=True)
@@ -103,3 +109,10 @@ class JointSettings:
     mesh_share: float = 0.5
     # Least cosine of the incidence of a pixel: cameras read nothing of surfaces steeper than 80 degrees.
     least_cosine: float = 0.17
+
+    def __post_init__(self) -> None:
+        """Refuse what leaves nothing to solve: no rigs, no modes, bias that is known at no spacing."""
+        check_above(self, ("modes", "spacing", "places", "groups", "block", "evidence_temperature", "mesh_parts"))
+        for name in ("rigs", "biases"):
+            if not getattr(self, name):
+                raise InputError(f"{name}: expected one size of shared errors or more, got none")

@@ -71,7 +71,8 @@ def finished(found: Faced, trace: Trace) -> Finished | None:
     seen_from = np.eye(4)
     with trace.stage("solve together", finish, why_not) as stage:
         if finish:
-            worth = worth_solving(found.found, settings.plan, settings.joint.modes)
+            weights = settings.told if predictor.sees else settings.felt
+            worth = worth_solving(found.found, settings.plan, settings.joint.modes, weights)
             solved = solve_together(sensed, worth, asked)
             in_all = solved.costs - by_print(found.gains, len(worth))
             # where a print was read, the modes were asked about it

@@ -136,10 +136,12 @@ def test_a_singular_hessian_makes_a_mode():
 def test_what_is_of_one_mode_is_so_by_numpy(rng):
     delta, root = rng.normal(size=(200, 6)) * np.repeat([0.1, 0.005], 3), rng.normal(size=(6, 6)) * 20.0
     hessian, radius, apart, sigmas, one = root @ root.T, 0.07, 0.012, 3.0, np.zeros(200, dtype=bool)
-    are_one(delta, hessian, radius, apart, sigmas, one)
+    own = rng.uniform(0.2, 2.0, 200)[:, None, None] * hessian
+    are_one(delta, hessian, own, radius, apart, sigmas, one)
     moved = np.linalg.norm(delta[:, :3], axis=1) * radius + np.linalg.norm(delta[:, 3:], axis=1)
     square = np.einsum("ni,ij,nj->n", delta, hessian, delta)
-    np.testing.assert_array_equal(one, (moved < apart) | (square < sigmas**2))
+    owns = np.einsum("ni,nij,nj->n", delta, own, delta)
+    np.testing.assert_array_equal(one, (moved < apart) | ((square < sigmas**2) & (owns < sigmas**2)))
     assert 0 < one.sum() < 200
     way = np.zeros(200)
     displacements(delta, radius, way)
@@ -158,3 +160,16 @@ def test_information_is_the_inverse_and_finite_where_a_direction_is_known_to_the
     assert np.allclose(information[1], np.eye(6))
     if not known and small > -5.0:
         assert np.allclose(information[0] @ covariance, np.eye(6), atol=1e-6)
+
+
+def test_what_nothing_ties_does_not_swallow_what_is_well_known():
+    """A pose that hides behind other things is as wide as all it could be; a narrow minimum within that is another."""
+    model = library.make("drill")
+    aside = poses.perturb(np.eye(4), np.array([0.1, 0.0, 0.0, 0.03, 0.0, 0.0]), model.centroid)
+    both, costs = np.array([np.eye(4), aside]), np.array([0.0, 4.0])
+    loose, tied = np.zeros((6, 6)), np.diag([1e6] * 3 + [1e8] * 3)
+    count = np.zeros(2, dtype=np.int64)
+    found = distinct_modes(model, Alignment(both, costs, np.array([loose, tied]), count))
+    assert len(found) == 2
+    # of two that nothing ties, or that lie in one valley, one is left
+    assert len(distinct_modes(model, Alignment(both, costs, np.array([loose, loose]), count))) == 1

@@ -78,13 +78,19 @@ def test_without_a_prior_nothing_is_skipped(drill):
 
 
 def test_modes_that_cannot_win_are_not_solved():
-    modes = tuple(Mode(np.eye(4) * k, w, 0.0, np.eye(6)) for k, w in enumerate((0.0005, 0.9, 0.0995, 1e-5)))
+    shares, told = (0.0005, 0.9, 0.0995, 1e-5), ModeSettings(width=0.0)
+    modes = tuple(Mode(np.eye(4) * k, w, -np.log(w), np.eye(6)) for k, w in enumerate(shares))
     found = Found(modes, 1, "")
-    assert len(worth_solving(found, PlanSettings(), 5)) == 3  # the first is the answer so far, whatever it weighs
-    assert len(worth_solving(found, PlanSettings(skipping=False), 5)) == 4
+    assert len(worth_solving(found, PlanSettings(), 5, told)) == 3  # the first is the answer so far, whatever it weighs
+    assert len(worth_solving(found, PlanSettings(skipping=False), 5, told)) == 4
     felt = 9.0 * np.eye(4)
-    worth = worth_solving(replace(found, also=(felt,)), PlanSettings(skipping=False), 2)
+    worth = worth_solving(replace(found, also=(felt,)), PlanSettings(skipping=False), 2, told)
     assert [pose[0, 0] for pose in worth] == [0.0, 1.0, 9.0]  # what touch says is solved, however unlikely it seems
+    # one that is narrow beside what nothing ties weighs little until both are solved
+    narrow = Mode(4.0 * np.eye(4), 1e-6, 4.0, 1e-6 * np.eye(6))
+    both = replace(found, modes=(Mode(np.eye(4), 1.0, 0.0, np.eye(6)), narrow))
+    assert len(worth_solving(both, PlanSettings(), 5, ModeSettings(temper=0.5, width=-0.5))) == 2
+    assert len(worth_solving(both, PlanSettings(), 5, ModeSettings())) == 1
 
 
 def test_with_contacts_alone_places_beside_a_mode_are_solved_too():
