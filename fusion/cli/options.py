@@ -357,8 +357,14 @@ def add_run(parser: argparse.ArgumentParser) -> None:
 
 
 def out_folder(args: argparse.Namespace, name: str) -> Path:
-    """Where a command writes: --out, else out/NAME; raises OSError where it cannot be."""
-    return check_folder(args.out or Path("out") / name)
+    """Where a command writes: --out, else out/NAME; raises OSError where it cannot be, and InputError where --json is
+    one of the files there.
+    """
+    from fusion.cli.targets import check_apart
+
+    out = check_folder(args.out or Path("out") / name)
+    check_apart("--json", args.json, out)
+    return out
 
 
 def write_run(args, capture, model, frames, answers, errors, left_out) -> str:  # type: ignore[no-untyped-def]  # heavy imports
