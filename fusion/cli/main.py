@@ -37,6 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(argv: Sequence[str] | None) -> int:
     try:
+        from fusion.cli.given import check_given
         from fusion.cli.options import check_target, set_volume
         from fusion.cli.parser import build_parser
         from fusion.cli.targets import check_targets
@@ -44,6 +45,7 @@ def _run(argv: Sequence[str] | None) -> int:
         given = sys.argv[1:] if argv is None else argv
         args = build_parser(given).parse_args(given)
         set_volume(args.verbose, args.quiet)
+        check_given(given, args)
         check_targets(args)
         check_target(args.json)
         code = int(args.run(args))

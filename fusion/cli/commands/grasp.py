@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from scenes.recordings.captures import Capture
     from scenes.recordings.frames import Frame
 
+SENSES = ("vision", "touch")
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
@@ -45,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--capture", metavar="DIR", type=Path, help="the capture of a result that has moved")
     add_object(parser, what="instead of the capture's object")
-    parser.add_argument("--use", metavar="SENSES", type=names, default=("vision", "touch"), help="of the estimate")
+    parser.add_argument("--use", metavar="SENSES", type=names, default=SENSES, help="of the estimate")
     add_prior(parser)
     parser.add_argument("--friction", metavar="MU", type=non_negative, default=0.5, help="Coulomb's (default 0.5)")
     parser.add_argument(
@@ -107,7 +109,12 @@ def _answers(args: argparse.Namespace) -> tuple[Capture, ObjectModel, list[Frame
     from scenes.recordings.captures import read_capture
 
     result = find_result(args.source)
+    if result is None and args.capture is not None:
+        raise InputError(f"--capture: expected a result, whose capture it is, got {args.source}")
     if result is not None:
+        for option, given in (("--prior", args.prior is not None), ("--use", args.use != SENSES)):
+            if given:
+                raise InputError(f"{option}: expected a capture, which is estimated with it, got the result {result}")
         content, answers = read_result(result)
         unknown = next((one.frame for one in answers if not all(map(isfinite, one.covariance.ravel()))), None)
         if unknown is not None:
