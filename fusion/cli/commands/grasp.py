@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _answers(args: argparse.Namespace) -> tuple[Capture, ObjectModel, list[Frame], list[Estimate]]:
     """Capture, object, frames and their answers: read from a result, or estimated now."""
-    from fusion.results.files import capture_of, find_result, read_result
+    from fusion.results.files import capture_of, check_is_of, find_result, read_result
     from scenes.errors import InputError
     from scenes.recordings.captures import read_capture
 
@@ -120,6 +120,7 @@ def _answers(args: argparse.Namespace) -> tuple[Capture, ObjectModel, list[Frame
         if unknown is not None:
             raise InputError(f"{result}: expected covariances, found none of frame {unknown}")
         capture = read_capture(capture_of(result, content, args.capture), args.trust_paths)
+        check_is_of(result, content, answers, capture)
         model = load_object(args.object, args.unit) if args.object else capture.model
         return capture, model, [capture.frame(answer.frame) for answer in answers], answers
     if not args.source.is_dir():

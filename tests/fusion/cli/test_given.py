@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import shutil
+from dataclasses import replace
+
 import pytest
 from commands import refused, run
 from made_frames import plain_view
@@ -38,3 +42,24 @@ def test_what_would_be_passed_over_is_refused(folder, monkeypatch, capsys, argv,
     monkeypatch.chdir(folder)
     assert refused(capsys, *argv).startswith(f"palpate: {said}")
     assert sorted(path.name for path in folder.iterdir()) == ["c", "r"]
+
+
+def test_a_result_of_another_capture_is_refused(folder, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    write_capture(tmp_path / "other", [plain_view()], make("box"))
+    write_capture(tmp_path / "later", [replace(plain_view(), index=7)], make("box"))
+    out = ("--out", tmp_path / "g", "--no-report", "--no-map")
+    said = refused(capsys, "grasp", "r", "--capture", tmp_path / "other", *out)
+    assert f"{tmp_path / 'other'}: expected c, the capture of r/result.json, got other" in said
+    said = refused(capsys, "grasp", "r", "--capture", tmp_path / "later", *out)
+    assert f"{tmp_path / 'later'}: expected the capture of r/result.json, got one without its frame 0" in said
+    assert not (tmp_path / "g").exists()
+
+
+def test_a_capture_that_has_moved_and_has_another_name_is_taken(folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(folder / "c", tmp_path / "moved")
+    (tmp_path / "r").mkdir()
+    content = json.loads((folder / "r" / "result.json").read_text()) | {"capture_path": str(tmp_path / "gone")}
+    (tmp_path / "r" / "result.json").write_text(json.dumps(content))
+    assert run("grasp", "r", "--capture", "moved", "--out", "g", "--no-report", "--no-map") in (0, 1)
