@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from fusion.estimation.settings import EstimateSettings
+    from scenes.recordings.captures import Capture
 
 
 T = TypeVar("T")
@@ -230,6 +231,17 @@ def warn_of(left_out: Mapping[int, str]) -> None:
         warn(f"left out: {why}")
     if len(left_out) > MOST_LEFT_OUT:
         warn(f"left out: {len(left_out) - MOST_LEFT_OUT} more frames")
+
+
+def warn_neglected(capture: Capture) -> None:
+    """Say what in a capture is passed over though something is wrong with it; of much the first few."""
+    from scenes.recordings.validation import neglected
+
+    found = neglected(capture)
+    for problem in found[:MOST_LEFT_OUT]:
+        warn(f"passed over: {problem}")
+    if len(found) > MOST_LEFT_OUT:
+        warn(f"passed over: {len(found) - MOST_LEFT_OUT} more, which `palpate validate` names")
 
 
 def is_quiet() -> bool:
