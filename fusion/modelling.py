@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import InputError
-from scenes.files.ply import write_ply
+from scenes.files.ply import ply_content
+from scenes.files.whole import replace_file
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.surface import Surface
@@ -158,12 +159,13 @@ def _superquadric(result: Reconstruction, contacts: Array, settings: ModelSettin
 
 
 def write_model(path: str | Path, result: Reconstruction, moved: Array | None = None) -> None:
-    """Write the mesh (m) with a confidence for each vertex and colours that show what was seen, moved (4, 4) first."""
+    """Write the mesh (m) with a confidence for each vertex and colours that show what was seen, moved (4, 4) first;
+    whole or not at all.
+    """
     vertices = result.vertices if moved is None else se3.apply(moved, result.vertices)
     colours = np.where(result.observed[:, None], SEEN, FILLED).astype(np.uint8)
     target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    write_ply(target, vertices, result.faces, colours, {"confidence": result.confidence})
+    replace_file(target, ply_content(target, vertices, result.faces, colours, {"confidence": result.confidence}))
 
 
 @dataclass(frozen=True)

@@ -37,12 +37,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(argv: Sequence[str] | None) -> int:
     try:
+        from fusion.cli.given import check_given
         from fusion.cli.options import check_target, set_volume
         from fusion.cli.parser import build_parser
+        from fusion.cli.targets import check_targets
 
         given = sys.argv[1:] if argv is None else argv
         args = build_parser(given).parse_args(given)
         set_volume(args.verbose, args.quiet)
+        check_given(given, args)
+        check_targets(args)
         check_target(args.json)
         code = int(args.run(args))
         sys.stdout.flush()

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from fusion.estimation.settings import EstimateSettings
+    from scenes.recordings.captures import Capture
 
 
 T = TypeVar("T")
@@ -232,6 +233,17 @@ def warn_of(left_out: Mapping[int, str]) -> None:
         warn(f"left out: {len(left_out) - MOST_LEFT_OUT} more frames")
 
 
+def warn_neglected(capture: Capture) -> None:
+    """Say what in a capture is passed over though something is wrong with it; of much the first few."""
+    from scenes.recordings.validation import neglected
+
+    found = neglected(capture)
+    for problem in found[:MOST_LEFT_OUT]:
+        warn(f"passed over: {problem}")
+    if len(found) > MOST_LEFT_OUT:
+        warn(f"passed over: {len(found) - MOST_LEFT_OUT} more, which `palpate validate` names")
+
+
 def is_quiet() -> bool:
     """Whether -q was given."""
     return _QUIET
@@ -357,8 +369,14 @@ def add_run(parser: argparse.ArgumentParser) -> None:
 
 
 def out_folder(args: argparse.Namespace, name: str) -> Path:
-    """Where a command writes: --out, else out/NAME; raises OSError where it cannot be."""
-    return check_folder(args.out or Path("out") / name)
+    """Where a command writes: --out, else out/NAME; raises OSError where it cannot be, and InputError where --json is
+    one of the files there.
+    """
+    from fusion.cli.targets import check_apart
+
+    out = check_folder(args.out or Path("out") / name)
+    check_apart("--json", args.json, out)
+    return out
 
 
 def write_run(args, capture, model, frames, answers, errors, left_out) -> str:  # type: ignore[no-untyped-def]  # heavy imports

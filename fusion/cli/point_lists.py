@@ -22,7 +22,8 @@ def convert_list(source: Path, out: Path, frame: int | None = None) -> Converted
     """
     from scenes.errors import InputError
     from scenes.files.off import write_off
-    from scenes.files.ply import write_ply
+    from scenes.files.ply import ply_content
+    from scenes.files.whole import replace_file
     from scenes.formats.conversion import Converted, Dropped
 
     kinds = (source.suffix.lower(), out.suffix.lower())
@@ -40,7 +41,7 @@ def convert_list(source: Path, out: Path, frame: int | None = None) -> Converted
         write_off(out, data.points, data.faces, data.colours, data.normals)
     elif kinds[1] == ".ply":
         dropped.add("normals", "a list of points as PLY has none", 0 if data.normals is None else len(data.normals))
-        write_ply(out, data.points, data.faces if len(data.faces) else None, data.colours)
+        replace_file(out, ply_content(out, data.points, data.faces if len(data.faces) else None, data.colours))
     else:
         dropped.add("faces", "contacts have none", len(data.faces))
         dropped.add("colours", "contacts have none", 0 if data.colours is None else len(data.colours))

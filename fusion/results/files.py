@@ -128,6 +128,22 @@ def capture_of(result: Path, content: dict[str, Any], given: Path | None = None)
     )
 
 
+def check_is_of(result: Path, content: dict[str, Any], answers: Sequence[Estimate], capture: Capture) -> None:
+    """Raise InputError where the result is of another capture: it lacks a frame of the result, or has another name
+    though the result's own is still where it was.
+    """
+    known = set(capture.frame_ids)
+    lost = next((answer.frame for answer in answers if answer.frame not in known), None)
+    if lost is not None:
+        raise InputError(f"{capture.path}: expected the capture of {result}, got one without its frame {lost}")
+    name, was = content.get("capture"), content.get("capture_path")
+    own = Path(was) if isinstance(was, str) and (Path(was) / "capture.json").is_file() else None
+    # one that has moved may have another name, too
+    other = own is not None and own.resolve() != capture.path.resolve()
+    if name is not None and name != capture.name and (other or not was):
+        raise InputError(f"{capture.path}: expected {name}, the capture of {result}, got {capture.name}")
+
+
 def answer_of(entry: dict[str, Any]) -> Estimate:
     """The answer that an entry of a result says; a KeyError or ValueError for one that says none."""
     pose = _pose(entry["camera_from_object"], "camera_from_object")

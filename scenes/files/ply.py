@@ -25,10 +25,24 @@ def write_ply(
     colours: ArrayLike | None = None,
     extra: Mapping[str, ArrayLike] | None = None,
 ) -> None:
-    """Write points (n, 3), optional triangles (m, 3) and colours (n, 3) 0..255 as little-endian binary PLY.
+    """Write points (n, 3), optional triangles (m, 3) and colours (n, 3) 0..255 as little-endian binary PLY, where
+    nobody reads yet: `replace_file` of `ply_content` writes it whole or not at all.
 
     extra: further numbers of each point, name -> (n,), kept as 32-bit floats.
     """
+    content = ply_content(path, points, faces, colours, extra)
+    with named(Path(path)):
+        Path(path).write_bytes(content)
+
+
+def ply_content(
+    path: str | Path,
+    points: ArrayLike,
+    faces: ArrayLike | None = None,
+    colours: ArrayLike | None = None,
+    extra: Mapping[str, ArrayLike] | None = None,
+) -> bytes:
+    """What `write_ply` writes; path: for messages."""
     points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     fields: list[tuple[str, str]] = [("x", "<f8"), ("y", "<f8"), ("z", "<f8")]
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
@@ -58,8 +72,7 @@ def write_ply(
         rows["size"] = 3
         rows["corners"] = triangles
         body += rows.tobytes()
-    with named(Path(path)):
-        Path(path).write_bytes("\n".join([*header, "end_header", ""]).encode("ascii") + body)
+    return "\n".join([*header, "end_header", ""]).encode("ascii") + body
 
 
 def read_cloud(path: str | Path) -> tuple[Array, NDArray[np.uint8] | None]:

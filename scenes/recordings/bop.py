@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError
 from scenes.files.images import MM
+from scenes.files.json_text import each_once, parsed
 from scenes.files.problems import Problem, Report
 from scenes.files.whole import replace_file
 from scenes.geometry import poses
@@ -63,7 +64,7 @@ class PoseRow:
 def read_json(path: str | Path, report: Report) -> Any:
     """The content of a JSON file, None after a report when there is none."""
     try:
-        return json.loads(Path(path).read_text(encoding="utf-8-sig"))
+        return parsed(Path(path).read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         report(Problem(str(path), None, "expected a JSON file, found none"))
     except UnicodeDecodeError:
@@ -142,6 +143,8 @@ def read_frames(path: str | Path, report: Report) -> Mapping[int, Any]:
     frames = {}
     for key, entry in content.items():
         if key.isdecimal() and len(key) <= MOST_DIGITS:
+            if int(key) in frames:
+                report(Problem(str(path), int(key), f"expected each frame once, got it twice, once as {key[:40]!r}"))
             frames[int(key)] = entry
         else:
             report(Problem(str(path), None, f"expected frame numbers as keys, got {key[:40]!r}"))
@@ -153,7 +156,7 @@ _BLANK = re.compile(r"[ \t\n\r]*")
 
 def _frame_places(path: Path) -> dict[int, tuple[int, int]] | None:
     """First byte of each entry of a JSON object keyed by frame, and the byte after it; None for any other file."""
-    decoder = json.JSONDecoder()
+    decoder = json.JSONDecoder(object_pairs_hook=each_once)
     places: dict[int, tuple[int, int]] = {}
     try:
         content = path.read_bytes()
@@ -166,7 +169,7 @@ def _frame_places(path: Path) -> dict[int, tuple[int, int]] | None:
             at, mark = _blank(text, at + 1), "}"
         while mark == ",":
             key, end = decoder.raw_decode(text, at)
-            if not key.isdecimal() or len(key) > MOST_DIGITS:
+            if not key.isdecimal() or len(key) > MOST_DIGITS or int(key) in places:
                 return None
             start = _past(text, end, ":")
             _, end = decoder.raw_decode(text, start)

@@ -13,6 +13,7 @@ from scenes.files.images import LARGEST_COUNT, read_counts
 from scenes.files.problems import Problem
 from scenes.geometry.cameras import Camera
 from scenes.recordings.frames import Frame
+from scenes.robot.hands import Hand
 
 Array = NDArray[np.float64]
 
@@ -26,6 +27,13 @@ CORNER = 0.02
 DEPTHS = (0.05, 20.0)
 # Share of the pixels that may have the largest count of 16 bits by themselves.
 MOST_LARGEST = 0.01
+# No fingertip has a larger radius, and no place that was found empty (m).
+LARGEST_RADIUS = 0.2
+# Between these (m) is where a contact is known, and up to this (rad) how it faces.
+SIGMAS = (1e-5, 0.05)
+LARGEST_ANGLE = 1.0
+# One hand's contacts are no farther (m) from each other.
+FARTHEST_OTHER = 2.0
 # What a frame lacks of a hand that is not known in it at all.
 NOWHERE = "pose and joints"
 
@@ -68,13 +76,16 @@ def frame_problems(folder: Path, frame: Frame) -> list[Problem]:
 
 def frame_doubts(folder: Path, frame: Frame) -> dict[str, Problem]:
     """What may be right and seldom is, by its kind: a principal point of another image than the frame's, holes that are
-    written as the largest count, depths where no hand is. folder: of the capture.
+    written as the largest count, depths where no hand is, contacts of no sensor or far from all others, sizes that no
+    fingertip and no noise has. folder: of the capture.
     """
     found = {}
     if frame.camera is not None and any(image is not None for image in (frame.depth, frame.rgb, frame.mask)):
         message = _centre_doubt(frame.camera)
         if message:
             found["centre"] = Problem(str(folder / "scene_camera.json"), frame.index, message)
+    for kind, (file, message) in _touch_doubts(frame).items():
+        found[kind] = Problem(str(folder / file), frame.index, message)
     path = folder / f"depth/{frame.index:06d}.png"
     if frame.depth is None or not path.is_file():
         return found
@@ -90,6 +101,51 @@ def frame_doubts(folder: Path, frame: Frame) -> dict[str, Problem]:
         message = f"{expected}: is depth_scale millimetres per count?"
         found["depths"] = Problem(str(path), frame.index, message)
     return found
+
+
+def hand_doubts(hand: Hand, path: Path) -> list[Problem]:
+    """Surfaces of sensors that no fingertip has; path: of their sensors.json."""
+    return [
+        Problem(str(path), None, _too_large(f"a radius of {sensor.name}'s surface", sensor.radius, LARGEST_RADIUS, "m"))
+        for sensor in hand.sensors.values()
+        if sensor.radius is not None and sensor.radius > LARGEST_RADIUS
+    ]
+
+
+def _touch_doubts(frame: Frame) -> dict[str, tuple[str, str]]:
+    """Of contacts and of places without one, by the kind of doubt: the file, and what is doubtful in words."""
+    found, felt = {}, frame.contacts
+    if frame.hand is not None and frame.hand.sensors and felt.sensors:
+        other = list(dict.fromkeys(name for name in felt.sensors if name not in frame.hand.sensors))
+        if other:
+            names = ", ".join(frame.hand.sensors)
+            message = f"expected sensors of the hand ({names[:100]}), got {', '.join(map(repr, other))[:100]}"
+            found["sensors"] = ("contacts.csv", message)
+    points = felt.sigma_point[felt.sigma_told] if len(felt) else np.zeros(0)
+    normals = felt.sigma_normal[np.isfinite(felt.sigma_normal)] if len(felt) else np.zeros(0)
+    if (points > SIGMAS[1]).any():
+        found["large"] = ("contacts.csv", _too_large("a sigma_point", points.max(), SIGMAS[1], "m"))
+    if (points < SIGMAS[0]).any():
+        message = f"expected a sigma_point from {SIGMAS[0]:g} m, got {points.min():g}: is it in metres?"
+        found["small"] = ("contacts.csv", message)
+    if (normals > LARGEST_ANGLE).any():
+        found["normals"] = ("contacts.csv", _too_large("a sigma_normal", normals.max(), LARGEST_ANGLE, "rad"))
+    if len(felt) > 1:
+        from scipy.spatial import cKDTree  # estimates of one frame do without SciPy
+
+        away = cKDTree(felt.points).query(felt.points, k=2)[0][:, 1]
+        if (away > FARTHEST_OTHER).any():
+            message = f"expected contacts within {FARTHEST_OTHER:g} m of others, got one {away.max():.3g} m from any"
+            found["far"] = ("contacts.csv", message)
+    radii = np.zeros(0) if frame.no_contact is None else np.asarray(frame.no_contact.radius)
+    if (radii > LARGEST_RADIUS).any():
+        found["regions"] = ("no_contact.csv", _too_large("a radius", radii.max(), LARGEST_RADIUS, "m"))
+    return found
+
+
+def _too_large(what: str, got: float, most: float, unit: str) -> str:
+    asked = {"m": "is it in metres?", "rad": "is it in radians?"}[unit]
+    return f"expected {what} up to {most:g} {unit}, got {got:.4g}: {asked}"
 
 
 def _centre_doubt(camera: Camera) -> str:

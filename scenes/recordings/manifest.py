@@ -93,7 +93,7 @@ def read_manifest(folder: Path, report: Report) -> Manifest:
     content = bop.read_json(path, refuse)
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise CaptureError(f'{path}: expected "format": "{FORMAT}", got {str(content)[:60]}')
-    if content.get("version") != VERSION:
+    if content.get("version") != VERSION or isinstance(content.get("version"), bool):
         raise CaptureError(f"{path}: expected version {VERSION}, got {content.get('version')!r}")
 
     def checked(good: bool, expected: str, got: Any) -> None:
@@ -105,7 +105,10 @@ def read_manifest(folder: Path, report: Report) -> Manifest:
     model, unit, number = target.get("model"), target.get("unit", "m"), target.get("id", 1)
     checked(isinstance(model, str), '"object" with "id", "model" and "unit"', content.get("object"))
     checked(isinstance(unit, str) and unit in METRES_PER_UNIT, f"a unit of {', '.join(METRES_PER_UNIT)}", unit)
-    checked(isinstance(number, int), "a whole number as the object's id", number)
+    whole = isinstance(number, int) and not isinstance(number, bool)
+    checked(whole, "a whole number as the object's id", number)
+    name = target.get("name")
+    checked(name is None or isinstance(name, str), "a text as the object's name", name)
     hand = content.get("hand")
     told = hand if isinstance(hand, dict) and isinstance(hand.get("urdf"), str) else None
     checked(hand is None or told is not None, "a hand with a urdf", hand)
@@ -116,10 +119,10 @@ def read_manifest(folder: Path, report: Report) -> Manifest:
     files = (told["urdf"], sensors if isinstance(sensors, str) else None) if told is not None else None
     notes = content.get("notes")
     return Manifest(
-        number if isinstance(number, int) else 1,
+        number if whole else 1,
         model if isinstance(model, str) else "",
         unit if isinstance(unit, str) and unit in METRES_PER_UNIT else "m",
-        str(target.get("name") or Path(str(model)).stem),
+        str(name or Path(str(model)).stem),
         files,
         world if world in WORLDS else "camera",
         notes if isinstance(notes, dict) else {},

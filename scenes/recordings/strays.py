@@ -81,6 +81,22 @@ def _numbered(folder: Path, ending: str, count: int, frames: frozenset[int]) -> 
             yield Problem(str(path), int(found[1]), "expected a frame of the capture, which has none of this number")
 
 
+def spare_masks(folder: Path, rows: Mapping[int, int]) -> Iterator[Problem]:
+    """Masks of a row that scene_gt.json has not, frame by frame; rows: how many it has of each frame of the capture."""
+    for path in sorted((folder / "mask_visib").glob("*.png")):
+        found = re.fullmatch(r"(\d{6,})_(\d{6,})", path.stem)
+        count = None if found is None else rows.get(int(found[1]))
+        if found is not None and count is not None and int(found[2]) >= max(count, 1):
+            expected = f"expected a row of scene_gt.json, which has {count} of this frame"
+            yield Problem(str(path), int(found[1]), f"{expected}, got row {int(found[2])}: it is not read")
+
+
+def masks_of_none(folder: Path, frame_ids: Sequence[int]) -> Iterator[Problem]:
+    """Masks of frames that the capture lacks, and files among them that are named otherwise."""
+    if (folder / "mask_visib").is_dir():
+        yield from _numbered(folder / "mask_visib", *NUMBERED["mask_visib"], frozenset(frame_ids))
+
+
 def _columns(path: Path, columns: Sequence[CsvColumn]) -> Iterator[Problem]:
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:

@@ -20,10 +20,10 @@ from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings import bop
 from scenes.recordings.captures import CSV_FILES, Capture
-from scenes.recordings.frame_problems import NOWHERE, frame_doubts, frame_problems
+from scenes.recordings.frame_problems import NOWHERE, frame_doubts, frame_problems, hand_doubts
 from scenes.recordings.frames import Contacts, Frame
 from scenes.recordings.manifest import frame_stamps
-from scenes.recordings.strays import strays
+from scenes.recordings.strays import masks_of_none, spare_masks, strays
 from scenes.words import counted
 
 __all__ = [
@@ -34,6 +34,7 @@ __all__ = [
     "check_scale",
     "check_seed",
     "check_usable",
+    "neglected",
     "scale_problem",
     "usable",
     "validate",
@@ -102,7 +103,8 @@ def validate(
         message = f"expected the hand's {NOWHERE} in a frame at least, found none: the hand is left out"
         problems.append(Problem(str(capture.path / "hand_poses.csv"), None, message))
     if doubts is not None:
-        for first, *alike in filter(None, (*doubted.values(), _other_objects(capture))):
+        alone = [[doubt] for doubt in _hand_doubts(capture)]
+        for first, *alike in filter(None, (*alone, *doubted.values(), _other_objects(capture), _spare_masks(capture))):
             more = f" ({counted(len(alike), 'more frame')} alike)" if alike else ""
             doubts(Problem(first.file, first.frame, first.message + more))
     return list(dict.fromkeys(problems))
@@ -121,12 +123,39 @@ def _other_objects(capture: Capture) -> list[Problem]:
     return found
 
 
+def _spare_masks(capture: Capture) -> list[Problem]:
+    """Masks of rows that scene_gt.json has not."""
+    path = capture.path / "scene_gt.json"
+    told = bop.read_frames(path, lambda problem: None) if path.is_file() else {}
+    rows = {number: told.get(number) for number in capture.frame_ids}
+    return list(spare_masks(capture.path, {n: len(row) if isinstance(row, list) else 0 for n, row in rows.items()}))
+
+
+def _sensors_file(capture: Capture) -> Path:
+    """The sensors.json of the capture's hand."""
+    hand = capture.manifest.hand
+    return capture.path / ((hand and (hand[1] or Path(hand[0]).parent / "sensors.json")) or "capture.json")
+
+
+def _hand_doubts(capture: Capture) -> list[Problem]:
+    try:
+        hand = capture.hand
+    except PalpateError:
+        return []
+    return [] if hand is None else hand_doubts(hand, _sensors_file(capture))
+
+
+def neglected(capture: Capture) -> list[Problem]:
+    """What `validate` refuses and an estimate can do without: masks of no frame, times that are none."""
+    return [*_stamp_problems(capture), *masks_of_none(capture.path, capture.frame_ids)]
+
+
 def _by_schema(capture: Capture, known: list[Problem]) -> list[Problem]:
     """What the schemas find in capture.json and the hand's sensors.json, when nothing is known of these files yet."""
     files = {"capture": capture.path / "capture.json"}
     hand = capture.manifest.hand
     if hand is not None:
-        files["sensors"] = capture.path / (hand[1] or Path(hand[0]).parent / "sensors.json")
+        files["sensors"] = _sensors_file(capture)
     found = []
     for name, path in files.items():
         if path.is_file() and not any(problem.file == str(path) for problem in known):

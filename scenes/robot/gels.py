@@ -311,10 +311,10 @@ def _file(name: Any, where: str, folder: Path, within: Path | None, read: Any) -
 
 
 def _read_json(path: Path) -> dict[str, Any]:
-    import json
+    from scenes.files.json_text import parsed
 
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = parsed(path.read_text(encoding="utf-8"))
     except (ValueError, OSError, RecursionError) as error:
         raise InputError(f"expected JSON, got malformed text: {error}") from error
     if not isinstance(content, dict):

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scenes.cache import Arrays, are_triangles, remembered_of_file
 from scenes.errors import InputError
 from scenes.files.inside import stays_inside
+from scenes.files.json_text import parsed
 from scenes.files.meshes import loaded
 from scenes.files.ply import write_ply
 from scenes.files.problems import UNREADABLE
@@ -79,7 +80,7 @@ def read_sensors(path: str | Path, within: Path | None = None) -> dict[str, Sens
     if not path.is_file():
         raise InputError(f"{path}: expected a sensors file, found none")
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = parsed(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected JSON, got malformed text: {error}") from error
     if not isinstance(data, dict):

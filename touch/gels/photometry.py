@@ -8,7 +8,6 @@ changes over the image, and a skin that is pressed towards them is brighter with
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import InputError
+from scenes.files.json_text import parsed
 from scenes.robot.gels import Gel
 
 Array = NDArray[np.float64]
@@ -163,9 +163,9 @@ def photometry_of(gel: Gel, where: str) -> Photometry:
 def read_photometry(path: Path) -> Photometry:
     """A calibration file. Raises InputError, one line, for what is none."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = parsed(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: expected a gel's calibration, it cannot be read as JSON") from error
+        raise InputError(f"{path}: expected a gel's calibration, it cannot be read as JSON: {error}") from error
     if not isinstance(content, dict):
         raise InputError(f"{path}: expected a gel's calibration, got {type(content).__name__}")
     return Photometry.from_json(content, str(path))

@@ -18,6 +18,7 @@ from fusion.cli.options import (
     say,
     show_table,
     tolerance,
+    warn_neglected,
     warn_of,
     with_sure,
     write_run,
@@ -59,6 +60,7 @@ def run(args: argparse.Namespace) -> int:
     prepare = frame_setter(args.prior, args.seed, told(args))
     capture = read_capture(args.capture, args.trust_paths)
     out_folder(args, capture.name)  # before the work, not after it
+    warn_neglected(capture)
     model = load_object(args.object, args.unit) if args.object else capture.model
     judge = Judge.of(model)
     frames, answers, errors, rows = [], [], [], []

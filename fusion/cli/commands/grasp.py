@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from scenes.recordings.captures import Capture
     from scenes.recordings.frames import Frame
 
+SENSES = ("vision", "touch")
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
@@ -45,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--capture", metavar="DIR", type=Path, help="the capture of a result that has moved")
     add_object(parser, what="instead of the capture's object")
-    parser.add_argument("--use", metavar="SENSES", type=names, default=("vision", "touch"), help="of the estimate")
+    parser.add_argument("--use", metavar="SENSES", type=names, default=SENSES, help="of the estimate")
     add_prior(parser)
     parser.add_argument("--friction", metavar="MU", type=non_negative, default=0.5, help="Coulomb's (default 0.5)")
     parser.add_argument(
@@ -102,17 +104,23 @@ def run(args: argparse.Namespace) -> int:
 
 def _answers(args: argparse.Namespace) -> tuple[Capture, ObjectModel, list[Frame], list[Estimate]]:
     """Capture, object, frames and their answers: read from a result, or estimated now."""
-    from fusion.results.files import capture_of, find_result, read_result
+    from fusion.results.files import capture_of, check_is_of, find_result, read_result
     from scenes.errors import InputError
     from scenes.recordings.captures import read_capture
 
     result = find_result(args.source)
+    if result is None and args.capture is not None:
+        raise InputError(f"--capture: expected a result, whose capture it is, got {args.source}")
     if result is not None:
+        for option, given in (("--prior", args.prior is not None), ("--use", args.use != SENSES)):
+            if given:
+                raise InputError(f"{option}: expected a capture, which is estimated with it, got the result {result}")
         content, answers = read_result(result)
         unknown = next((one.frame for one in answers if not all(map(isfinite, one.covariance.ravel()))), None)
         if unknown is not None:
             raise InputError(f"{result}: expected covariances, found none of frame {unknown}")
         capture = read_capture(capture_of(result, content, args.capture), args.trust_paths)
+        check_is_of(result, content, answers, capture)
         model = load_object(args.object, args.unit) if args.object else capture.model
         return capture, model, [capture.frame(answer.frame) for answer in answers], answers
     if not args.source.is_dir():

@@ -78,7 +78,7 @@ def test_a_file_that_is_none_says_the_same(tmp_path, content):
 
 
 @pytest.mark.parametrize(
-    "text", ["{}", ' { "3" : [1, {"a": "}"}] ,\n"0":null} \n', '\ufeff{"1": {"x": NaN}, "1": 2}', '{"0": "é\\u0020,"}']
+    "text", ["{}", ' { "3" : [1, {"a": "}"}] ,\n"0":null} \n', '\ufeff{"1": {"x": NaN}, "2": 2}', '{"0": "é\\u0020,"}']
 )
 def test_entries_are_what_json_says(tmp_path, text):
     path = tmp_path / "e.json"

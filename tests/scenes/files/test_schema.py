@@ -211,7 +211,7 @@ def test_validate_says_where(held, results, tmp_path, capsys):
     assert "--json" not in str(validate(held))
     before = validate(held)
     told = json.loads((held / "capture.json").read_text())
-    (held / "capture.json").write_text(json.dumps(told | {"object": told["object"] | {"name": 3}}))
+    (held / "capture.json").write_text(json.dumps(told | {"notes": 3}))
     after = validate(held)
     (held / "capture.json").write_text(json.dumps(told))
-    assert [p.message for p in after if p not in before] == ["object.name: 3 is not of type 'string'"]
+    assert [p.message for p in after if p not in before] == ["notes: 3 is not of type 'object'"]

@@ -143,6 +143,15 @@ def test_a_model_that_can_be_estimated_with(capture, tmp_path, capsys):
     assert result["errors"]["median_add_s_mm"] < 2.0
 
 
+def test_an_older_mesh_stays_until_the_new_one_is_whole(capture, tmp_path):
+    mesh, older = tmp_path / "box.ply", tmp_path / "older.ply"
+    mesh.write_bytes(b"older")
+    older.hardlink_to(mesh)  # in place, both names would have the new one
+    assert main(["model", str(capture), "-o", str(mesh), "--poses", "truth", "--size", "200"]) == 0
+    assert older.read_bytes() == b"older"
+    assert mesh.read_bytes().startswith(b"ply")
+
+
 def test_poses_from_a_file_and_a_superquadric(capture, tmp_path):
     from scenes.recordings.captures import read_capture
 
