@@ -12,6 +12,7 @@ import sys
 from collections.abc import Sequence
 
 from fusion.cli.streams import patient_streams
+from scenes._interrupts import whole_imports
 from scenes.errors import PalpateError, was_interrupted
 
 BAD_INPUT = 2
@@ -31,7 +32,7 @@ def start() -> int:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line; returns the exit code. No traceback for anything a user can cause."""
-    with patient_streams():
+    with patient_streams(), whole_imports():
         return _run(argv)
 
 
