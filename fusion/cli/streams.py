@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from io import TextIOWrapper
 from typing import Any, TextIO, cast
 
 # Standard input, output and error.
@@ -49,10 +50,12 @@ class Patient:
 
 @contextmanager
 def patient_streams() -> Iterator[None]:
-    """Standard output and error that may be closed, or be closed while it runs."""
+    """Standard output and error that may be closed, be closed while it runs, or lack letters that are shown."""
     before = sys.stdout, sys.stderr
     if None in before:
         _occupy()
+    strict = [stream for stream in before if getattr(stream, "errors", None) == "strict"]
+    _answer(strict, "replace")
     sys.stdout, sys.stderr = (cast(TextIO, Patient(stream or _nothing())) for stream in before)
     try:
         yield
@@ -61,6 +64,17 @@ def patient_streams() -> Iterator[None]:
             sys.stdout.flush()
             sys.stderr.flush()
         sys.stdout, sys.stderr = before
+        _answer(strict, "strict")
+
+
+def _answer(streams: Iterable[TextIO], errors: str) -> None:
+    """What streams do with letters that their encoding has not, where that can be said: "replace" shows a question
+    mark, "strict" ends the command.
+    """
+    for stream in streams:
+        if isinstance(stream, TextIOWrapper):
+            with suppress(OSError, ValueError):  # it is full, or closed: whoever writes next will hear
+                stream.reconfigure(errors=errors)
 
 
 def _nothing() -> TextIO:
