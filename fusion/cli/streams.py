@@ -42,10 +42,26 @@ class Patient:
             self._drop()
 
     def _drop(self) -> None:
-        """From now on into nothing, with what is still in its buffer."""
-        nothing = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nothing, self._stream.fileno())
-        os.close(nothing)
+        _drop(self._stream)
+
+
+def _drop(stream: TextIO) -> None:
+    """From now on into nothing, with what is still in its buffer."""
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nothing, stream.fileno())
+    os.close(nothing)
+
+
+def drop_what_is_left() -> None:
+    """Before a process ends: what standard output could not take, and was told of, is not tried again by Python, whose
+    exit code it would be.
+    """
+    if sys.stdout is None:
+        return
+    try:
+        sys.stdout.flush()
+    except OSError:
+        _drop(sys.stdout)
 
 
 @contextmanager

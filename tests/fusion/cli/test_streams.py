@@ -112,3 +112,18 @@ def test_streams_of_whoever_calls_are_as_before(capfd):
         patch.setattr(sys, "stdout", stream)
         assert main(["validate", "nowhere"]) == 2
         assert stream.errors == "strict"
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_help_onto_a_full_disk_is_no_success(captures, unbuffered):
+    for words in ("--help", "--version", "synth --help", 'validate "$1"'):
+        ended = shell(f"PYTHONUNBUFFERED={unbuffered} palpate {words} > /dev/full", captures[0])
+        assert (ended.returncode, ended.stderr) == (2, "palpate: No space left on device\n")
+
+
+def test_python_without_docstrings_runs_commands(captures):
+    argv = [sys.executable, "-OO", "-m", "fusion.cli.main"]
+    for words in (["validate", str(captures[0])], ["--help"]):
+        ended = subprocess.run([*argv, *words], capture_output=True, text=True, cwd=ROOT, check=False)
+        assert (ended.returncode, ended.stderr) == (0, "")
+        assert ended.stdout
