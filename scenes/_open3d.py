@@ -5,15 +5,12 @@ from __future__ import annotations
 import ctypes
 import importlib
 import os
-import signal
 import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cache, partial
-from types import FrameType, ModuleType
+from types import ModuleType
 from typing import Any
 
+from scenes._interrupts import interrupts_later
 from scenes.errors import SystemLibraryError
 
 
@@ -35,31 +32,13 @@ def open3d() -> ModuleType:
     if stand_in:
         sys.modules[PLOTLY] = _drawing_later()
     try:
-        with _interrupts_later():
+        with interrupts_later():
             return importlib.import_module("open3d")
     except (OSError, ImportError) as error:
         raise SystemLibraryError(_missing_library_message(error)) from error
     finally:
         if stand_in:
             sys.modules.pop(PLOTLY, None)
-
-
-@contextmanager
-def _interrupts_later() -> Iterator[None]:
-    """Ctrl-C waits for the half second: in the middle it would be an error of Open3D's, and what is half loaded spoils
-    the exit code of the process.
-    """
-    if threading.current_thread() is not threading.main_thread():  # no other hears of signals
-        yield
-        return
-    heard: list[tuple[int, FrameType | None]] = []
-    before = signal.signal(signal.SIGINT, lambda *what: heard.append(what))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-        if heard and callable(before):
-            before(*heard[0])
 
 
 # Open3D loads a web server, half a second, for three functions that draw in a browser.

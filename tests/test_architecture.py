@@ -22,8 +22,9 @@ BELOW = {
 # Rooms (folders and files) of a package by floor, from the ground up: a room imports lower floors only.
 FLOORS = {
     "scenes": (
-        {"errors"},
-        {"threads", "cache", "own", "_open3d", "_numba", "words"},
+        {"errors", "own"},
+        {"_interrupts"},
+        {"threads", "cache", "_open3d", "_numba", "words"},
         {"files"},
         {"geometry"},
         {"robot"},

@@ -11,7 +11,8 @@ import gc
 import sys
 from collections.abc import Sequence
 
-from fusion.cli.streams import patient_streams
+from fusion.cli.streams import drop_what_is_left, patient_streams
+from scenes._interrupts import whole_imports
 from scenes.errors import PalpateError, was_interrupted
 
 BAD_INPUT = 2
@@ -26,12 +27,14 @@ def start() -> int:
     """`main` of a process of its own."""
     gc.set_threshold(COLLECT_EVERY)
     atexit.register(gc.freeze)  # what is left at the end goes with the process: a fifth of a second saved
-    return main()
+    code = main()
+    drop_what_is_left()
+    return code
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line; returns the exit code. No traceback for anything a user can cause."""
-    with patient_streams():
+    with patient_streams(), whole_imports():
         return _run(argv)
 
 
@@ -43,7 +46,10 @@ def _run(argv: Sequence[str] | None) -> int:
         from fusion.cli.targets import check_targets
 
         given = sys.argv[1:] if argv is None else argv
-        args = build_parser(given).parse_args(given)
+        try:
+            args = build_parser(given).parse_args(given)
+        finally:  # --help and --version end here, and are told of a full disk as well
+            sys.stdout.flush()
         set_volume(args.verbose, args.quiet)
         check_given(given, args)
         check_targets(args)

@@ -292,7 +292,7 @@ def number(value: float | None, digits: int = 2) -> str:
 
 def check_target(path: Path | None) -> None:
     """Make the folder of a file to write, or raise OSError: before the work, not after it."""
-    from scenes.files.whole import followed, is_stream
+    from scenes.files.whole import followed, is_stream, loops
 
     if path is None:
         return
@@ -300,6 +300,8 @@ def check_target(path: Path | None) -> None:
         if not os.access(path, os.W_OK):
             raise PermissionError(errno.EACCES, "cannot be written", str(path))
         return
+    if loops(path):
+        raise OSError(errno.ELOOP, "expected a file to write, found a link that leads back to itself", str(path))
     folder = followed(path).parent
     check_folder(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -316,6 +318,10 @@ def check_target(path: Path | None) -> None:
 
 def check_folder(path: Path) -> Path:
     """The folder, which may be new, when it can be written to; raises OSError: before the work, not after it."""
+    from scenes.files.whole import loops
+
+    if loops(path):
+        raise OSError(errno.ELOOP, "expected a folder to write to, found a link that leads back to itself", str(path))
     there = next(part for part in (path, *path.absolute().parents) if part.exists())
     if not there.is_dir():
         raise NotADirectoryError(errno.ENOTDIR, "expected a folder to write to, found a file", str(there))

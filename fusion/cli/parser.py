@@ -49,6 +49,10 @@ class Parser(argparse.ArgumentParser):
         super().__init__(*args, **kwargs)
         self._negative_number_matcher = re.compile(r"-\.?\d")
 
+    def print_help(self, file: Any = None) -> None:
+        """As argparse's, but that of a full disk is told."""
+        (file or sys.stdout).write(self.format_help())
+
     def error(self, message: str) -> NoReturn:
         """Raise InputError with the command's name and the complaint."""
         wrong = re.fullmatch(r"argument ([^:]+): invalid choice: '(.*?)' \(choose from (.*)\)", message)
@@ -84,7 +88,8 @@ def build_parser(argv: Sequence[str] | None = None) -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for module in COMMANDS:
         name = _name(module)
-        summary = (module.__doc__ or "").strip().splitlines()[0]
+        # `python -OO` drops docstrings
+        summary = (module.__doc__ or name).strip().splitlines()[0]
         command = commands.add_parser(name, help=summary, description=summary)
         if said == name or said not in known:
             module.add_arguments(command)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from io import TextIOWrapper
 from typing import Any, TextIO, cast
 
 # Standard input, output and error.
@@ -41,18 +42,36 @@ class Patient:
             self._drop()
 
     def _drop(self) -> None:
-        """From now on into nothing, with what is still in its buffer."""
-        nothing = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nothing, self._stream.fileno())
-        os.close(nothing)
+        _drop(self._stream)
+
+
+def _drop(stream: TextIO) -> None:
+    """From now on into nothing, with what is still in its buffer."""
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nothing, stream.fileno())
+    os.close(nothing)
+
+
+def drop_what_is_left() -> None:
+    """Before a process ends: what standard output could not take, and was told of, is not tried again by Python, whose
+    exit code it would be.
+    """
+    if sys.stdout is None:
+        return
+    try:
+        sys.stdout.flush()
+    except OSError:
+        _drop(sys.stdout)
 
 
 @contextmanager
 def patient_streams() -> Iterator[None]:
-    """Standard output and error that may be closed, or be closed while it runs."""
+    """Standard output and error that may be closed, be closed while it runs, or lack letters that are shown."""
     before = sys.stdout, sys.stderr
     if None in before:
         _occupy()
+    strict = [stream for stream in before if getattr(stream, "errors", None) == "strict"]
+    _answer(strict, "replace")
     sys.stdout, sys.stderr = (cast(TextIO, Patient(stream or _nothing())) for stream in before)
     try:
         yield
@@ -61,6 +80,17 @@ def patient_streams() -> Iterator[None]:
             sys.stdout.flush()
             sys.stderr.flush()
         sys.stdout, sys.stderr = before
+        _answer(strict, "strict")
+
+
+def _answer(streams: Iterable[TextIO], errors: str) -> None:
+    """What streams do with letters that their encoding has not, where that can be said: "replace" shows a question
+    mark, "strict" ends the command.
+    """
+    for stream in streams:
+        if isinstance(stream, TextIOWrapper):
+            with suppress(OSError, ValueError):  # it is full, or closed: whoever writes next will hear
+                stream.reconfigure(errors=errors)
 
 
 def _nothing() -> TextIO:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from numbers import Real
 
@@ -70,15 +70,32 @@ def check_senses(use: Iterable[str]) -> frozenset[str]:
     return senses
 
 
-def check_kinds(model: object, seed: object, settings: object, beliefs: object, kind: type = EstimateSettings) -> None:
-    """Raises InputError for what is no model, a seed that is no whole number from 0, and settings (kind) and beliefs of
-    other types; None is what is not said.
+def check_kinds(
+    model: object,
+    seed: object,
+    settings: object,
+    beliefs: object,
+    kind: type = EstimateSettings,
+    live: object = False,
+) -> None:
+    """Raises InputError for what is no model, a seed that is no whole number from 0, settings (kind) and beliefs of
+    other types, and a word or number for `live`; None is what is not said.
     """
+    if not isinstance(live, bool | np.bool_):
+        raise InputError(f"live: expected True or False, got {live!r}")
     check_is_model(model)
     check_seed(seed)
     for name, given, expected in (("settings", settings, kind), ("beliefs", beliefs, Beliefs)):
         if given is not None and not isinstance(given, expected):
             raise InputError(f"{name}: expected {expected.__name__}, got {type(given).__name__}")
+
+
+def each_frame(frames: Iterable[Frame]) -> Iterator[Frame]:
+    """The frames, one by one; raises InputError for what has none: one frame, or nothing."""
+    if not isinstance(frames, Iterable):
+        hint = "[frame], or Tracker(model).step(frame)" if isinstance(frames, Frame) else "read_capture(folder)"
+        raise InputError(f"frames: expected several ({hint}), got {type(frames).__name__}")
+    return iter(frames)
 
 
 def check_limits(tolerance: tuple[float, float] | None, budget_ms: float | None) -> None:

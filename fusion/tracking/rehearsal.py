@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from scenes.errors import PalpateError
+from scenes.errors import InputError, PalpateError
 from scenes.evidence.align import Prior
 
 if TYPE_CHECKING:
@@ -25,8 +25,12 @@ STEPS = 3
 def rehearse(new_tracker: Callable[[], Tracker], frame: Frame) -> None:
     """Track the frame by a tracker that is thrown away, and search it as a track will now and then: by itself and
     around what it believes. `new_tracker` makes one as it will be used. Takes a second, on a machine that has not
-    compiled yet one or two minutes. Raises what the first step of a track of this frame would raise.
+    compiled yet one or two minutes. Raises what the first step of a track of this frame would raise, and InputError for
+    a tracker in place of what makes one.
     """
+    if not callable(new_tracker):
+        made = type(new_tracker).__name__
+        raise InputError(f"new_tracker: expected what makes one (lambda: Tracker(model)), got {made}")
     tracker = new_tracker()
     answer = tracker.step(frame)
     with contextlib.suppress(PalpateError):  # what comes later is not what this frame is asked

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate, Mode
-from fusion.estimation.asked import as_prior, check_kinds, check_senses, sure_to_be_within
+from fusion.estimation.asked import as_prior, check_kinds, check_senses, each_frame, sure_to_be_within
 from fusion.estimation.confidence import ConfidenceSettings, within
 from fusion.estimation.estimate import estimate
 from fusion.estimation.trace import Trace
@@ -84,7 +84,7 @@ def track(
     Raises InputError as `estimate` does.
     """
     tracker = Tracker(model, prior, use, seed, settings, beliefs, sure_within)
-    for frame in frames:
+    for frame in each_frame(frames):
         yield tracker.step(frame)
 
 
@@ -105,7 +105,7 @@ class Tracker:
         """As `track`. live: frames do not wait for searches, which run on a thread of their own beside those that
         come; answers then depend on how fast frames come, too.
         """
-        check_kinds(model, seed, settings, beliefs, TrackSettings)
+        check_kinds(model, seed, settings, beliefs, TrackSettings, live)
         self.model, self.live, self.begun = model, live, False
         settings = settings or TrackSettings()
         first = sure_to_be_within(settings.first, sure_within)

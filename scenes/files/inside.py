@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from scenes.errors import CaptureError
+from scenes.files.whole import loops
 
 HINT = "trust its paths (--trust-paths) if you know where it comes from"
 
@@ -14,9 +15,12 @@ HINT = "trust its paths (--trust-paths) if you know where it comes from"
 def stays_inside(path: Path, folder: Path | None, where: str) -> Path:
     """The path, when it and what it links to lie in `folder` (None: anywhere).
 
-    Raises CaptureError, beginning with `where`, for absolute paths, `..` and links that lead out of it.
+    Raises CaptureError, beginning with `where`, for absolute paths, `..` and links that lead out of it or
+    back to themselves.
     """
     if folder is not None:
+        if loops(path):
+            raise CaptureError(f"{where}: expected a file or folder, got {path.name}, a link that leads back to itself")
         root = folder.resolve()
         try:
             target = path.resolve()

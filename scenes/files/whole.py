@@ -6,6 +6,7 @@ is cleared away when the same thing is next written.
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import shutil
@@ -83,6 +84,17 @@ def _pour(stream: int, path: Path, content: bytes) -> None:
 def followed(path: Path) -> Path:
     """Where links of that name lead to, whether anything is there or not."""
     return Path(os.path.realpath(path)) if path.is_symlink() else path
+
+
+def loops(path: Path) -> bool:
+    """Whether a link on the way there leads back to itself; `Path.resolve` makes different things of that."""
+    try:
+        os.stat(path)
+    except OSError as error:
+        return error.errno == errno.ELOOP
+    except ValueError:  # no name of a file
+        pass
+    return False
 
 
 @contextmanager

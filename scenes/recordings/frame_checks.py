@@ -6,7 +6,7 @@ right already is returned as it is: frames are copied often, and their bits must
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -147,6 +147,17 @@ def gel_images(value: object, where: str) -> dict[str, NDArray[np.uint16] | NDAr
             raise InputError(f"{where}: gels {name!r}: expected {expected}, got {found}")
         out[str(name)] = image
     return out
+
+
+def sensor_names(value: Any) -> list[str]:
+    """The names of contacts' sensors. Raises InputError for what is no list of words, and for one word."""
+    if isinstance(value, str | bytes) or not isinstance(value, Iterable):
+        raise InputError(f"contacts: expected a list of sensor names, got {value!r:.60}")
+    names = list(value)
+    if not all(isinstance(name, str) for name in names):
+        wrong = next(name for name in names if not isinstance(name, str))
+        raise InputError(f"contacts: expected words as sensor names, got {wrong!r:.60}")
+    return names
 
 
 def same_size(sizes: Mapping[str, tuple[int, int]], where: str) -> None:

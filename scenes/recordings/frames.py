@@ -90,11 +90,12 @@ class Contacts:
         if sigma_told is None:
             sigma_told = False if sigma_point is None else ~np.isnan(_numbers(sigma_point, "sigma_point").ravel())
         self.forces = self._rows(forces, n, 3, "forces")
+        if np.isinf(self.forces).any():
+            raise InputError("contacts: expected finite forces, or NaN where unknown, got infinity")
         self.sigma_point = self._sigma(sigma_point, n, DEFAULT_SIGMA_POINT, "sigma_point")
-        told = np.asarray(sigma_told, dtype=np.bool_)
-        self.sigma_told = np.array(np.broadcast_to(told if n else told[:0] if told.ndim else told, (n,)))
+        self.sigma_told = self._told(sigma_told, n)
         self.sigma_normal = self._sigma(sigma_normal, n, DEFAULT_SIGMA_NORMAL, "sigma_normal")
-        self.sensors = list(sensors) if sensors is not None else [f"contact{i}" for i in range(n)]
+        self.sensors = checks.sensor_names([f"contact{i}" for i in range(n)] if sensors is None else sensors)
         if len(self.sensors) != n:
             raise InputError(f"contacts: expected {n} sensor names, got {len(self.sensors)}")
 
@@ -119,6 +120,15 @@ class Contacts:
             wrong = array[~((array >= low) & (array <= high))][0]
             raise InputError(f"contacts: expected {name} above 0, from {low:g} to {high:g}, got {wrong:g}")
         return array
+
+    @staticmethod
+    def _told(values: ArrayLike, n: int) -> NDArray[np.bool_]:
+        told = np.asarray(values)
+        if told.dtype.kind not in "biuf" or not np.isin(told, (0, 1)).all():
+            raise InputError(f"contacts: expected sigma_told true or false, of all or of each, got {values!r:.60}")
+        if told.ndim > 1 or told.size not in (1, n):
+            raise InputError(f"contacts: expected one sigma_told or {n} of them, got shape {told.shape}")
+        return np.array(np.broadcast_to(told.ravel().astype(np.bool_) if n else np.zeros(0, np.bool_), (n,)))
 
     @staticmethod
     def none() -> Contacts:
@@ -293,6 +303,8 @@ class Frame:
             if value is not None:
                 object.__setattr__(self, name, check(value, *more))
 
+        if self.camera_from_world is None:
+            raise InputError(f"{where}: camera_from_world: expected a 4x4 transform, got None")
         put("depth", checks.depth_image, where)
         put("rgb", checks.colour_image, where)
         put("mask", checks.mask_image, where)

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from made_frames import plain_view
 
-from fusion import Tracker, estimate
+from fusion import Tracker, estimate, track
 from fusion.tracking.checkpoint import restore_tracker
+from fusion.tracking.rehearsal import rehearse
 from scenes.errors import CaptureError, InputError
 from scenes.evidence.align import Prior
 from scenes.formats.bop.scene import Choice, convert
@@ -60,6 +61,27 @@ def test_arguments_of_another_kind():
     ):
         with pytest.raises(InputError, match=told):
             call()
+
+
+def test_arguments_that_are_nearly_right():
+    frame, model = plain_view("drill"), make("drill")
+    three = np.eye(3)
+    for call, told in (
+        (lambda: list(track(frame, model)), r"frames: expected several \(\[frame\], .*\), got Frame"),
+        (lambda: list(track(None, model)), "frames: expected several .*, got NoneType"),
+        (lambda: Tracker(model, live="no"), "live: expected True or False, got 'no'"),
+        (lambda: rehearse(Tracker(model), frame), r"new_tracker: .*\(lambda: Tracker\(model\)\), got Tracker"),
+        (lambda: replace(frame, camera_from_world=None), "camera_from_world: expected a 4x4 transform, got None"),
+        (lambda: Contacts(three, sensors=[None] * 3), "expected words as sensor names, got None"),
+        (lambda: Contacts(three, sensors="abc"), "expected a list of sensor names, got 'abc'"),
+        (lambda: Contacts(three, sigma_told=[1, 0]), "expected one sigma_told or 3 of them, got shape"),
+        (lambda: Contacts(three, sigma_told="yes"), "expected sigma_told true or false, .*, got 'yes'"),
+        (lambda: Contacts(three, forces=np.full((3, 3), np.inf)), "expected finite forces"),
+    ):
+        with pytest.raises(InputError, match=told):
+            call()
+    assert Contacts(three, sigma_told=[1, 0, 1]).sigma_told.tolist() == [True, False, True]
+    assert Contacts(three, sensors=np.array(["a", "b", "a"])).sensors == ["a", "b", "a"]
 
 
 def test_what_holds_arrays_equals_itself_alone():

@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_prior(parser)
     parser.add_argument("--friction", metavar="MU", type=non_negative, default=0.5, help="Coulomb's (default 0.5)")
     parser.add_argument(
-        "--edges", metavar="N", type=positive, default=8, help="sides of a friction pyramid (default 8)"
+        "--edges", metavar="N", type=positive, default=8, help="sides of a friction pyramid, 3 to 16 (default 8)"
     )
     parser.add_argument(
         "--soft-finger", metavar="MM", type=non_negative, default=0.0, help="radius of a soft contact (default 0: hard)"

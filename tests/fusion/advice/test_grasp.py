@@ -233,3 +233,11 @@ def test_bad_use_is_one_line(capture, tmp_path, capsys):
     ):
         assert main(argv) == 2
         assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_pyramids_of_more_sides_than_a_minute_allows_are_refused(tmp_path, capsys):
+    assert GraspAdviceSettings(WrenchSettings(edges=16)).wrenches.edges == 16
+    with pytest.raises(InputError, match="edges: expected a friction pyramid of 3 to 16 sides, got 17"):
+        GraspAdviceSettings(WrenchSettings(edges=17))
+    assert main(["grasp", str(tmp_path), "--edges", "32"]) == 2
+    assert "3 to 16 sides, got 32" in capsys.readouterr().err

@@ -94,3 +94,36 @@ def test_tables_are_whole_in_a_pipe_however_long_a_cell_is(capsys):
     show_table(("frame", "verdict", "not known"), [["1", "ambiguous", long]])
     (line,) = [one for one in capsys.readouterr().out.splitlines() if "ambiguous" in one]
     assert long in line
+
+
+def test_letters_that_a_terminal_lacks_are_replaced(captures, tmp_path):
+    poses = tmp_path / "poses.csv"
+    poses.write_text("scene_id,im_id,obj_id,score,R,t,time\n0,0,1,1,1 0 0 0 1 0 0 0 1,0 0 500,-1\n")
+    ended = shell('PYTHONIOENCODING=ascii palpate evaluate "$1" "$2"', poses, captures[0])
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert "?" in ended.stdout
+    ended = shell('PYTHONIOENCODING=ascii palpate validate "$1"', tmp_path / "Ж")
+    assert ended.returncode == 2
+    assert ended.stderr.count("\n") == 1
+
+
+def test_streams_of_whoever_calls_are_as_before(capfd):
+    with open(os.devnull, "w", encoding="ascii") as stream, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "stdout", stream)
+        assert main(["validate", "nowhere"]) == 2
+        assert stream.errors == "strict"
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_help_onto_a_full_disk_is_no_success(captures, unbuffered):
+    for words in ("--help", "--version", "synth --help", 'validate "$1"'):
+        ended = shell(f"PYTHONUNBUFFERED={unbuffered} palpate {words} > /dev/full", captures[0])
+        assert (ended.returncode, ended.stderr) == (2, "palpate: No space left on device\n")
+
+
+def test_python_without_docstrings_runs_commands(captures):
+    argv = [sys.executable, "-OO", "-m", "fusion.cli.main"]
+    for words in (["validate", str(captures[0])], ["--help"]):
+        ended = subprocess.run([*argv, *words], capture_output=True, text=True, cwd=ROOT, check=False)
+        assert (ended.returncode, ended.stderr) == (0, "")
+        assert ended.stdout

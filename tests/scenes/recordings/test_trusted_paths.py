@@ -139,3 +139,21 @@ def test_commands_take_the_option(whole, tmp_path, capsys):
     assert "--trust-paths" in capsys.readouterr().out
     run("validate", folder, "--trust-paths")
     assert "--trust-paths" not in capsys.readouterr().out
+
+
+def test_links_that_lead_back_to_themselves_are_told_as_such(whole, tmp_path, capsys):
+    back = "a link that leads back to itself"
+    folder, loop = tmp_path / "c", tmp_path / "loop"
+    shutil.copytree(whole, folder)
+    image = folder / "depth/000000.png"
+    image.unlink()
+    image.symlink_to(image.name)
+    loop.symlink_to(loop.name)
+    with pytest.raises(CaptureError, match=f"got 000000.png, {back}"):
+        _everything(folder)
+    assert run("validate", folder) == 1
+    assert back in capsys.readouterr().out
+    assert back in refused(capsys, "estimate", folder)
+    for asked in (("--out", loop), ("--out", loop / "inner"), ("--json", loop)):
+        assert back in refused(capsys, "estimate", whole, *asked)
+    assert loop.is_symlink()
