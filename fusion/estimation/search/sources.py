@@ -385,6 +385,12 @@ def modes_anywhere(
     elif not why_not and asked.modes and pool.convinces(asked.modes, s.clearly_shown):
         why_not = "the best is clearly seen"
     asked.enter("each piece alone", lambda: pool.of_pieces(tuple(of_pieces)), why_not)
+    # few of the pixels that pairs are drawn from may be the object's, so that one draw of them may miss it
+    for _ in range(plan.drawn_again if not told and not asked.contacts else 0):
+        if asked.convinced or agreed:
+            break
+        asked.enter(by_vision[0], paired)
+        asked.look_beside()
     if not asked.convinced and not agreed:
         asked.look_around()
     return asked.found(len(starts), plan)

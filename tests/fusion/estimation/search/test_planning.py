@@ -8,6 +8,7 @@ import pytest
 from fusion.estimation.estimate import estimate
 from fusion.estimation.search.modes import Found, PlanSettings, find_modes, valley_steps, worth_solving
 from fusion.estimation.search.proposals import ProposalSettings, search_stages
+from fusion.estimation.settings import EstimateSettings
 from scenes.evidence import table as evidence
 from scenes.evidence.align import Prior
 from scenes.evidence.modes import Mode, ModeSettings
@@ -139,3 +140,16 @@ def test_what_vision_alone_does_not_know_well_enough_is_asked_of_both_and_looked
     assert [stage.ran for stage in strict.trace if stage.name == "feel"] == [False, True]
     assert (strict.pose == usual.pose).all()
     assert (strict.covariance == usual.covariance).all()
+
+
+@pytest.mark.parametrize("again", [0, 2])
+def test_pairs_are_drawn_again_where_nobody_says_which_pixels_are_the_objects(lab_frame, again):
+    """A mug is looked for where none is: the best stays in doubt, and every draw says so in the trace."""
+    bare = replace(lab_frame, mask=None, prior=None, hand=None, joints=None, world_from_hand=None).without_touch()
+    usual = EstimateSettings()
+    settings = replace(usual, plan=replace(usual.plan, drawn_again=again))
+    answer = estimate(bare, library.make("mug"), use=("vision",), settings=settings)
+    assert answer.verdict != "ok"
+    drawn = [stage for stage in answer.trace if stage.name.startswith("propose: many pairs") and stage.ran]
+    assert len(drawn) == 1 + again
+    assert answer.pose.tolist() == estimate(bare, library.make("mug"), use=("vision",), settings=settings).pose.tolist()
