@@ -128,10 +128,9 @@ def whole(text: str) -> int:
 
 def positive(text: str) -> int:
     """A whole number above 0, for argparse."""
-    value = whole(text)
-    if value < 1:
+    if not text.strip().isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"expected a whole number above 0, got {text!r}")
-    return value
+    return int(text)
 
 
 def positive_number(text: str) -> float:

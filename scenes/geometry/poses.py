@@ -30,6 +30,13 @@ _LAST_ROW_TOLERANCE = np.array([1e-9, 1e-9, 1e-9, 1e-5])
 ORTHONORMAL_TOLERANCE = 1e-4
 
 
+def refuse_masked(value: object, what: str) -> None:
+    """Raise InputError for a masked array of which something is masked: what is declared invalid would be taken."""
+    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
+        hidden = int(np.ma.getmaskarray(value).sum())
+        raise InputError(f"{what}: expected values, got a masked array with {hidden} of {value.size} masked")
+
+
 def check_pose(pose: ArrayLike, name: str = "pose") -> Array:
     """Validate a rigid transform.
 
@@ -38,6 +45,7 @@ def check_pose(pose: ArrayLike, name: str = "pose") -> Array:
     Raises InputError when the shape is wrong, a value is not finite, the last row is not
     (0, 0, 0, 1), the rotation is scaled, sheared or mirrored, or the translation beyond FARTHEST.
     """
+    refuse_masked(pose, name)
     try:
         array = np.array(pose, dtype=np.float64)
     except (TypeError, ValueError) as why:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scenes.errors import InputError
-from scenes.geometry.poses import FARTHEST, ORTHONORMAL_TOLERANCE
+from scenes.geometry.poses import FARTHEST, ORTHONORMAL_TOLERANCE, refuse_masked
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,11 @@ LARGEST_METRES = 100
 
 
 def depth_image(value: ArrayLike, where: str) -> NDArray[np.float32]:
-    """(h, w) float32 metres. Raises InputError for integers (they are counts of a camera, not metres) and shapes."""
+    """(h, w) float32 metres, 0 where a masked array has no value. Raises InputError for integers (they are counts of a
+    camera, not metres) and shapes.
+    """
+    if isinstance(value, np.ma.MaskedArray):  # what is declared invalid is no reading
+        value = value.filled(0)
     image = _array(value, f"{where}: depth", "an image of metres, shape (h, w)")
     if image.ndim != 2:
         raise InputError(f"{where}: depth: expected an image of shape (h, w), got shape {image.shape}")
@@ -177,6 +181,7 @@ def instance(value: Any, kind: type, where: str, what: str, how: str) -> None:
 
 
 def _array(value: ArrayLike, where: str, expected: str) -> NDArray[Any]:
+    refuse_masked(value, where)
     try:
         array = np.asarray(value)
     except (TypeError, ValueError) as error:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scenes.errors import InputError
 from scenes.geometry.cameras import Camera
-from scenes.geometry.poses import FARTHEST, inverse
+from scenes.geometry.poses import FARTHEST, inverse, refuse_masked
 from scenes.recordings import frame_checks as checks
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ SIGMAS = (1e-12, 1e12)
 
 def _numbers(values: ArrayLike, name: str, what: str = "contacts") -> Array:
     """The values as a float64 array of their own; raises InputError for what is none."""
+    refuse_masked(values, f"{what}: {name}")
     try:
         if np.iscomplexobj(values):
             raise TypeError("got complex ones")
@@ -123,6 +124,7 @@ class Contacts:
 
     @staticmethod
     def _told(values: ArrayLike, n: int) -> NDArray[np.bool_]:
+        refuse_masked(values, "contacts: sigma_told")
         told = np.asarray(values)
         if told.dtype.kind not in "biuf" or not np.isin(told, (0, 1)).all():
             raise InputError(f"contacts: expected sigma_told true or false, of all or of each, got {values!r:.60}")
@@ -265,8 +267,9 @@ class Frame:
 
     Checked when it is made, with one InputError that says what was expected, what came and where: images and camera are
     of one size, transforms rigid, depth in floating-point metres. A mask of two values (OpenCV's 0 and 255), float64
-    depth, lists, and contacts as points (n, 3) are taken as what they mean. Readings and points of a cloud that are no
-    numbers are left to the estimator, which drops and counts them. A frame equals itself and no other.
+    depth, lists, and contacts as points (n, 3) are taken as what they mean; what is masked of a depth image
+    (`numpy.ma`) is no reading, elsewhere it is refused. Readings and points of a cloud that are no numbers are left to
+    the estimator, which drops and counts them. A frame equals itself and no other.
     """
 
     index: int

@@ -84,6 +84,24 @@ def test_arguments_that_are_nearly_right():
     assert Contacts(three, sensors=np.array(["a", "b", "a"])).sensors == ["a", "b", "a"]
 
 
+def test_what_is_masked_is_no_value():
+    frame, model = plain_view("drill"), make("drill")
+    hidden = np.ma.masked_array(np.where(frame.depth > 0, 9.0, 0.0), mask=frame.depth > 0)
+    assert not replace(frame, depth=hidden).depth.any()
+    for call in (
+        lambda: replace(frame, mask=np.ma.masked_array(frame.depth > 0, mask=frame.depth > 0)),
+        lambda: replace(frame, rgb=np.ma.masked_less(np.zeros((*frame.depth.shape, 3), np.uint8), 1)),
+        lambda: replace(frame, prior=np.ma.masked_array(np.eye(4), mask=np.eye(4))),
+        lambda: replace(frame, contacts=np.ma.masked_array(np.eye(3), mask=np.eye(3))),
+        lambda: Contacts(np.eye(3), forces=np.ma.masked_array(np.eye(3), mask=np.eye(3))),
+        lambda: estimate(frame, model, np.ma.masked_array(np.eye(4), mask=np.eye(4))),
+    ):
+        with pytest.raises(InputError, match="expected values, got a masked array with"):
+            call()
+    whole = np.ma.masked_array(np.eye(3), mask=False)
+    assert len(Contacts(whole)) == 3
+
+
 def test_what_holds_arrays_equals_itself_alone():
     """Comparing arrays has no one truth value; before, these raised."""
     frame, other = plain_view("box"), plain_view("box")
