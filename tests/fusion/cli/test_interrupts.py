@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -40,6 +42,8 @@ def test_a_library_that_makes_something_else_of_it(name, source, tmp_path):
     (libraries / f"{name}.py").write_text(source)
     argv = [sys.executable, "-m", "fusion.cli.main", "synth", str(tmp_path / "mug"), "--object", "mug"]
     where = {**os.environ, "PYTHONPATH": os.pathsep.join((str(libraries), str(ROOT)))}
-    ended = subprocess.run(argv, capture_output=True, text=True, cwd=ROOT, env=where, check=False)
+    # what runs in the background may have been told to pass Ctrl-C over, and tells its own so
+    heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    ended = subprocess.run(argv, capture_output=True, text=True, cwd=ROOT, env=where, check=False, preexec_fn=heard)
     assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "palpate: interrupted\n")
     assert not (tmp_path / "mug").exists()
