@@ -110,11 +110,12 @@ def _of_result(path: Path) -> Iterator[Path]:
         return
     yield from (folder / name for name in ("result.json", "result.jsonl", "poses.csv") if (folder / name).is_file())
     result = path if path.suffix == ".json" else folder / "result.json"
-    with suppress(OSError, ValueError, RecursionError, LookupError, AttributeError, TypeError):
-        # what is wrong with it is told when it is read
-        capture = Path(json.loads(result.read_text(encoding="utf-8-sig"))["capture_path"])
-        if capture.is_dir():
-            yield capture
+    content = None
+    with suppress(OSError, ValueError, RecursionError):  # what is wrong with it is told when it is read
+        content = json.loads(result.read_text(encoding="utf-8-sig"))
+    capture = content.get("capture_path") if isinstance(content, dict) else None
+    if isinstance(capture, str) and Path(capture).is_dir():
+        yield Path(capture)
 
 
 def _is_there(path: Path) -> bool:

@@ -1,4 +1,4 @@
-"""One frame, one answer: look, feel, search, solve together, judge.
+"""One frame, one answer: look, feel, search, solve together, judge; look again where the answer says that it must.
 
 Readable as the method: each step of `_estimate` is a module of `steps`, and each stage within it is named in the
 trace, run or skipped with its reason.

@@ -45,7 +45,7 @@ class ModeSettings:
 
     # Displacement of the object's surface, as a share of its radius, under which two poses are one mode.
     merge_share: float = 0.12
-    # Two poses whose mean is this many of their own standard deviations away are one mode, however far.
+    # Two poses that are this many standard deviations away, by what ties each of them, are one mode, however far.
     merge_sigmas: float = 3.0
     # Width of a direction about which nothing is known: radians, and shares of the object's radius.
     widest_angle: float = 1.0

@@ -19,7 +19,7 @@ from scenes.geometry.objects import METRES_PER_UNIT, ObjectModel
 from scenes.geometry.texture import coloured_mesh
 from scenes.recordings import bop
 from scenes.recordings.beliefs import Beliefs
-from scenes.recordings.frames import Frame
+from scenes.recordings.frames import DEFAULT_SIGMA_NORMAL, Frame
 from scenes.recordings.telling import Told, beliefs_json, believed
 from scenes.robot.hands import Hand
 
@@ -243,7 +243,9 @@ class _Recorder:
     def _touch(self, frame: Frame) -> None:
         felt = frame.contacts
         sigmas = np.stack([felt.sigma_point, felt.sigma_normal], axis=1)
-        sigmas[~felt.sigma_told] = np.nan
+        sigmas[~felt.sigma_told, 0] = np.nan
+        # the default is read where nothing stands
+        sigmas[~felt.sigma_told & (felt.sigma_normal == DEFAULT_SIGMA_NORMAL), 1] = np.nan
         numbers = np.concatenate([felt.points, felt.normals, felt.forces, sigmas], axis=1).tolist()
         self._add("contacts.csv", *((frame.index, name, *row) for name, row in zip(felt.sensors, numbers)))
         empty = frame.no_contact

@@ -219,7 +219,7 @@ class Predictor:
 
     @property
     def score(self) -> PictureScore:
-        """What a picture is worth: less surely the object's where nobody knows the hand."""
+        """What a picture is worth: less surely the object's where nobody knows the hand, or what else is at it."""
         return self.settings.known_hand if self._hand[0].size and self.told_apart else self.settings.unknown_hand
 
     @property

@@ -88,7 +88,7 @@ class PlanSettings:
     also_within: float = 3.0
     # How often very many pairs of pixels are drawn again where nobody says which are the object's, nothing is felt, and
     # the best is in doubt: of 29 cluttered desks of another generator's 24 are right without, 28 with 2, as many of 29
-    # tables; the mean of their time is 15 % more.
+    # tables; the mean of their time is 16 % more.
     drawn_again: int = 2
     # Valleys: directions in which the blurred cost lets a point at the object's radius move by this share of it (one
     # standard deviation). Of these the widest are walked, both ways, by so many standard deviations.

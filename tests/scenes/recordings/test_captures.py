@@ -409,3 +409,12 @@ def test_another_objects_mask_is_not_this_ones(tmp_path, sound):
     assert read_capture(folder).frame(0).mask is not None
     edit(folder / "scene_gt.json", lambda d: d.pop("1") and None)
     assert read_capture(folder).frame(1).mask is not None
+
+
+def test_how_contacts_face_is_kept_where_nobody_told_how_well_they_are_placed(tmp_path):
+    """The angle alone was told of the first, nothing of the second."""
+    felt = Contacts(np.eye(3)[:2] * 0.01, np.eye(3)[:2], sigma_normal=[0.3, np.nan])
+    frame = replace(some_frame(0, None, "camera"), contacts=felt, no_contact=None)
+    read = read_capture(write_capture(tmp_path / "c", [frame], make("box"))).frame(0).contacts
+    same(read.sigma_normal, felt.sigma_normal)
+    assert not read.sigma_told.any()
