@@ -55,9 +55,10 @@ def judge(
 ) -> Judgement:
     """How likely candidates (n, 4, 4) camera_from_object are, had a search proposed them, and these alone.
 
-    The other arguments are `estimate`'s, and so is all that is done with the poses (at the first look): fits to the pixels inside their own
-    outlines, then the joint solution, the likeliest first, whose rig all are solved with. At most settings.joint.modes
-    of them. Raises InputError for other counts or shapes, and for a frame that tells nothing of the object.
+    The other arguments are `estimate`'s, and so is all that is done with the poses, at the first look: fits to the
+    pixels inside their own outlines, then the joint solution, the likeliest first, whose rig all are solved with. At
+    most settings.joint.modes of them. Raises InputError for other counts or shapes, and for a frame that tells nothing
+    of the object.
     """
     asked = Asked.of(frame, prior, use, None, seed, settings, beliefs)
     shape, most = np.shape(candidates), asked.settings.joint.modes
