@@ -285,7 +285,8 @@ def scale_problem(frame: Frame, model: ObjectModel) -> str | None:
             return _says("a sigma_point of", sigma, "an object of", diameter, "mm read as m?")
     if frame.cloud is not None and len(frame.cloud) > 1:
         extent, few = _extent(frame.cloud), len(frame.cloud) < FEWEST_POINTS
-        if extent > LARGEST_SCENE_RATIO * diameter or (extent < diameter / SUSPICIOUS_RATIO and not few):
+        # one place, or no number at all, has no unit to be wrong
+        if extent > LARGEST_SCENE_RATIO * diameter or (0.0 < extent < diameter / SUSPICIOUS_RATIO and not few):
             return _says("a cloud that spreads over", extent, "an object of", diameter)
     far = _far_hand(frame)
     if far is not None:

@@ -166,3 +166,13 @@ def test_priors_of_another_kind():
     assert estimate(frame, model, Prior(frame.prior, open_about_z)).verdict == "ok"
     wide = poses.adjoint(frame.prior) @ np.diag([0.04, 0.04, 0.04, 1e-5, 1e-5, 1e-5]) @ poses.adjoint(frame.prior).T
     assert estimate(frame, model, Prior(frame.prior, np.linalg.inv(wide))).verdict == "ok"
+
+
+@pytest.mark.parametrize("cloud", [np.full((500, 3), np.nan), np.tile([0.0, 0.0, 0.5], (500, 1)), np.zeros((500, 3))])
+@pytest.mark.filterwarnings("error")
+def test_a_cloud_of_no_extent_is_an_answer_that_knows_nothing(drill, cloud):
+    """No number at all, or one place again and again: no unit was mistaken, and nothing divides by nothing."""
+    answer = estimate(Frame(0, cloud=cloud), drill)
+    assert answer.verdict != "ok"
+    assert np.isfinite(answer.pose).all()
+    assert np.isfinite(answer.covariance).all()
