@@ -278,8 +278,10 @@ def set_volume(verbose: int, quiet: bool) -> None:
 
 
 def percent(value: float | None) -> str:
-    """A share for a table, in per cent; a dash for what is not known."""
-    return "–" if value is None or math.isnan(value) else f"{100 * value:.0f} %"
+    """A share for a table, in per cent; a dash for what is not known. What is not quite all is not rounded to all."""
+    if value is None or math.isnan(value):
+        return "–"
+    return ">99 %" if 0.995 <= value < 1 else f"{100 * value:.0f} %"
 
 
 def number(value: float | None, digits: int = 2) -> str:

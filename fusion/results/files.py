@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from fusion.advice.next_touch import NextTouch
 from fusion.estimation.answer import ContactResidual, Estimate, Mode, Stage
 from fusion.truth.errors import Errors, Judge, json_number
 from scenes.errors import InputError
+from scenes.files.json_text import parsed
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.bop import PoseRow, numbers, write_json, write_poses
@@ -91,11 +91,11 @@ def read_result(path: str | Path) -> tuple[dict[str, Any], list[Estimate]]:
     Modes have the covariance of the whole: the file has no other. Of a long track the frames are in a file beside it.
     """
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8-sig"))
+        content = parsed(Path(path).read_text(encoding="utf-8-sig"))
         entries: Iterable[dict[str, Any]] = content["frames"]
         if content.get("frames_file"):
             with (Path(path).parent / content["frames_file"]).open(encoding="utf-8") as file:
-                entries = [json.loads(line) for line in file]
+                entries = [parsed(line) for line in file]
         answers = [answer_of(entry) for entry in entries]
     except OSError as error:
         raise InputError(f"{path}: expected a result.json, it cannot be opened: {error.strerror}") from error

@@ -9,7 +9,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from scenes.words import counted
+
 _log = logging.getLogger(__name__)
+
+# Bytes of a binary STL: a header, how many triangles follow, and each of them.
+_STL_HEADER, _STL_COUNT, _STL_TRIANGLE = 80, 4, 50
 
 # Endings of which one archive or compressed file is told by both.
 _DOUBLE = (".gz", ".bz2")
@@ -33,6 +38,31 @@ def loaded(path: Path, force: str | None = None) -> Any:
     except Exception as error:  # a dozen readers check little and share no error
         said = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(f"a {_ending(path)} that cannot be read: {said}") from error
+
+
+def without_triangles(path: Path) -> str:
+    """What is in a file of which `loaded` made no mesh of triangles, in words: points, a part of a mesh, or nothing."""
+    if path.suffix.lower() == ".stl":
+        return _cut_stl(path) or "no triangle"
+    try:
+        points = getattr(loaded(path), "vertices", ())
+    except ValueError:
+        points = ()
+    return f"{counted(len(points), 'point')} and no triangle" if len(points) else "no triangle"
+
+
+def _cut_stl(path: Path) -> str | None:
+    """Of a binary STL that ends before its triangles do, how much of it there is; None of any other file."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(_STL_HEADER + _STL_COUNT)
+    if head.lstrip().startswith(b"solid"):  # text, whose end is a word
+        return None
+    told = int.from_bytes(head[_STL_HEADER:], "little") if len(head) == _STL_HEADER + _STL_COUNT else None
+    if told is None:
+        return f"a file of {size} bytes, which is less than the head of an STL"
+    there = max(size - len(head), 0) // _STL_TRIANGLE
+    return f"{there} of the {told} triangles its head tells of: the file is cut off" if there < told else None
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from scenes.cache import Arrays, are_triangles, remembered_of_file
 from scenes.errors import InputError, MeshError, unknown
-from scenes.files.meshes import loaded
+from scenes.files.meshes import loaded, without_triangles
 from scenes.geometry import distance_field, mesh_repair, poses
 from scenes.geometry.distance_field import DistanceField
 from scenes.geometry.surface import Surface, hull_of
@@ -359,6 +359,5 @@ def _read_mesh(path: Path) -> tuple[Array, Faces, tuple[Array, NDArray[np.uint8]
     vertices = getattr(mesh, "vertices", None)
     faces = getattr(mesh, "faces", None)
     if vertices is None or faces is None or len(faces) == 0:
-        count = 0 if vertices is None else len(vertices)
-        raise MeshError(f"{path}: expected a mesh with triangles, got {count} vertices and no triangle")
+        raise MeshError(f"{path}: expected a mesh with triangles, got {without_triangles(path)}")
     return np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64), sampled(mesh) or plain

@@ -18,6 +18,7 @@ from fusion.cli.options import (
     progress,
     say,
     show_table,
+    warn_neglected,
     warn_of,
     write_json,
 )
@@ -72,6 +73,8 @@ def run(args: argparse.Namespace) -> int:
     settings = estimate_settings(args.config)
     prepare = frame_setter(args.prior, args.seed, told(args))
     captures = [read_capture(path, args.trust_paths) for path in args.captures]
+    for capture in captures:
+        warn_neglected(capture)
     model = load_object(args.object, args.unit) if args.object else None
     total = len(methods) * sum(map(len, captures))
     announce_compiling()

@@ -20,6 +20,7 @@ from fusion.cli.options import (
     progress,
     say,
     show_table,
+    warn_neglected,
     warn_of,
     whole,
     write_json,
@@ -129,6 +130,7 @@ def _answers(args: argparse.Namespace) -> tuple[Capture, ObjectModel, list[Frame
 
     senses = tuple(sorted(check_senses(args.use), reverse=True))
     capture = read_capture(args.source, args.trust_paths)
+    warn_neglected(capture)
     model = load_object(args.object, args.unit) if args.object else capture.model
     prepare = prior_setter(args.prior, args.seed)
     announce_compiling()

@@ -26,6 +26,7 @@ from fusion.cli.options import (
     say,
     show_table,
     warn,
+    warn_neglected,
     with_sure,
 )
 from fusion.cli.telling import add_beliefs
@@ -72,6 +73,7 @@ def run(args: argparse.Namespace) -> int:
     beliefs = believed(capture.beliefs, said)
     settings = replace(config.track, first=with_sure(config.track.first, args))
     out = out_folder(args, capture.name)  # before the work, not after it
+    warn_neglected(capture)
     model = load_object(args.object, args.unit) if args.object else capture.model
     prepare = prior_setter(args.prior, args.seed)
     asked = asked_for(model, senses, args.prior, args.seed, settings, beliefs)

@@ -126,7 +126,9 @@ def test_a_file_in_millimetres_read_as_metres(tmp_path):
         ("empty.stl", b"", "expected a mesh"),
         ("thing.xyzzy", b"1 2 3\n", "expected a mesh"),
         ("points.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
-         b"property float z\nend_header\n0 0 0\n", "no triangle"),
+         b"property float z\nend_header\n0 0 0\n", "1 point and no triangle"),
+        ("cut.stl", bytes(80) + (12).to_bytes(4, "little") + bytes(2 * 50 + 7), "2 of the 12 triangles .* cut off"),
+        ("head.stl", bytes(40), "less than the head of an STL"),
         ("binary.obj", bytes(range(256)), "expected a mesh"),
     ],
 )  # fmt: skip

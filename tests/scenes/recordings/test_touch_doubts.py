@@ -131,11 +131,18 @@ def test_what_validate_refuses_in_capture_json_estimate_refuses(tmp_path, capsys
     assert f"{capture / 'capture.json'}: expected " in refused(capsys, "estimate", capture, "--out", tmp_path / "o")
 
 
-def test_estimate_says_what_it_passes_over(tmp_path, capsys):
+@pytest.mark.parametrize("command", ["estimate", "track", "compare", "grasp"])
+def test_commands_say_what_they_pass_over(tmp_path, capsys, command):
     capture = write_capture(tmp_path / "c", [plain_view(), replace(plain_view(), index=1)], make("box"))
     edit(capture, lambda content: content.update(notes={"stamps_ns": {"0": 5, "1": 3}}))
     images.write_mask(capture / "mask_visib" / "000007_000000.png", np.ones((240, 320), dtype=bool))
-    assert run("estimate", capture, "--out", tmp_path / "o", "--no-report") in (0, 1)
+    more = {
+        "estimate": ("--out", tmp_path / "o", "--no-report"),
+        "track": ("--out", tmp_path / "o", "--no-report"),
+        "compare": ("--methods", "icp"),
+        "grasp": (),
+    }
+    assert run(command, capture, *more[command]) in (0, 1)
     err = capsys.readouterr().err
     assert "palpate: passed over: " in err
     assert "stamps_ns: expected times that run forwards" in err
