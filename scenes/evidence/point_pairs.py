@@ -20,11 +20,15 @@ from numpy.typing import NDArray
 
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
+from scenes.threads import run_chunks
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
+
+# Pairs that are enough for another thread: half a millisecond's.
+ENOUGH = 5000
 
 
 @dataclass(frozen=True)
@@ -132,10 +136,8 @@ class PairTable:
         _, found = self.tree.query(invariants, k=min(each, len(self.first)), eps=nearly)
         found = found.reshape(len(first), -1)
         a, b = self.first[found].ravel(), self.second[found].ravel()
-        rotations, origins = np.zeros((len(a), 3, 3)), np.zeros((len(a), 3))
         repeat = np.repeat(np.arange(len(first)), found.shape[1])
-        match_pairs(self.points, self.normals, a, b, points, normals, first[repeat], second[repeat], rotations, origins)
-        return rotations, origins
+        return self._matched(a, b, points, normals, first[repeat], second[repeat])
 
     def drawn(
         self,
@@ -151,17 +153,31 @@ class PairTable:
         """
         s = self.settings
         invariants = self.invariants(points[first], normals[first], points[second], normals[second])
-        around = np.repeat(invariants, each, axis=0) + s.around * rng.uniform(-1.0, 1.0, (each * len(first), 5))
-        keys = np.zeros(len(around), np.int64)
-        cell_keys(around / s.cell, keys)
+        keys = np.zeros(each * len(first), np.int64)
+        cells_around(invariants, s.around, rng.uniform(-1.0, 1.0, (len(keys), 5)), s.cell, keys)
         order, begin = self.cells
-        count = begin[keys + 1] - begin[keys]
-        met = np.flatnonzero(count)
-        found = order[begin[keys[met]] + (rng.random(len(keys))[met] * count[met]).astype(np.int64)]
-        a, b = self.first[found], self.second[found]
+        which, found = np.zeros((2, len(keys)), np.int64)
+        met = draw_from_cells(order, begin, keys, rng.random(len(keys)), each, which, found)
+        which, found = which[:met], found[:met]
+        return self._matched(self.first[found], self.second[found], points, normals, first[which], second[which])
+
+    def _matched(
+        self,
+        a: NDArray[np.int64],
+        b: NDArray[np.int64],
+        points: Array,
+        normals: Array,
+        i: NDArray[np.int64],
+        j: NDArray[np.int64],
+    ) -> tuple[Array, Array]:
+        """Rotations (h, 3, 3) and origins (h, 3) that put points a and b (h,) of the object onto i and j (h,)."""
         rotations, origins = np.zeros((len(a), 3, 3)), np.zeros((len(a), 3))
-        which = met // each
-        match_pairs(self.points, self.normals, a, b, points, normals, first[which], second[which], rotations, origins)
+
+        def work(part: slice) -> None:
+            pairs = points, normals, i[part], j[part]
+            match_pairs(self.points, self.normals, a[part], b[part], *pairs, rotations[part], origins[part])
+
+        run_chunks(work, len(a), smallest=ENOUGH)
         return rotations, origins
 
 
@@ -209,9 +225,41 @@ def cell_keys(invariants: Array, keys: NDArray[np.int64]) -> None:
         keys[n] = key
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-def _dot(a: Array, b: Array) -> float:
-    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+@numba.njit(cache=True, nogil=True)
+def cells_around(invariants: Array, around: float, drawn: Array, cell: float, keys: NDArray[np.int64]) -> None:
+    """Fill keys (n k,) with the numbers of the cells, `cell` wide, of places drawn (n k, 5), from -1 to 1, of `around`
+    about each of invariants (n, 5): the first k about the first.
+    """
+    each = keys.shape[0] // max(invariants.shape[0], 1)
+    place, key = np.zeros((1, 5)), np.zeros(1, np.int64)
+    for n in range(keys.shape[0]):
+        for k in range(5):
+            place[0, k] = (invariants[n // each, k] + around * drawn[n, k]) / cell
+        cell_keys(place, key)
+        keys[n] = key[0]
+
+
+@numba.njit(cache=True, nogil=True)
+def draw_from_cells(
+    order: NDArray[np.int32],
+    begin: NDArray[np.int32],
+    keys: NDArray[np.int64],
+    drawn: Array,
+    each: int,
+    which: NDArray[np.int64],
+    found: NDArray[np.int64],
+) -> int:
+    """Fill which with the places of keys (n k,), by k = `each`, whose cells are not empty, and found with one of the
+    pairs in each, as drawn (n k,), from 0 to 1, has it; returns how many. order, begin: of `PairTable.cells`.
+    """
+    count = 0
+    for n in range(keys.shape[0]):
+        first = begin[keys[n]]
+        held = begin[keys[n] + 1] - first
+        if held > 0:
+            which[count], found[count] = n // each, order[first + int(drawn[n] * held)]
+            count += 1
+    return count
 
 
 @numba.njit(cache=True, nogil=True)
@@ -230,60 +278,59 @@ def match_pairs(
     """Poses that lay pair h of the object onto pair h of the contacts: middles meet, directions agree, and the turn
     about the direction fits both normals best. Fills rotations (h, 3, 3) and origins (h, 3).
     """
-    e, f, v, x = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
-    turn = np.zeros((3, 3))
+    e, f, v, x, turned = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
     for h in range(first.shape[0]):
         a, b, i, j = first[h], second[h], contact_first[h], contact_second[h]
         for k in range(3):
             e[k] = points[b, k] - points[a, k]
             f[k] = contact_points[j, k] - contact_points[i, k]
-        e /= math.sqrt(_dot(e, e))
-        f /= math.sqrt(_dot(f, f))
-        # half turn about the bisector takes e to f; nearly opposite directions: about any line across e
+        over_e = 1.0 / math.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
+        over_f = 1.0 / math.sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2])
         for k in range(3):
+            e[k] *= over_e
+            f[k] *= over_f
             v[k] = e[k] + f[k]
-        length = math.sqrt(_dot(v, v))
+        # half turn about the bisector v takes e to f, and any x to 2 (v x) v - x; nearly opposite directions: about
+        # any line across e
+        length = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
         if length < 1e-6:
             axis = 0
             for k in range(1, 3):
                 axis = k if abs(e[k]) < abs(e[axis]) else axis
             for k in range(3):
                 v[k] = (1.0 if k == axis else 0.0) - e[axis] * e[k]
-            length = math.sqrt(_dot(v, v))
-        v /= length
-        rotation = rotations[h]
+            length = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
         for k in range(3):
-            for m in range(3):
-                rotation[k, m] = 2.0 * v[k] * v[m] - (1.0 if k == m else 0.0)
+            v[k] /= length
         # then about f: the angle that maximises the sum of the normals' dot products
         cosine, sine = 0.0, 0.0
         for side in range(2):
-            n = normals[a] if side == 0 else normals[b]
-            u = contact_normals[i] if side == 0 else contact_normals[j]
+            m, u = (a, i) if side == 0 else (b, j)
+            along = 2.0 * (v[0] * normals[m, 0] + v[1] * normals[m, 1] + v[2] * normals[m, 2])
             for k in range(3):
-                x[k] = _dot(rotation[k], n)
-            cosine += _dot(x, u) - _dot(x, f) * _dot(u, f)
-            sine += (
-                f[0] * (x[1] * u[2] - x[2] * u[1])
-                + f[1] * (x[2] * u[0] - x[0] * u[2])
-                + f[2] * (x[0] * u[1] - x[1] * u[0])
-            )
-        angle = math.atan2(sine, cosine)
-        c, s = math.cos(angle), math.sin(angle)
+                x[k] = along * v[k] - normals[m, k]
+            p, q, r = contact_normals[u, 0], contact_normals[u, 1], contact_normals[u, 2]
+            slope_x, slope_u = x[0] * f[0] + x[1] * f[1] + x[2] * f[2], p * f[0] + q * f[1] + r * f[2]
+            cosine += x[0] * p + x[1] * q + x[2] * r - slope_x * slope_u
+            sine += f[0] * (x[1] * r - x[2] * q) + f[1] * (x[2] * p - x[0] * r) + f[2] * (x[0] * q - x[1] * p)
+        # where neither tells, no turn is better than another
+        longest = math.sqrt(cosine * cosine + sine * sine)
+        c, s = (cosine / longest, sine / longest) if longest > 0.0 else (1.0, 0.0)
+        # the turn T of the half turn: 2 (T v) v' - T
+        along = (1.0 - c) * (f[0] * v[0] + f[1] * v[1] + f[2] * v[2])
+        turned[0] = along * f[0] + c * v[0] + s * (f[1] * v[2] - f[2] * v[1])
+        turned[1] = along * f[1] + c * v[1] + s * (f[2] * v[0] - f[0] * v[2])
+        turned[2] = along * f[2] + c * v[2] + s * (f[0] * v[1] - f[1] * v[0])
+        rotation = rotations[h]
         for k in range(3):
             for m in range(3):
-                turn[k, m] = (1.0 - c) * f[k] * f[m] + (c if k == m else 0.0)
-        turn[0, 1] -= s * f[2]
-        turn[0, 2] += s * f[1]
-        turn[1, 0] += s * f[2]
-        turn[1, 2] -= s * f[0]
-        turn[2, 0] -= s * f[1]
-        turn[2, 1] += s * f[0]
-        for m in range(3):
-            for k in range(3):
-                x[k] = rotation[k, m]
-            for k in range(3):
-                rotation[k, m] = _dot(turn[k], x)
+                rotation[k, m] = 2.0 * turned[k] * v[m] - (1.0 - c) * f[k] * f[m] - (c if k == m else 0.0)
+        rotation[0, 1] += s * f[2]
+        rotation[0, 2] -= s * f[1]
+        rotation[1, 0] -= s * f[2]
+        rotation[1, 2] += s * f[0]
+        rotation[2, 0] += s * f[1]
+        rotation[2, 1] -= s * f[0]
         for k in range(3):
             origins[h, k] = 0.5 * (contact_points[i, k] + contact_points[j, k])
             for m in range(3):

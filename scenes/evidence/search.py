@@ -166,6 +166,17 @@ def first_of_cells(
     return order[first_of_each(np.round(np.concatenate(parts, axis=1)).astype(np.int64))]
 
 
+def least_of(values: Array, count: int) -> NDArray[np.intp]:
+    """Indices of the `count` least of values (n,), the least first and of equals the first: what a stable sort has
+    first, without sorting the rest. What is no number is last.
+    """
+    if not 0 < count < len(values):
+        return np.argsort(values, kind="stable")[: max(count, 0)]
+    bound = np.partition(values, count - 1)[count - 1]
+    near = np.flatnonzero(~(values > bound))
+    return near[np.argsort(values[near], kind="stable")[:count]]
+
+
 def first_of_each(keys: NDArray[np.int64]) -> NDArray[np.intp]:
     """Where in keys (n, k), k at most 9, each different row is for the first time, in order.
 

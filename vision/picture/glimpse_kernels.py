@@ -19,8 +19,6 @@ from vision.picture.kernels import NEAREST, is_by_hand, is_on_planes, smooth_sig
 # Added to a depth (m) to say that what is read there is not the object, and on the other side of zero that it is a
 # table's or wall's: farther than any camera reads.
 OTHER = 1000.0
-# Every so manieth point is looked at, around and around: a prime.
-STRIDE = 7
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
@@ -50,51 +48,51 @@ def draw_small(image, camera, noise, limits, step, small):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
-def glimpse_aspects(aspects, cells, centroid, poses, small, step, camera, noise, sigmas, most, shares):
+def glimpse_aspects(points, count, cells, centroid, poses, small, step, camera, noise, sigmas, shares):
     """What few of the points that the object shows at poses (n, 4, 4) are: fills shares (n, 2), of them that are seen,
     each as well as it agrees, and that are seen past. Points behind the camera or outside of the image are neither.
 
-    aspects, cells, centroid: of vision.picture.aspect_kernels.sum_aspects. small: of draw_small, at every `step`
-    pixels. camera, noise: of compare_pixels; sigmas: of depth within which a point agrees, as at the centroid's depth.
-    most: so many points, evenly chosen.
+    points (k, m, 3), count (k,): of vision.picture.aspects.Glimpses, by 6 cells^2 directions around centroid (3,).
+    small: of draw_small, at every `step` pixels. camera, noise: of compare_pixels; sigmas: of depth within which a
+    point agrees, as at the centroid's depth.
+
+    A pose takes as long as its points take to be fetched and its branches to be guessed: the points of one lie side by
+    side, and what can be told by arithmetic is.
     """
-    points, _, count, _ = aspects
-    fx, fy, cx, cy, width, height = camera
+    fx, fy, cx, cy = camera[0] / step, camera[1] / step, camera[2] / step, camera[3] / step
+    width, height = camera[4] / step, camera[5] / step
     for n in range(poses.shape[0]):
         r, t = poses[n], poses[n, :3, 3]
         which, z = aspect_of(cells, centroid, r, t)
         own = smooth_sigma(noise, z)
         tolerance = sigmas * math.sqrt(own * own + noise[4] * noise[4] * z * z)
-        few = min(count[which], most)
-        apart = count[which] / max(few, 1)
-        seen = past = 0.0
+        each = 1.0 / tolerance
+        few = count[which]
+        third = few // 3 if few % 3 == 0 else -1
+        seen, past = 0.0, 0
         for m in range(few):
             # all over the outline from the first on; where most of a third are seen past, no more need be known
-            k = int((((m * STRIDE) % few if few % STRIDE else m) + 0.5) * apart)
-            if 3 * m == few and 2.0 * past > m:
-                seen, past = 3.0 * seen, 3.0 * past
+            if m == third and 2 * past > m:
+                seen, past = 3.0 * seen, 3 * past
                 break
             px, py, pz = (
-                np.float64(points[which, k, 0]),
-                np.float64(points[which, k, 1]),
-                np.float64(points[which, k, 2]),
+                np.float64(points[which, m, 0]),
+                np.float64(points[which, m, 1]),
+                np.float64(points[which, m, 2]),
             )
             z = r[2, 0] * px + r[2, 1] * py + r[2, 2] * pz + t[2]
-            if not z > NEAREST:
-                continue
             x = r[0, 0] * px + r[0, 1] * py + r[0, 2] * pz + t[0]
             y = r[1, 0] * px + r[1, 1] * py + r[1, 2] * pz + t[1]
-            u, v = fx * x / z + cx, fy * y / z + cy
+            inverse = 1.0 / z
+            u, v = fx * x * inverse + cx, fy * y * inverse + cy
             # not true of NaN either
-            if not (0.0 <= u < width and 0.0 <= v < height):
+            if not (z > NEAREST and 0.0 <= u < width and 0.0 <= v < height):
                 continue
-            reading = np.float64(small[int(v) // step, int(u) // step])
-            if reading == 0.0:
-                continue
+            # places that cannot be below 0: nobody counts them from the end
+            reading = np.float64(small[np.uint64(v), np.uint64(u)])
             plane, other = reading < 0.0, reading > OTHER
-            off = (-reading if plane else reading - OTHER if other else reading) - z
-            if off > tolerance or (plane and off < -tolerance):
-                past += 1.0
-            elif not plane and not other and off > -tolerance:
-                seen += 1.0 - (off / tolerance) * (off / tolerance)
+            off = abs(reading) - (OTHER if other else 0.0) - z
+            past += (reading != 0.0) & ((off > tolerance) | (plane & (off < -tolerance)))
+            agrees = max(1.0 - (off * each) * (off * each), 0.0)
+            seen += 0.0 if plane | other | (reading == 0.0) else agrees
         shares[n, 0], shares[n, 1] = seen / max(few, 1), past / max(few, 1)

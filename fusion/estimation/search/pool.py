@@ -20,7 +20,7 @@ from scenes.evidence import table as tables
 from scenes.evidence.align import Alignment, AlignSettings, Prior, align, costs
 from scenes.evidence.modes import Mode, ModeSettings, distinct_modes, weighed
 from scenes.evidence.near_symmetries import near_symmetries, quarter_turns
-from scenes.evidence.search import SETTLED, SearchStage, leaders, search, thin
+from scenes.evidence.search import SETTLED, SearchStage, leaders, least_of, search, thin
 from scenes.evidence.table import Evidence
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import DepthModel
@@ -167,8 +167,7 @@ class Pool:
         of_piece = replace(of_piece, pairs=min(of_piece.pairs, few))
         parts += [pair_starts(self.model, self.seen(piece), self.rng, of_piece) for piece in pieces]
         candidates = np.concatenate(parts)
-        likely = np.argsort(self.predictor.glimpse(candidates), kind="stable")[: self.settings.glimpsed]
-        candidates = candidates[likely]
+        candidates = candidates[least_of(self.predictor.glimpse(candidates), self.settings.glimpsed)]
         best = different(self.model, candidates, self.walking(candidates), how)
         return candidates[best[: how.keep_pairs]]
 

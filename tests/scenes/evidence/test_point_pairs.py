@@ -5,7 +5,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scenes.evidence.point_pairs import PairSettings, PairTable, built_pair_table, cell_keys, match_pairs, pair_table
+from scenes.evidence import point_pairs
+from scenes.evidence.point_pairs import (
+    PairSettings,
+    PairTable,
+    built_pair_table,
+    cell_keys,
+    cells_around,
+    draw_from_cells,
+    match_pairs,
+    pair_table,
+)
 from scenes.geometry import poses
 from scenes.recordings.frames import Contacts
 from scenes.synthesis import library
@@ -117,3 +127,33 @@ def test_pairs_that_look_like_none_of_the_object_give_none(table):
     rotations, origins = table.drawn(points, normals, np.array([0]), np.array([1]), 5, np.random.default_rng(0))
     assert rotations.shape == (0, 3, 3)
     assert origins.shape == (0, 3)
+
+
+def test_draws_are_what_plain_arrays_draw(table, rng):
+    some = rng.integers(len(table.first), size=30)
+    pairs = (part[of[some]] for of in (table.first, table.second) for part in (table.points, table.normals))
+    invariants, drawn = np.vstack([table.invariants(*pairs), rng.uniform(-3.0, 30.0, (10, 5))]), rng.random((40 * 7, 5))
+    drawn = 2.0 * drawn - 1.0
+    keys, expected = np.zeros((2, len(drawn)), np.int64)
+    cells_around(invariants, 0.5, drawn, 0.8, keys)
+    cell_keys((np.repeat(invariants, 7, axis=0) + 0.5 * drawn) / 0.8, expected)
+    np.testing.assert_array_equal(keys, expected)
+    order, begin = table.cells
+    share, (which, found) = rng.random(len(keys)), np.zeros((2, len(keys)), np.int64)
+    met = draw_from_cells(order, begin, keys, share, 7, which, found)
+    held = begin[keys + 1] - begin[keys]
+    there = np.flatnonzero(held)
+    assert 0 < met == len(there) < len(keys)
+    np.testing.assert_array_equal(which[:met], there // 7)
+    np.testing.assert_array_equal(found[:met], order[begin[keys[there]] + (share[there] * held[there]).astype(int)])
+
+
+def test_draws_are_the_same_on_any_number_of_threads(table, monkeypatch):
+    monkeypatch.setattr(point_pairs, "ENOUGH", 10)
+    first, second = table.first[::50], table.second[::50]
+    drawn = []
+    for threads in ("1", "3"):
+        monkeypatch.setenv("PALPATE_THREADS", threads)
+        drawn.append(table.drawn(table.points, table.normals, first, second, 5, np.random.default_rng(1)))
+    np.testing.assert_array_equal(drawn[0][0], drawn[1][0])
+    np.testing.assert_array_equal(drawn[0][1], drawn[1][1])

@@ -12,6 +12,7 @@ from scenes.evidence.search import (
     first_of_cells,
     first_of_each,
     leaders,
+    least_of,
     rotation_grid,
     search,
     starts_around,
@@ -233,3 +234,11 @@ def test_rows_are_taken_once_in_their_order(rng):
     keys = rng.integers(-3, 3, size=(400, 4))
     _, first = np.unique(keys, axis=0, return_index=True)
     assert np.array_equal(first_of_each(keys), np.sort(first))
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, 250, 399, 400, 1000])
+def test_the_least_are_those_that_a_stable_sort_has_first(count, rng):
+    values = rng.integers(0, 60, size=400) / 7.0
+    values[[3, 50, 51]] = np.nan
+    np.testing.assert_array_equal(least_of(values, count), np.argsort(values, kind="stable")[:count])
+    assert len(least_of(np.zeros(0), count)) == 0

@@ -118,6 +118,33 @@ def test_a_glimpse_tells_what_is_hopeless(name, rng):
     assert np.isin(best, passed).all()
 
 
+def test_a_glimpse_has_points_of_the_aspects_and_all_of_few(drill):
+    known, few = aspects_of(drill), making.glimpses_of(drill, 24)
+    assert few is making.glimpses_of(drill, 24)
+    assert (few.count == np.minimum(known.count, 24)).all()
+    for which in (0, 100, 700):
+        mine, of_it = few.points[which, : few.count[which]], known.points[which, : known.count[which]]
+        assert len(np.unique(mine, axis=0)) == len(mine)
+        assert (mine[:, None] == of_it[None]).all(axis=2).any(axis=1).all()
+    every = making.glimpses_of(drill, 1000)
+    which = int(np.argmax(known.count))
+    assert sorted(map(tuple, every.points[which, : every.count[which]])) == sorted(map(tuple, known.points[which]))
+
+
+def test_costs_are_the_same_on_any_number_of_threads(monkeypatch, rng):
+    monkeypatch.setattr(making, "ENOUGH", 5)
+    monkeypatch.setattr(making, "ENOUGH_GLIMPSED", 5)
+    frame, model = plain_view("mug"), library.make("mug")
+    truth = frame.camera_from_object_truth
+    found = Predictor(frame, model, DepthModel())
+    some = np.array([truth, *(poses.displaced(truth, 0.3, 0.03, model.centroid, rng) for _ in range(60))])
+    costs = []
+    for threads in ("1", "3"):
+        monkeypatch.setenv("PALPATE_THREADS", threads)
+        costs.append((found.rough_costs(some), found.glimpse(some)))
+    np.testing.assert_array_equal(costs[0], costs[1])
+
+
 def test_without_an_image_nothing_is_told(drill):
     from scenes.recordings.frames import Frame
 
