@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scenes.errors import MeshError
+from scenes.files.whole import replace_file
 
 Array = NDArray[np.float64]
 
@@ -82,7 +83,7 @@ def write_off(
     header = ("C" if colours is not None else "") + ("N" if normals is not None else "") + "OFF"
     rows = [" ".join(cells) for cells in zip(*columns, strict=True)]
     rows += [f"3 {a} {b} {c}" for a, b, c in triangles.tolist()]
-    Path(path).write_text("\n".join([header, f"{len(points)} {len(triangles)} 0", *rows, ""]), encoding="ascii")
+    replace_file(Path(path), "\n".join([header, f"{len(points)} {len(triangles)} 0", *rows, ""]).encode("ascii"))
 
 
 Lines = list[tuple[int, str]]
