@@ -337,6 +337,11 @@ def within(model: ObjectModel, pose: Array, covariance: Array, tolerance: float,
     return float(below(*mean_square(model, pose, covariance), tolerance, nearest))
 
 
+def near_enough(model: ObjectModel, mode: Mode, settings: ConfidenceSettings) -> float:
+    """Probability that a mode of what is seen is within the tolerance, by its covariance, if it is the right one."""
+    return within(model, mode.pose, mode.covariance, settings.tolerance, settings.seen.nearest)
+
+
 def below(mean: ArrayLike, variance: ArrayLike, tolerance: float, nearest: float) -> Array:
     """Probability (n,) that ADD-S is below tolerance (m) where the mean square of how far the surface's points are off
     has mean (n,) (m^2) and variance (n,) (m^4): a gamma distribution, by Wilson and Hilferty (1931).

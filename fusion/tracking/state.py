@@ -69,7 +69,7 @@ class Known:
     of the looks until now, and their weight (1 / m^2; 0: the next stands alone); own, shared, biased, hidden (6, 6):
     covariances of a measurement; correction (4, 4) camera_from_camera of what the robot reports, their mean, too;
     share, sight, felt: how pixels, image (nats) and contacts (mm, root mean square) agreed with such a fit; verdict,
-    why, right, visible, unobservable: how it was judged.
+    why, right, visible, unobservable: how it was judged; part: of what its own solution takes of them, what rows count.
     """
 
     index: int
@@ -89,6 +89,7 @@ class Known:
     right: float
     visible: float
     unobservable: tuple[str, ...]
+    part: float = 1.0
 
     def measured(self, model: ObjectModel, fit: Array, nearest: Array) -> Measurement:
         """What a fit (4, 4) of a later frame's rows measures; nearest (4, 4): of symmetric twins the one near this."""

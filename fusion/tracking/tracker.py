@@ -20,9 +20,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.answer import Estimate, Mode
+from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import as_prior, check_kinds, check_senses, each_frame, sure_to_be_within
-from fusion.estimation.confidence import ConfidenceSettings, within
+from fusion.estimation.confidence import near_enough
 from fusion.estimation.estimate import estimate
 from fusion.estimation.trace import Trace
 from fusion.estimation.whole import whole_covariance
@@ -34,13 +34,14 @@ from fusion.tracking.motion import HandMotion, HandState, palm_motion
 from fusion.tracking.slip import SlipWatch, Watched
 from fusion.tracking.state import TrackState
 from fusion.tracking.steps.aside import ANEW, AROUND, Aside
+from fusion.tracking.steps.contradicting import NOT_HERE, without_strangers
 from fusion.tracking.steps.glancing import as_judged, glance, known_of, may_glance, steadied
 from fusion.tracking.steps.judging import as_believed, as_followed, as_learned, judge
 from fusion.tracking.steps.lens import through_one_lens
 from fusion.tracking.steps.outlining import with_outline
 from fusion.tracking.steps.predicting import as_moved, predict
 from fusion.tracking.steps.printed import as_before, as_printed
-from fusion.tracking.steps.refining import loose, measurement_of, refine, shift, solve_leader
+from fusion.tracking.steps.refining import loose, measurement_of, middle_of, refine, shift, solve_leader
 from fusion.tracking.steps.searching import leader_at, look_closer, recover, renew, search_around
 from fusion.tracking.steps.sensing import Sensed, feel_near, learn_things, pool_near
 from fusion.tracking.touched import Touched
@@ -112,13 +113,13 @@ class Tracker:
         rules = replace(first.verdict, way_round=settings.way_round)
         self.settings = replace(settings, first=replace(first, verdict=rules))
         self._senses = check_senses(use)
-        self._prior = as_prior(prior, self.settings.first)
-        self._seed, self._asked = seed, beliefs
+        self._prior, self._seed, self._asked = as_prior(prior, self.settings.first), seed, beliefs
         self._believe(beliefs or Beliefs())
         self._hand_motion = HandMotion(model, self.settings.hand)
         self._velocity = ConstantVelocity(model.centroid, self.settings.velocity)
         self._state = TrackState()
         self._sensed: Sensed | None = None
+        self._rest: Frame | None = None  # the last frame of which contacts were left out, without them
         # made when a live tracker needs it, and not kept with its state
         self._aside: Aside | None = None
 
@@ -142,6 +143,8 @@ class Tracker:
         heard = self._aside.ready if self._aside is not None and frame.index > state.index else ""
         with one_blas_thread():
             answer = self._follow(frame, state.belief, not heard)
+        if self._rest is not None and self._rest.index == frame.index:
+            frame, unused = self._rest, (*unused, NOT_HERE)
         if answer.verdict == "lost":
             state.lost_for += 1
             answer = self._recover(frame, answer, heard)
@@ -172,39 +175,35 @@ class Tracker:
         self._anchor(answer)
         sure, how = several.sure_of(answer), s.hypotheses
         votes, odds = several.vote_of(answer.verdict, sure, how), several.log_odds(sure, how)
-        state.hypotheses = several.of_modes(answer.modes, votes, how, odds)
-        felt = self._feel(frame)
+        state.hypotheses, felt = several.of_modes(answer.modes, votes, how, odds), self._feel(frame)
         state.hand, state.seen_at = self._holding(frame, felt, answer.pose), None
         state.index, state.unseen, state.lost_for, state.usual, state.known = frame.index, 0, 0, None, None
         state.forget(s.sizes)
         state.renewal.restart(frame.index, s.renewal)
         if self._aside is not None:
             self._aside.forget()
-        near = self._near(answer.modes[0], s.first.confidence)
+        near = near_enough(self.model, answer.modes[0], s.first.confidence)
         state.right = min(1.0, several.sure_of(answer) / near) if near > 1e-9 else 0.0
         self.begun, state.sure = True, answer.verdict == "ok"
         self._velocity.restart(frame.index, answer.pose)
         self._watch.let_go()
         self._skins(frame, felt)
 
-    def _near(self, mode: Mode, how: ConfidenceSettings) -> float:
-        return within(self.model, mode.pose, mode.covariance, how.tolerance, how.seen.nearest)
-
     def _anchor(self, answer: Estimate, tracked: Array | None = None) -> None:
         """Believe an estimate; of a pose that this frame was tracked to (4, 4) as unsure as the two are apart."""
-        share, own = self.settings.first_lasting, answer.modes[0].covariance
+        share, own, state = self.settings.first_lasting, answer.modes[0].covariance, self._state
         apart = np.zeros(6) if tracked is None else se3.difference(answer.pose, tracked, self.model.centroid)
-        self._state.belief = belief = Belief(answer.pose, (1 - share) * own + np.outer(apart, apart), share * own)
-        if tracked is not None and self._state.hand is None:  # only its velocity says where it goes from there
-            leader = replace(self._state.hypotheses[0], pose=belief.pose, covariance=belief.covariance)
-            self._state.hypotheses = leader, *self._state.hypotheses[1:]
-            self._state.known = None
+        state.belief = belief = Belief(answer.pose, (1 - share) * own + np.outer(apart, apart), share * own)
+        if tracked is not None and state.hand is None:  # only its velocity says where it goes from there
+            leader = replace(state.hypotheses[0], pose=belief.pose, covariance=belief.covariance)
+            state.hypotheses, state.known = (leader, *state.hypotheses[1:]), None
             self._velocity.corrected(belief.pose)
 
     def _recover(self, frame: Frame, lost: TrackedEstimate, heard: str) -> TrackedEstimate:
         """Look for the object; the track begins again from where it is found."""
         try:
-            found = recover(self.model, frame, lost, self._state, self.estimated, self._aside, heard, self.settings)
+            asks = lost, self._sensed, self._state
+            found = recover(self.model, frame, *asks, self.estimated, self._aside, heard, self.settings)
         except CaptureError as error:  # a frame amid a track whose sizes make no sense is a frame without evidence
             return replace(lost, notes=(*lost.notes, str(error)))
         if found is None:
@@ -304,6 +303,10 @@ class Tracker:
             learned = len(state.levels)
             solved = solve_leader(model, frame, leader, prior, found, sensed, state.levels, beliefs, s)
             solved = with_outline(solved, sensed, beliefs, s, trace)
+            rest = without_strangers(model, frame, prior, solved, found, sensed, state, beliefs, s)
+            if rest is not None:
+                self._rest, state.levels[learned:] = rest, []
+                return self._follow(rest, belief, False, there)
             blind = state.hand is not None and not len(looked.pixels)
             told = self._looker.correction is not None or state.correction is not None
             shown = replace(sensed, seen=found.seen)
@@ -316,7 +319,7 @@ class Tracker:
             now = replace(shown, felt=felt)
             common = steadied(model, prior, now, measured, None if found.switched else state.known, s)
             self._sensed = replace(sensed, seen_from=common.seen_from(model))
-            off = 1e3 * shift(felt.correction, self._middle(solved.pose))
+            off = 1e3 * shift(felt.correction, middle_of(model, solved.pose))
             stage.note(len(found.seen) + felt_rows, f"calibration off by {off:.1f} mm")
         step = se3.difference(measured.pose, ahead.belief.pose, model.centroid)
         if there is None and state.hand is None and not found.switched and s.is_far(step):
@@ -378,15 +381,12 @@ class Tracker:
         patches = in_palm(frame, felt.reported_patches) if felt.reported_patches else []
         return self._watch.feel(readings_of(placed(self._felt_frame(frame))[0]), patches)
 
-    def _middle(self, pose: Array) -> Array:
-        return se3.apply(pose, self.model.centroid[None])[0]
-
     def _updated(
         self, frame: Frame, predicted: Belief, measured: Measurement, switched: bool, felt: Felt
     ) -> tuple[Belief, Watched]:
         """The belief after the frame, and whether the object slips."""
         model, state = self.model, self._state
-        pixel = None if frame.camera is None else frame.camera.project(self._middle(measured.pose)[None])[0][0]
+        pixel = None if frame.camera is None else frame.camera.project(middle_of(model, measured.pose)[None])[0][0]
         pixel = pixel if pixel is not None and np.isfinite(pixel).all() else None  # behind the camera
         alone = Belief(measured.pose, measured.own, measured.shared, measured.hidden)
         belief = alone if switched else update(model, predicted, measured)
@@ -441,10 +441,10 @@ class Tracker:
             state.belief, state.hypotheses, state.index = predicted, carried, frame.index
             state.hand = self._holding(frame, felt, predicted.pose)
             self._velocity.coast(frame.index)
-        how, by_hand, right = s.confident, state.hand is not None, felt.correction
+        how, by_hand = s.confident, state.hand is not None
         held = by_hand and state.unseen <= s.coast
-        told = state.told(predicted, s.sizes)
-        answer = as_carried(self.model, frame, told, trace.stages, held, by_hand, because, right, s)
-        sure = state.right * self._near(answer.modes[0], how) if held else 0.0
+        how_held = held, by_hand, because, felt.correction, s
+        answer = as_carried(self.model, frame, state.told(predicted, s.sizes), trace.stages, *how_held)
+        sure = state.right * near_enough(self.model, answer.modes[0], how) if held else 0.0
         wide = whole_covariance(self.model, answer.modes, how.none_of(state.right if held else 0.0), None, how)
         return replace(answer, covariance=wide, confidence=sure, sure_within=how.tolerance)

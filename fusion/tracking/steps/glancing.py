@@ -45,6 +45,8 @@ Array = NDArray[np.float64]
 _FALSE = 20.0
 # No look is surer than this (m) of what the next has in common with it.
 _SUREST = 1e-4
+# No prior counts less (a share): what rows leave open must stay where it was predicted.
+LEAST_PART = 0.01
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ class Glanced:
 class Steadied:
     """A look in full by what looks have in common. fit (4, 4): of its rows alone, contacts where `correction` (4, 4)
     puts them; offset (6,): from there to what looks are solved as; weight: of these; measured: the frame's own answer
-    by that.
+    by that; part: of what the whole solution takes of them, what rows count.
     """
 
     fit: Array
@@ -75,6 +77,7 @@ class Steadied:
     correction: Array
     weight: float
     measured: Measurement
+    part: float
 
     def seen_from(self, model: ObjectModel) -> Array:
         """(4, 4) takes a pose to where the image, uncorrected, shows the object: along its ray by what the whole
@@ -156,7 +159,7 @@ def _glanced_at(
         near = sensed.rows_at(start, settings.side)
         sensed = replace(sensed, seen=near)
     prior = loose(predicted.pose, predicted.own, settings)
-    fit = fitted(model, near, _touching(felt), start, prior, how.steps)
+    fit = fitted(model, near, _touching(felt), start, freed(prior, known.part), how.steps)
     measured = known.measured(model, fit, predicted.pose)
     residuals = contact_residuals(model, felt.contacts, fit, first.verdict)
     share, rms = pixel_agreement(model, near, fit)
@@ -214,13 +217,15 @@ def steadied(
         step = se3.difference(correction, before.correction, centre)
         correction = se3.perturb(before.correction, share * step, centre)
     touching = _touching(sensed.felt.corrected(correction))
-    fit = model.symmetries.nearest(
-        fitted(model, sensed.seen, touching, measured.pose, prior, settings.glance.steps), measured.pose
-    )
+    part = part_counted(model, tables.stack(sensed.seen, touching), measured)
+    held = freed(prior, part)
+    fit = fitted(model, sensed.seen, touching, measured.pose, held, settings.glance.steps)
+    fit = model.symmetries.nearest(fit, measured.pose)
     offset = se3.difference(measured.pose, fit, model.centroid)
     if before is not None:
         offset = before.offset + share * (offset - before.offset)
-    return Steadied(fit, offset, correction, total, replace(measured, pose=se3.perturb(fit, offset, model.centroid)))
+    measured = replace(measured, pose=se3.perturb(fit, offset, model.centroid))
+    return Steadied(fit, offset, correction, total, measured, part)
 
 
 def known_of(
@@ -242,8 +247,29 @@ def known_of(
     return Known(
         frame.index, measured.pose, looked.offset, looked.weight,
         measured.own, measured.shared, measured.biased, measured.hidden, looked.correction, share, sight, off,
-        said.verdict, said.why, said.right, said.visible, said.unobservable,
+        said.verdict, said.why, said.right, said.visible, said.unobservable, looked.part,
     )  # fmt: skip
+
+
+def part_counted(model: ObjectModel, rows: Evidence, measured: Measurement) -> float:
+    """The part, up to 1, that rows count of what the whole solution of a look takes of them for its own noise.
+
+    Rows are weighed down for the errors that neighbours share, most where nothing tells what hides the object. Of the
+    direction that counts least: it is what a prior holds.
+    """
+    if not len(rows):
+        return 1.0
+    told = align(model, rows, measured.pose[None], None, AlignSettings(iterations=0)).hessians[0]
+    sizes, axes = np.linalg.eigh(measured.own)
+    root = axes * np.sqrt(np.maximum(sizes, 0.0))
+    return float(np.clip(np.linalg.eigvalsh(root.T @ told @ root)[0], LEAST_PART, 1.0))
+
+
+def freed(prior: Prior, part: float) -> Prior:
+    """A prior beside rows that count by a part of what they tell: it counts by the same. A whole one holds a fit to the
+    prediction, which a filter would take for a measurement of its own.
+    """
+    return Prior(prior.pose, part * prior.information)
 
 
 def fitted(model: ObjectModel, seen: Evidence, felt: Evidence, start: Array, prior: Prior, steps: int) -> Array:

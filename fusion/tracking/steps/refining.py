@@ -249,3 +249,8 @@ def measurement_of(
 def shift(correction: Array, point: Array) -> float:
     """How far a correction (4, 4) moves a point (3,), metres."""
     return float(np.linalg.norm(se3.apply(correction, point[None])[0] - point))
+
+
+def middle_of(model: ObjectModel, pose: Array) -> Array:
+    """(3,) where the centroid of the object at pose (4, 4) is."""
+    return np.asarray(se3.apply(pose, model.centroid[None])[0])

@@ -20,6 +20,7 @@ from fusion.tracking.answer import TrackedEstimate, TrackSettings
 from fusion.tracking.hypotheses import Hypothesis
 from fusion.tracking.state import TrackState
 from fusion.tracking.steps.aside import ANEW, AROUND, Aside
+from fusion.tracking.steps.contradicting import may_be_strangers
 from fusion.tracking.steps.refining import prefers
 from fusion.tracking.steps.sensing import Sensed
 from scenes.errors import CaptureError
@@ -46,6 +47,7 @@ def recover(
     model: ObjectModel,
     frame: Frame,
     lost: TrackedEstimate,
+    sensed: Sensed | None,
     state: TrackState,
     estimated: Estimated,
     aside: Aside | None,
@@ -55,7 +57,8 @@ def recover(
     """Look for a lost object around the prediction and where it was last, if anything is seen there, and now and then
     everywhere: a live tracker meanwhile (aside; heard: what that has searched for), and then in this frame around where
     that has found it. What is found farther from there than was thought is estimated once more around itself: a place
-    to look at is no evidence, and would pull the answer towards it. Near a track that was more likely wrong than right,
+    to look at is no evidence, and would pull the answer towards it. Where contacts may be strangers to what is seen the
+    image alone is asked first. Near a track that was more likely wrong than right,
     or that no search has spoken for, it is no surer than that.
     """
     s, frame = settings, replace(frame, prior=None)
@@ -76,6 +79,10 @@ def recover(
             tries.append(None)
         else:
             aside.ask(ANEW, estimated, frame, None, leader_at(lost, state), state)
+    if near and may_be_strangers(frame, sensed, state, s):
+        by_image = estimated(frame.without_touch(), tries[0])
+        if by_image.verdict == "ok":
+            return _no_surer(by_image, state, s)
     for number, prior in enumerate(tries):
         found = estimated(frame, prior)
         likely = several.sure_of(found) >= (s.found_again if prior is None else s.found_near)

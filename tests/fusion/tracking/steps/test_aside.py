@@ -242,7 +242,7 @@ def test_a_lost_object_is_searched_beside_the_frames_and_then_looked_for_where_i
         return replace(estimate_at(moved @ found_at), verdict="ok" if near else "lost")
 
     def step(heard):
-        return recover(mug, carried[0], lost, state, estimated, aside, heard, TrackSettings())
+        return recover(mug, carried[0], lost, None, state, estimated, aside, heard, TrackSettings())
 
     assert step("") is None
     assert [prior is None for prior in looked] == [False]
@@ -255,7 +255,7 @@ def test_a_lost_object_is_searched_beside_the_frames_and_then_looked_for_where_i
     assert aside.ready == ""
     # who waits finds it in the frame that is searched
     state = replace(state, lost_for=5)
-    alone = recover(mug, carried[0], lost, state, estimated, None, "", TrackSettings())
+    alone = recover(mug, carried[0], lost, None, state, estimated, None, "", TrackSettings())
     np.testing.assert_allclose(alone.pose, found_at)
 
 
@@ -269,7 +269,7 @@ def test_where_a_lost_object_is_looked_for_is_no_evidence(mug, carried, off, tim
         looked.append(prior)
         return replace(estimate_at(found_at), confidence=0.96 + 0.01 * len(looked))
 
-    found = recover(mug, carried[0], lost, believed(), estimated, None, "", TrackSettings())
+    found = recover(mug, carried[0], lost, None, believed(), estimated, None, "", TrackSettings())
     assert len(looked) == times
     assert found.confidence == 0.96 + 0.01 * times
     # where it was thought to be, and then where it was found
@@ -283,7 +283,7 @@ def test_what_is_found_near_a_track_that_was_likely_wrong_is_no_surer_than_that(
         def estimated(frame, prior):
             return replace(estimate_at(np.eye(4)), confidence=sure, verdict=verdict)
 
-        return recover(mug, carried[0], lost, believed(votes, right), estimated, None, "", TrackSettings())
+        return recover(mug, carried[0], lost, None, believed(votes, right), estimated, None, "", TrackSettings())
 
     assert found(0.999, 0.99).verdict == "ok"
     assert found(0.6, 0.99).confidence == 0.99
@@ -311,7 +311,8 @@ def test_what_stands_where_it_was_let_go_is_found_there(mug, carried):
         near = np.allclose(prior.pose, stands)
         return replace(estimate_at(prior.pose), verdict="ok" if near else "lost")
 
-    np.testing.assert_allclose(recover(mug, carried[0], lost, state, estimated, None, "", TrackSettings()).pose, stands)
+    found = recover(mug, carried[0], lost, None, state, estimated, None, "", TrackSettings())
+    np.testing.assert_allclose(found.pose, stands)
     np.testing.assert_allclose(looked, [gone, stands])
 
 
