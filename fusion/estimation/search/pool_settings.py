@@ -112,5 +112,6 @@ class PoolSettings:
     sifted: int = 400
     sifted_near: int = 120
     # Of very many pairs' poses so many pass a glimpse of a few of their points and are ranked by aspects: of the twenty
-    # that aspects rank first all were among 2200 of ten to twenty thousand. Tuned with the pairs (ProposalSettings.paired).
+    # that aspects rank first all were among 2200 of ten to twenty thousand. Tuned with the pairs that there are
+    # (ProposalSettings.paired).
     glimpsed: int = 2000
