@@ -79,11 +79,16 @@ def faced(sensed: Sensed, found: Found, asked: Asked) -> Faced:
     if isinstance(first, str):
         return Faced(found, unchanged, asked, sensed, Facing(why=first))
     near = near_symmetries(model)
-    told = [_ways(first, modes[0].pose, asked.prior, near)]
-    for mode in modes[1:]:
-        seen = see_print(sensed.viewed, model, pool.predictor, mode.pose, s)
-        told.append(_Ways.silent(mode.pose) if isinstance(seen, str) else _ways(seen, mode.pose, asked.prior, near))
-    other, doubt = _near(sensed, first, modes[0], told[0], asked), -s.most
+    shown = [first, *(see_print(sensed.viewed, model, pool.predictor, mode.pose, s) for mode in modes[1:])]
+    told = [
+        _Ways.silent(mode.pose) if isinstance(seen, str) else _ways(seen, mode.pose, asked.prior, near)
+        for seen, mode in zip(shown, modes)
+    ]
+    # another place may be the object's, which is there another way round
+    asked_of = max(range(len(modes)), key=lambda k: told[k].near)
+    there = shown[asked_of]
+    assert not isinstance(there, str)
+    other, doubt = _near(sensed, there, modes[asked_of], told[asked_of], asked), -s.most
     if other is not None and other.more < s.prefers:
         doubt = other.more
         other = None
@@ -104,10 +109,10 @@ def faced(sensed: Sensed, found: Found, asked: Asked) -> Faced:
     order = np.argsort(-weights, kind="stable")
     turned = [replace(modes[k], pose=told[k].pose, weight=float(weights[k] / weights.sum())) for k in order]
     lead = told[order[0]]
-    if order[0] == 0:
+    if order[0] == asked_of:
         doubt -= 0.0 if asked.prior is None else s.most_start
         lead = replace(lead, share=float(lead.share / (1.0 + np.exp(doubt))))
-    before = modes[order[0]].pose if other is None or order[0] < len(modes) - 1 else found.modes[0].pose
+    before = modes[order[0]].pose if other is None or order[0] < len(modes) - 1 else modes[asked_of].pose
     asked = replace(asked, prior=_turned(asked.prior, before, lead.pose))
     sensed = replace(sensed, pool=replace(pool, prior=asked.prior))
     moved = float(np.rad2deg(se3.rotation_angle(before[:3, :3].T @ lead.pose[:3, :3])))
@@ -179,6 +184,23 @@ def turned_as_printed(sensed: Sensed, mode: Mode, facing: Facing, settings: Prin
     return replace(mode, pose=pose, covariance=0.5 * (covariance + covariance.T)), replace(facing, turn=turn)
 
 
+def other_printed(sensed: Sensed, facing: Facing, pose: Array, other: Array, settings: PrintSettings) -> float:
+    """How many times as likely the object is at another pose (4, 4) than at its own by what is printed there, whichever
+    way round; 1 where no print was read.
+    """
+    if not facing.pixels or np.isnan(facing.share):
+        return 1.0
+    model, near = sensed.pool.model, near_symmetries(sensed.pool.model)
+    both = [see_print(sensed.viewed, model, sensed.pool.predictor, one, settings) for one in (pose, other)]
+    here, there = (None if isinstance(one, str) else _ways(one, at, None, near) for one, at in zip(both, (pose, other)))
+    if here is None or there is None:
+        return 1.0
+    gains = np.array([here.best, there.best])
+    own = (here, there)[int(np.argmax(gains))].own
+    likely = own * np.exp(np.maximum(gains - gains.max(), -settings.most)) + 1.0 - own
+    return float(likely[1] / likely[0])
+
+
 def as_seen_printed(
     frame: Frame, model: ObjectModel, predictor: Predictor, pose: Array, settings: PrintSettings
 ) -> tuple[Array, Facing]:
@@ -199,7 +221,8 @@ def as_seen_printed(
 @dataclass(frozen=True)
 class _Ways:
     """The ways round of one pose: the likeliest as a pose, its gain and what else may be (nats), its share among
-    `count`, how sure its turn is (rad), how much of the image it explains, and how likely it is the object's own.
+    `count`, how sure its turn is (rad), how much of the image it explains, and how likely it is the object's own; near:
+    the gain (nats) of the likeliest that the shape nearly has, -inf for none.
     """
 
     pose: Array
@@ -210,6 +233,7 @@ class _Ways:
     explained: float
     own: float
     why_not: str = ""
+    near: float = -np.inf
 
     @staticmethod
     def silent(pose: Array) -> _Ways:
@@ -257,7 +281,8 @@ def _ways(seen: SeenPrint, pose: Array, prior: Prior | None, near: Array) -> _Wa
     by_print, by_start = (float(one[apart <= s.same].sum() / one.sum()) for one in shares)
     share = own * by_print + (1.0 - own) * by_start
     count = len(model.symmetries.discrete) + len(near)
-    return _Ways(best, gain, share, turn, count, explained, own, why_not)
+    nearly = float(gains[len(exact) :].max(initial=-np.inf))
+    return _Ways(best, gain, share, turn, count, explained, own, why_not, nearly)
 
 
 def _known(start: Array, most: float) -> Array:
