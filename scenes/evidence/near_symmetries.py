@@ -23,7 +23,7 @@ from scenes.geometry.objects import ObjectModel
 Array = NDArray[np.float64]
 
 # Raised whenever what is found below changes, so that old files are not read.
-CACHE_VERSION = 1
+CACHE_VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -82,9 +82,11 @@ def find_near_symmetries(model: ObjectModel, settings: NearSettings | None = Non
     # gates of three sigmas: what stands out does not pull
     rows = evidence.make(points, 0.5 * near, evidence.TOUCH, gate_above=3.0, gate_below=3.0)
     settled = align(model, rows, starts, settings=AlignSettings(iterations=15)).poses
-    shares = np.array([np.mean(np.abs(model.field.distance(se3.apply(pose, points))) < near) for pose in settled])
+    off = np.array([np.abs(model.field.distance(se3.apply(pose, points))) for pose in settled])
+    shares = (off < near).mean(axis=1)
     kept = [np.eye(4)]
-    for i in np.argsort(-shares, kind="stable"):
+    # of those that leave as much in place, the one that settled best: others are still on their way, degrees off
+    for i in np.lexsort((np.minimum(off, near).mean(axis=1), -np.round(shares, 2))):
         if shares[i] < settings.least:
             break
         # modulo what really is a symmetry: a bottle turned about its axis is the bottle

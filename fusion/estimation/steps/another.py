@@ -84,12 +84,14 @@ def another(
 
 
 def with_other(
-    model: ObjectModel, modes: tuple[Mode, ...], right: float, other: Mode, chance: float
+    model: ObjectModel, modes: tuple[Mode, ...], right: float, other: Mode, chance: float, printed: float = 1.0
 ) -> tuple[tuple[Mode, ...], float]:
     """Modes with another after the first, in place of those where it is, and the chance that the first is right: it had
-    `right` by itself, the other `chance`, and one of them at most is the object that is meant.
+    `right` by itself, the other `chance`, and one of them at most is the object that is meant. printed: how many times
+    as likely the other is than the first by what is printed on it.
     """
     odds, against = (p / max(1.0 - p, 1e-6) for p in (right, chance))
+    against *= printed
     share = against / max(odds + against, 1e-12)
     away = [_apart(model, mode.pose[None], other.pose)[0] > model.radius for mode in modes[1:]]
     kept = [modes[0], *(mode for mode, is_away in zip(modes[1:], away) if is_away)]

@@ -78,25 +78,41 @@ def faced(sensed: Sensed, found: Found, asked: Asked) -> Faced:
     first = see_print(sensed.viewed, model, pool.predictor, modes[0].pose, s)
     if isinstance(first, str):
         return Faced(found, unchanged, asked, sensed, Facing(why=first))
-    told = [_ways(first, modes[0].pose, asked.prior)]
-    for mode in modes[1:]:
-        seen = see_print(sensed.viewed, model, pool.predictor, mode.pose, s)
-        told.append(_Ways.silent(mode.pose) if isinstance(seen, str) else _ways(seen, mode.pose, asked.prior))
-    other = _near(sensed, first, modes[0], told[0], asked)
+    near = near_symmetries(model)
+    shown = [first, *(see_print(sensed.viewed, model, pool.predictor, mode.pose, s) for mode in modes[1:])]
+    told = [
+        _Ways.silent(mode.pose) if isinstance(seen, str) else _ways(seen, mode.pose, asked.prior, near)
+        for seen, mode in zip(shown, modes)
+    ]
+    # another place may be the object's, which is there another way round
+    asked_of = max(range(len(modes)), key=lambda k: told[k].near)
+    there = shown[asked_of]
+    assert not isinstance(there, str)
+    other, doubt = _near(sensed, there, modes[asked_of], told[asked_of], asked), -s.most
+    if other is not None and other.more < s.prefers:
+        doubt = other.more
+        other = None
     if other is not None:
-        modes, told = [*modes, other[0]], [*told, other[1]]
+        modes, told = [*modes, other.mode], [*told, other.ways]
     best = max(range(len(modes)), key=lambda k: told[k].best)
     why_not = told[best].why_not
     if why_not:
         return Faced(found, unchanged, asked, sensed, Facing(pixels=len(first.points), why=why_not))
     gains = np.maximum(np.array([one.best for one in told]) - told[best].best, -s.most)
-    gains = np.log(told[best].own * np.exp(gains) + 1.0 - told[best].own)  # another's print tells poses no more apart
+    # another's print tells poses no more apart; a start does
+    if_other = np.zeros(len(told))
+    if other is not None and asked.prior is not None:
+        if_other[-1] = -s.most_start
+    gains = np.log(told[best].own * np.exp(gains) + (1.0 - told[best].own) * np.exp(if_other))
     logs = np.log([max(mode.weight, 1e-12) for mode in modes]) + gains
     weights = np.exp(logs - logs.max())
     order = np.argsort(-weights, kind="stable")
     turned = [replace(modes[k], pose=told[k].pose, weight=float(weights[k] / weights.sum())) for k in order]
     lead = told[order[0]]
-    before = modes[order[0]].pose if other is None or order[0] < len(modes) - 1 else found.modes[0].pose
+    if order[0] == asked_of:
+        doubt -= 0.0 if asked.prior is None else s.most_start
+        lead = replace(lead, share=float(lead.share / (1.0 + np.exp(doubt))))
+    before = modes[order[0]].pose if other is None or order[0] < len(modes) - 1 else modes[asked_of].pose
     asked = replace(asked, prior=_turned(asked.prior, before, lead.pose))
     sensed = replace(sensed, pool=replace(pool, prior=asked.prior))
     moved = float(np.rad2deg(se3.rotation_angle(before[:3, :3].T @ lead.pose[:3, :3])))
@@ -152,7 +168,7 @@ def turned_as_printed(sensed: Sensed, mode: Mode, facing: Facing, settings: Prin
     if isinstance(seen, str):
         return mode, facing
     if missed:
-        ways = _ways(seen, mode.pose, sensed.pool.prior)
+        ways = _ways(seen, mode.pose, sensed.pool.prior, near_symmetries(model))
         if ways.why_not:
             return mode, facing
         facing = Facing(ways.share, ways.turn, len(seen.points), f"{ways.share:.0%} of {ways.count} ways")
@@ -168,6 +184,23 @@ def turned_as_printed(sensed: Sensed, mode: Mode, facing: Facing, settings: Prin
     return replace(mode, pose=pose, covariance=0.5 * (covariance + covariance.T)), replace(facing, turn=turn)
 
 
+def other_printed(sensed: Sensed, facing: Facing, pose: Array, other: Array, settings: PrintSettings) -> float:
+    """How many times as likely the object is at another pose (4, 4) than at its own by what is printed there, whichever
+    way round; 1 where no print was read.
+    """
+    if not facing.pixels or np.isnan(facing.share):
+        return 1.0
+    model, near = sensed.pool.model, near_symmetries(sensed.pool.model)
+    both = [see_print(sensed.viewed, model, sensed.pool.predictor, one, settings) for one in (pose, other)]
+    here, there = (None if isinstance(one, str) else _ways(one, at, None, near) for one, at in zip(both, (pose, other)))
+    if here is None or there is None:
+        return 1.0
+    gains = np.array([here.best, there.best])
+    own = (here, there)[int(np.argmax(gains))].own
+    likely = own * np.exp(np.maximum(gains - gains.max(), -settings.most)) + 1.0 - own
+    return float(likely[1] / likely[0])
+
+
 def as_seen_printed(
     frame: Frame, model: ObjectModel, predictor: Predictor, pose: Array, settings: PrintSettings
 ) -> tuple[Array, Facing]:
@@ -177,7 +210,7 @@ def as_seen_printed(
     seen = see_print(frame, model, predictor, pose, settings)
     if isinstance(seen, str):
         return pose, Facing(why=seen)
-    ways = _ways(seen, pose, None)
+    ways = _ways(seen, pose, None, near_symmetries(model))
     if ways.why_not:
         return pose, Facing(pixels=len(seen.points), why=ways.why_not)
     why = f"{ways.share:.0%} of {ways.count} ways; the print explains {ways.explained:.0%} of the image"
@@ -188,7 +221,8 @@ def as_seen_printed(
 @dataclass(frozen=True)
 class _Ways:
     """The ways round of one pose: the likeliest as a pose, its gain and what else may be (nats), its share among
-    `count`, how sure its turn is (rad), how much of the image it explains, and how likely it is the object's own.
+    `count`, how sure its turn is (rad), how much of the image it explains, and how likely it is the object's own; near:
+    the gain (nats) of the likeliest that the shape nearly has, -inf for none.
     """
 
     pose: Array
@@ -199,6 +233,7 @@ class _Ways:
     explained: float
     own: float
     why_not: str = ""
+    near: float = -np.inf
 
     @staticmethod
     def silent(pose: Array) -> _Ways:
@@ -206,9 +241,13 @@ class _Ways:
         return _Ways(pose, 0.0, float("nan"), float("nan"), 1, 0.0, 0.0, "its print is not seen")
 
 
-def _ways(seen: SeenPrint, pose: Array, prior: Prior | None) -> _Ways:
+def _ways(seen: SeenPrint, pose: Array, prior: Prior | None, near: Array) -> _Ways:
+    """What a print says of the ways round of a pose (4, 4). near (k, 4, 4): motions that the shape nearly has; such
+    ways are none to turn to unless they are fitted, and may be the right ones all the same.
+    """
     s, model = seen.settings, seen.model
-    at = pose @ model.symmetry_poses(s.turns)
+    exact = pose @ model.symmetry_poses(s.turns)
+    at = np.concatenate([exact, pose @ near]) if len(near) else exact
     prints = seen.predicted(at)
     left = seen.left(prints)
     gains = seen.nats(left)
@@ -217,11 +256,12 @@ def _ways(seen: SeenPrint, pose: Array, prior: Prior | None) -> _Ways:
     if unregistered and not model.symmetries.axes:
         # no shift makes one face another, as it does one turn: faces are told wherever the print is
         gains, left = beside, left_beside
-    start = np.zeros(len(at)) if prior is None else costs(model, tables.empty(), at, prior)
-    known = -np.minimum(start - start.min(), s.most_start)
-    logs = np.maximum(gains - gains.max(), -s.most) + known
-    lead = int(np.argmax(logs))
+    known = np.zeros(len(at)) if prior is None else _known(costs(model, tables.empty(), at, prior), s.most_start)
+    logs = np.maximum(gains - gains[: len(exact)].max(), -s.most) + known
+    lead = int(np.argmax(logs[: len(exact)]))
     best, turn, gain, explained = at[lead], float("nan"), float(gains[lead]), seen.explained(left[lead])
+    apart = se3.rotation_angle(np.swapaxes(at[:, :3, :3], -1, -2) @ at[lead, :3, :3])
+    another = max((seen.explained(left[k]) for k in np.flatnonzero(apart > s.same)), default=0.0)
     if model.symmetries.axes:
         best, turn = _finest(seen, best, 2.0 * np.pi / s.turns)
         finer = seen.left(seen.predicted(best[None]))
@@ -236,11 +276,22 @@ def _ways(seen: SeenPrint, pose: Array, prior: Prior | None) -> _Ways:
     if unregistered and model.symmetries.axes:
         why_not = "the print is seen beside where depth has it: image and depth may not be registered"
     # where it is another's print, no way round is likelier than the start has it
-    own, apart = seen.own(explained), se3.rotation_angle(np.swapaxes(at[:, :3, :3], -1, -2) @ at[lead, :3, :3])
+    own = seen.own(explained, another)
     shares = [np.exp(one - one.max()) for one in (logs, known)]
     by_print, by_start = (float(one[apart <= s.same].sum() / one.sum()) for one in shares)
     share = own * by_print + (1.0 - own) * by_start
-    return _Ways(best, gain, share, turn, len(model.symmetries.discrete), explained, own, why_not)
+    count = len(model.symmetries.discrete) + len(near)
+    nearly = float(gains[len(exact) :].max(initial=-np.inf))
+    return _Ways(best, gain, share, turn, count, explained, own, why_not, nearly)
+
+
+def _known(start: Array, most: float) -> Array:
+    """(k,) log probability of ways round that cost a start's Gaussian (k,) nats, where that is of another face than the
+    object's by odds of `most` nats against it, and of any then.
+    """
+    likely = np.exp(start.min() - start)
+    wrong = 1.0 / (1.0 + np.exp(most))
+    return np.asarray(np.log((1.0 - wrong) * likely / likely.sum() + wrong / len(start)))
 
 
 def _finest(seen: SeenPrint, pose: Array, step: float) -> tuple[Array, float]:
@@ -268,8 +319,21 @@ def _turns(model: ObjectModel, angles: Array) -> Array:
     return out
 
 
-def _near(sensed: Sensed, seen: SeenPrint, mode: Mode, ways: _Ways, asked: Asked) -> tuple[Mode, _Ways] | None:
-    """A way round that the shape nearly has and that the print prefers, fitted to what is seen; None for none."""
+@dataclass(frozen=True)
+class _Near:
+    """A way round that the shape nearly has, fitted to what is seen, its own ways, and by how much the print prefers it
+    (nats).
+    """
+
+    mode: Mode
+    ways: _Ways
+    more: float
+
+
+def _near(sensed: Sensed, seen: SeenPrint, mode: Mode, ways: _Ways, asked: Asked) -> _Near | None:
+    """The way round that the shape nearly has and that the print explains best; None where it speaks clearly against
+    all of these, or all else does.
+    """
     s, pool, model = asked.settings.texture, sensed.pool, sensed.pool.model
     motions = near_symmetries(model)
     if not len(motions):
@@ -277,7 +341,7 @@ def _near(sensed: Sensed, seen: SeenPrint, mode: Mode, ways: _Ways, asked: Asked
     tried = mode.pose @ motions
     gains = seen.gains(tried)
     lead = int(np.argmax(gains))
-    if gains[lead] - ways.best < s.prefers:
+    if gains[lead] - ways.best < -s.unfitted:
         return None
     free = replace(pool, prior=None)
     fitted = free.compete(tried[lead : lead + 1])[0]
@@ -288,11 +352,15 @@ def _near(sensed: Sensed, seen: SeenPrint, mode: Mode, ways: _Ways, asked: Asked
     if isinstance(again, str):
         return None
     prior = _turned(asked.prior, mode.pose, fitted.pose)
-    found = _ways(again, fitted.pose, prior)
-    if found.own < s.decides:
+    found = _ways(again, fitted.pose, prior, motions)
+    if found.why_not:
         return None
+    # gains compare where they are of the same pixels: those of the one pose, and those of the other
+    back = float(again.gains(mode.pose @ model.symmetry_poses(s.turns)).max())
+    more = 0.5 * (float(gains[lead]) - ways.best + found.best - back)
     weight = mode.weight * float(np.exp(np.clip(worse[1] - worse[0], -20.0, 20.0)))
-    return replace(fitted, weight=weight, cost=mode.cost + float(worse[0] - worse[1])), found
+    fitted = replace(fitted, weight=weight, cost=mode.cost + float(worse[0] - worse[1]))
+    return _Near(fitted, replace(found, best=ways.best + more), more)
 
 
 def _turned(prior: Prior | None, before: Array, after: Array) -> Prior | None:

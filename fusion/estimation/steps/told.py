@@ -16,7 +16,7 @@ from fusion.estimation.asked import Asked
 from fusion.estimation.confidence import as_shown, observations, within
 from fusion.estimation.steps.another import another, why_no_other, with_other
 from fusion.estimation.steps.drawn import drawn_by_touch, why_not_drawn
-from fusion.estimation.steps.facing import Faced, as_printed, by_facing
+from fusion.estimation.steps.facing import Faced, as_printed, by_facing, other_printed
 from fusion.estimation.steps.finished import Finished
 from fusion.estimation.steps.sense import Sensed
 from fusion.estimation.tolerance import with_shift
@@ -77,14 +77,16 @@ def told(found: Faced, end: Finished, start: Prior | None, trace: Trace) -> Esti
     doubted = sure < settings.confidence.sure
     why_not = why_no_other(pool, doubted) if predictor.sees else "nothing is seen"
     with trace.stage("another in view", not why_not, why_not) as stage:
-        other = None if why_not else another(pool, modes, settings.confidence, settings.another)
+        other, by_print = None if why_not else another(pool, modes, settings.confidence, settings.another), 1.0
         if other is not None:
             near = sure / max(right, 1e-9)
-            modes, right = with_other(model, modes, right, *other)
+            by_print = other_printed(sensed, facing, pose, other[0].pose, settings.texture)
+            modes, right = with_other(model, modes, right, *other, by_print)
             sure = right * near
             if word == "ok" and sure < settings.confidence.sure:
                 word, why = "ambiguous", f"only {sure:.0%} sure which is meant: another like it is in view"
-        stage.note(len(modes), "none is like it" if other is None else f"one is, {other[1]:.0%} sure by itself")
+        printed = ", not as printed" if by_print < 0.1 else ""
+        stage.note(len(modes), f"one is, {other[1]:.0%} sure by itself{printed}" if other else "none is like it")
     room = room_about(se3.apply(pose, model.centroid[None])[0], sensed.looked.pixels.points)
     covariance = told_covariance(model, modes, word, right, believed, settings.confidence, room, same)
     covariance = max(covariance, allowed, key=lambda one: float(np.linalg.slogdet(one)[1]))

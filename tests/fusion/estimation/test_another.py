@@ -13,6 +13,7 @@ from scenes.geometry import poses
 from scenes.geometry.rendering import Renderer
 from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis.library import make
+from scenes.synthesis.staging.prints import with_print
 
 HERE, THERE = (poses.make_pose(poses.exp_rotation([1.9, 0.4, 0.3]), [x, 0.01, 0.55]) for x in (-0.11, 0.11))
 
@@ -78,6 +79,27 @@ def test_chances_of_things_of_which_one_is_meant(drill, right, chance, expected)
     assert sum(mode.weight for mode in told) == pytest.approx(1.0)
     assert told[0].pose is modes[0].pose
     assert told[1].pose is THERE
+
+
+def test_what_is_printed_tells_which_of_two_is_meant(drill):
+    """Copies with another print are in view: each of the two is as clear by its shape."""
+    modes, other = (Mode(np.eye(4), 1.0, 0.0, np.eye(6)),), Mode(THERE, 1.0, 3.0, np.eye(6))
+    assert with_other(drill, modes, 0.99, other, 0.99, 0.001)[1] == pytest.approx(0.99, abs=1e-3)
+    assert with_other(drill, modes, 0.99, other, 0.99, 1000.0)[1] < 0.01
+    model = with_print(drill)
+    colours = np.full((VIEW.height, VIEW.width, 3), 120, dtype=np.uint8)
+    frame = seen(drill, HERE, THERE)
+    rays = VIEW.rays().reshape(-1, 3)
+    inverse = poses.inverse(HERE)
+    depth = drill.surface.cast(np.broadcast_to(inverse[:3, 3], rays.shape), rays @ inverse[:3, :3].T)
+    shown = np.abs(depth - frame.depth.ravel()) < 0.005
+    ink_of = model.texture.at(poses.apply(inverse, rays[shown] * depth[shown, None]))
+    colours.reshape(-1, 3)[shown] = np.rint(255.0 * np.nan_to_num(ink_of, nan=0.5))
+    answer = estimate(replace(frame, rgb=colours), model)
+    assert np.linalg.norm(answer.pose[:3, 3] - HERE[:3, 3]) < 0.005
+    assert answer.verdict == "ok"
+    assert "not as printed" in stage(answer).why
+    assert estimate(frame, model).verdict == "ambiguous"
 
 
 def test_one_of_two_of_which_half_is_hidden_may_be_meant(drill):

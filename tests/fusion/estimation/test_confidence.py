@@ -13,6 +13,7 @@ from made_frames import plain_view
 from predicted_twin import picture
 from scipy.stats import gamma
 
+from fusion.cli.options import percent
 from fusion.estimation.answer import ContactResidual, Mode
 from fusion.estimation.confidence import (
     FEATURES,
@@ -101,7 +102,8 @@ def test_every_table_and_file_has_it(capsys, tmp_path, capture):
     assert complaints(content, "result") == []
     assert [entry["sure_within_mm"] for entry in content["frames"]] == pytest.approx([3.0] * 3)
     assert [a.confidence for a in answers] == [entry["confidence"] for entry in content["frames"]]
-    assert f" {100 * answers[0].confidence:.0f} %" in printed
+    assert f" {percent(answers[0].confidence)} " in printed
+    assert [percent(value) for value in (0.994, 0.996, 1.0, None)] == ["99 %", ">99 %", "100 %", "–"]
     assert "surface error is below 3 mm" in (tmp_path / "e" / "report.html").read_text(encoding="utf-8")
     assert run("track", capture, "--out", tmp_path / "t", "--no-report", "--sure-within", 3) == 0
     assert "sure" in capsys.readouterr().out

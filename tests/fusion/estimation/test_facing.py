@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from fusion import estimate
+from fusion.benchmarks.camera.prints import unevenly_lit
 from fusion.estimation.settings import EstimateSettings
+from fusion.estimation.steps import facing
 from scenes.errors import InputError
 from scenes.geometry import poses
 from scenes.geometry.texture import Texture, TextureSettings
@@ -129,6 +131,29 @@ def test_a_way_round_that_the_shape_nearly_has_is_tried(hand):
     np.testing.assert_allclose(answer.start, asked.prior, atol=1e-9)
 
 
+@pytest.mark.parametrize(("seed", "declared"), [(7, True), (2, False), (3, False)])
+def test_shadows_highlights_and_clipping_hide_no_face(hand, seed, declared):
+    """They leave much of the image unexplained by the right print, and more by any other way round."""
+    box = library.make("box")
+    model = with_print(box)
+    frame = synthesize_frames(model, hand, 1, 0.3, noise="lab", seed=5, scene="print")[0]
+    lit = replace(upside_down(frame, model), rgb=unevenly_lit(frame.rgb, np.random.default_rng(seed)))
+    asked = model if declared else model.with_symmetries(type(box.symmetries).none())
+    answer = estimate(lit, asked)
+    assert off(answer.pose, frame) < 20.0
+    assert answer.print_share > 0.95
+
+
+@pytest.mark.parametrize("ways", [2, 4, 24, 72])
+def test_a_start_speaks_for_its_face_against_all_others_together(ways):
+    costs = np.full(ways, 40.0)
+    costs[1] = 0.0
+    likely = np.exp(facing._known(costs, 2.0))
+    np.testing.assert_allclose(likely.sum(), 1.0)
+    odds = (likely[1] - likely[0]) / (ways * likely[0])
+    np.testing.assert_allclose(odds, np.exp(2.0), rtol=1e-9)
+
+
 def test_what_prints_explain_is_least_squares():
     rng = np.random.default_rng(1)
     count = 60
@@ -144,14 +169,19 @@ def test_what_prints_explain_is_least_squares():
         np.testing.assert_allclose(found[k], expected, rtol=1e-3)
 
 
-def test_another_objects_print_does_not_decide(held):
-    """A repainted object: some of the print fits somewhere by chance, and far less than the right one explains."""
+@pytest.mark.parametrize("declared", [True, False], ids=["declared", "nearly"])
+def test_another_objects_print_does_not_decide(held, declared):
+    """A repainted object: some of the print fits somewhere by chance, and far less than the right one explains. Ways
+    round that the shape nearly has count among those that are told apart, whether they are declared or not.
+    """
     frame, model = held
     points, _ = model.sample_surface(TextureSettings().samples, seed=1)
     other = replace(model, name="repainted") if hasattr(model, "__dataclass_fields__") else model
     other = SimpleNamespace(name="repainted", centroid=model.centroid)
     colours = np.rint(255.0 * ink(points, other))
     repainted = model.with_texture(Texture(points, colours, TextureSettings()))
-    answer = estimate(frame, repainted, settings=COUNTS)
+    if not declared:
+        repainted = repainted.with_symmetries(type(model.symmetries).none())
+    answer = estimate(replace(frame, prior=None), repainted, settings=COUNTS)
     assert not answer.print_share >= 0.95
     assert answer.verdict == "ambiguous"

@@ -27,6 +27,15 @@ def test_what_is_a_symmetry_is_not_listed(name):
     assert len(find_near_symmetries(library.make(name))) == 0
 
 
+def test_of_turns_that_leave_as_much_in_place_the_one_that_settled_is_taken():
+    box = library.make("box")
+    found = find_near_symmetries(box.with_symmetries(type(box.symmetries).none()))
+    exact = box.symmetries.discrete[1:]
+    off = se3.rotation_angle(np.swapaxes(exact[:, None, :3, :3], -1, -2) @ found[None, :, :3, :3])
+    assert len(found) == len(exact)
+    assert np.degrees(off.min(axis=0)).max() < 0.1
+
+
 def test_most_of_the_surface_stays_where_it_was():
     model, settings = library.make("hammer"), NearSettings()
     points, _ = model.sample_surface(4000, seed=9)
