@@ -119,9 +119,8 @@ class Tracker:
         self._velocity = ConstantVelocity(model.centroid, self.settings.velocity)
         self._state = TrackState()
         self._sensed: Sensed | None = None
-        self._rest: Frame | None = None  # the last frame of which contacts were left out, without them
-        # made when a live tracker needs it, and not kept with its state
-        self._aside: Aside | None = None
+        self._rest: Frame | None = None  # this frame, when contacts of it are left out
+        self._aside: Aside | None = None  # made when a live tracker needs it, and not kept with its state
 
     def _believe(self, beliefs: Beliefs) -> None:
         self._beliefs = beliefs
@@ -143,8 +142,9 @@ class Tracker:
         heard = self._aside.ready if self._aside is not None and frame.index > state.index else ""
         with one_blas_thread():
             answer = self._follow(frame, state.belief, not heard)
-        if self._rest is not None and self._rest.index == frame.index:
-            frame, unused = self._rest, (*unused, NOT_HERE)
+        rest, self._rest = self._rest, None  # no image is kept with the state
+        if rest is not None and rest.index == frame.index:
+            frame, unused = rest, (*unused, NOT_HERE)
         if answer.verdict == "lost":
             state.lost_for += 1
             answer = self._recover(frame, answer, heard)

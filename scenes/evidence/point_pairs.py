@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
+# Numbers (n,) of one point and of the other; all pairs by cells, and where those of each cell begin among them.
+Pairs = tuple[NDArray[np.int64], NDArray[np.int64]]
+Cells = tuple[NDArray[np.int32], NDArray[np.int32]]
 
 # Pairs that are enough for another thread: half a millisecond's.
 ENOUGH = 5000
@@ -79,7 +82,7 @@ class PairTable:
         return cKDTree(self.invariants(self.points[a], self.normals[a], self.points[b], self.normals[b]))
 
     @cached_property
-    def cells(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    def cells(self) -> Cells:
         """The pairs (n,) by cells of their invariants, and where those of each cell begin among them."""
         a, b = self.first, self.second
         known = self.invariants(self.points[a], self.normals[a], self.points[b], self.normals[b])
@@ -135,9 +138,8 @@ class PairTable:
         nearly = self.settings.nearly if nearly is None else nearly
         _, found = self.tree.query(invariants, k=min(each, len(self.first)), eps=nearly)
         found = found.reshape(len(first), -1)
-        a, b = self.first[found].ravel(), self.second[found].ravel()
         repeat = np.repeat(np.arange(len(first)), found.shape[1])
-        return self._matched(a, b, points, normals, first[repeat], second[repeat])
+        return self._matched(found.ravel(), points, normals, (first[repeat], second[repeat]))
 
     def drawn(
         self,
@@ -155,22 +157,13 @@ class PairTable:
         invariants = self.invariants(points[first], normals[first], points[second], normals[second])
         keys = np.zeros(each * len(first), np.int64)
         cells_around(invariants, s.around, rng.uniform(-1.0, 1.0, (len(keys), 5)), s.cell, keys)
-        order, begin = self.cells
-        which, found = np.zeros((2, len(keys)), np.int64)
-        met = draw_from_cells(order, begin, keys, rng.random(len(keys)), each, which, found)
-        which, found = which[:met], found[:met]
-        return self._matched(self.first[found], self.second[found], points, normals, first[which], second[which])
+        drawn = np.zeros((2, len(keys)), np.int64)
+        which, found = drawn[:, : draw_from_cells(self.cells, keys, rng.random(len(keys)), each, drawn)]
+        return self._matched(found, points, normals, (first[which], second[which]))
 
-    def _matched(
-        self,
-        a: NDArray[np.int64],
-        b: NDArray[np.int64],
-        points: Array,
-        normals: Array,
-        i: NDArray[np.int64],
-        j: NDArray[np.int64],
-    ) -> tuple[Array, Array]:
-        """Rotations (h, 3, 3) and origins (h, 3) that put points a and b (h,) of the object onto i and j (h,)."""
+    def _matched(self, found: NDArray[np.int64], points: Array, normals: Array, onto: Pairs) -> tuple[Array, Array]:
+        """Rotations (h, 3, 3) and origins (h, 3) that put the object's pairs found (h,) onto pairs of the points."""
+        (a, b), (i, j) = (self.first[found], self.second[found]), onto
         rotations, origins = np.zeros((len(a), 3, 3)), np.zeros((len(a), 3))
 
         def work(part: slice) -> None:
@@ -240,29 +233,21 @@ def cells_around(invariants: Array, around: float, drawn: Array, cell: float, ke
 
 
 @numba.njit(cache=True, nogil=True)
-def draw_from_cells(
-    order: NDArray[np.int32],
-    begin: NDArray[np.int32],
-    keys: NDArray[np.int64],
-    drawn: Array,
-    each: int,
-    which: NDArray[np.int64],
-    found: NDArray[np.int64],
-) -> int:
-    """Fill which with the places of keys (n k,), by k = `each`, whose cells are not empty, and found with one of the
-    pairs in each, as drawn (n k,), from 0 to 1, has it; returns how many. order, begin: of `PairTable.cells`.
+def draw_from_cells(cells: Cells, keys: NDArray[np.int64], share: Array, each: int, out: NDArray[np.int64]) -> int:
+    """Fill out (2, n k) from the left with places of keys (n k,) whose cells are not empty, by k = `each`, and one of
+    the pairs in each, as share (n k,), from 0 to 1, has it; returns how many. cells: see `PairTable.cells`.
     """
-    count = 0
+    (order, begin), count = cells, 0
     for n in range(keys.shape[0]):
         first = begin[keys[n]]
         held = begin[keys[n] + 1] - first
         if held > 0:
-            which[count], found[count] = n // each, order[first + int(drawn[n] * held)]
+            out[0, count], out[1, count] = n // each, order[first + int(share[n] * held)]
             count += 1
     return count
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def match_pairs(
     points: Array,
     normals: Array,

@@ -58,8 +58,8 @@ def recover(
     everywhere: a live tracker meanwhile (aside; heard: what that has searched for), and then in this frame around where
     that has found it. What is found farther from there than was thought is estimated once more around itself: a place
     to look at is no evidence, and would pull the answer towards it. Where contacts may be strangers to what is seen the
-    image alone is asked first. Near a track that was more likely wrong than right,
-    or that no search has spoken for, it is no surer than that.
+    image alone is asked first (sensed: of this frame). Near a track that was more likely wrong than right, or that no
+    search has spoken for, it is no surer than that.
     """
     s, frame = settings, replace(frame, prior=None)
     tries: list[Prior | None] = []

@@ -138,14 +138,13 @@ def test_draws_are_what_plain_arrays_draw(table, rng):
     cells_around(invariants, 0.5, drawn, 0.8, keys)
     cell_keys((np.repeat(invariants, 7, axis=0) + 0.5 * drawn) / 0.8, expected)
     np.testing.assert_array_equal(keys, expected)
-    order, begin = table.cells
-    share, (which, found) = rng.random(len(keys)), np.zeros((2, len(keys)), np.int64)
-    met = draw_from_cells(order, begin, keys, share, 7, which, found)
+    (order, begin), share, out = table.cells, rng.random(len(keys)), np.zeros((2, len(keys)), np.int64)
+    met = draw_from_cells(table.cells, keys, share, 7, out)
     held = begin[keys + 1] - begin[keys]
     there = np.flatnonzero(held)
     assert 0 < met == len(there) < len(keys)
-    np.testing.assert_array_equal(which[:met], there // 7)
-    np.testing.assert_array_equal(found[:met], order[begin[keys[there]] + (share[there] * held[there]).astype(int)])
+    np.testing.assert_array_equal(out[0, :met], there // 7)
+    np.testing.assert_array_equal(out[1, :met], order[begin[keys[there]] + (share[there] * held[there]).astype(int)])
 
 
 def test_draws_are_the_same_on_any_number_of_threads(table, monkeypatch):

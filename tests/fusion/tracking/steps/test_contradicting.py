@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from made_frames import recording
 
+from fusion.tracking.checkpoint import restore_tracker, save_tracker
 from fusion.tracking.steps.contradicting import NOT_HERE, strain
 from fusion.tracking.tracker import Tracker
 from scenes.geometry import poses
@@ -54,6 +55,12 @@ def test_contacts_that_come_two_frames_late_are_left_out(seen):
     assert off(frames[-1], answer, model) < 0.004
     assert answer.verdict == "ok"
     assert NOT_HERE in answer.notes
+    again = Tracker(model)
+    content = save_tracker(tracker)
+    assert len(content) < frames[0].depth.nbytes  # no image is kept with the state
+    restore_tracker(again, content)
+    last = replace(with_points(frames[-1], frames[-3].contacts.points), index=len(frames))
+    np.testing.assert_array_equal(again.step(last).pose, tracker.step(last).pose)
 
 
 def test_a_sensor_that_has_stopped_is_left_out_and_the_others_are_not(seen):
