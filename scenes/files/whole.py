@@ -125,7 +125,9 @@ def draft_folder(out: Path) -> Iterator[Path]:
             raise
         raise type(error)(str(error).replace(str(draft), str(out))) from error
     except OSError as error:
-        wrong = Path(str(error.filename)) if error.filename is not None else draft
+        # of a copy that finds no room it names what was copied first
+        named_by = [Path(str(name)) for name in (error.filename, error.filename2) if name is not None] or [draft]
+        wrong = next((path for path in named_by if path.is_relative_to(draft)), named_by[0])
         place = out / wrong.relative_to(draft) if wrong.is_relative_to(draft) else wrong
         raise OSError(error.errno, error.strerror or str(error), str(place)) from error
     finally:

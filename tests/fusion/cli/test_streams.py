@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -127,3 +128,15 @@ def test_python_without_docstrings_runs_commands(captures):
         ended = subprocess.run([*argv, *words], capture_output=True, text=True, cwd=ROOT, check=False)
         assert (ended.returncode, ended.stderr) == (0, "")
         assert ended.stdout
+
+
+def test_of_a_copy_that_finds_no_room_the_full_disk_is_named(captures, tmp_path, monkeypatch, capsys):
+    def full(source, target):
+        # as shutil.copyfile tells of it
+        raise OSError(errno.ENOSPC, "No space left on device", str(source), None, str(target))
+
+    monkeypatch.setattr("scenes.formats.bop.scene.shutil.copyfile", full)
+    assert main(["convert", str(captures[0]), str(tmp_path / "bop"), "--to", "bop"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"palpate: {tmp_path / 'bop'}")
+    assert line.endswith("No space left on device")
