@@ -98,13 +98,12 @@ def contact_residuals(
 
 
 def nats_of_contacts(model: ObjectModel, felt: Evidence, count: int, pose: Array) -> float:
-    """What `count` contacts cost at pose (4, 4), together: rows of touch beyond them, of gels and of taxels, count as
-    the mean of all does.
+    """What `count` contacts cost at pose (4, 4), together: each as the mean of all does, by their weights. Rows of
+    touch beyond them, of gels and of taxels, count in that; many of one finger weigh little, and are off as much.
     """
     if not count:
         return 0.0
-    on = felt.on
-    places = max(float(felt.rows[on, WEIGHT].sum()), float(count))
+    places = max(float(felt.rows[felt.on, WEIGHT].sum()), 1e-9)
     return float(alignment.costs(model, felt, pose[None])[0]) * count / places
 
 

@@ -259,6 +259,8 @@ def test_what_contradicts_counts_no_more_than_false_contacts():
     capped = posterior.contradiction(model, felt, 5, np.eye(4))
     assert whole > 5 * 50.0
     assert capped == pytest.approx(5 * 8.0, rel=0.05)
+    # many of a finger weigh as one, and are off no less for it
+    assert posterior.nats_of_contacts(model, felt.reweighted(0.1), 5, np.eye(4)) == pytest.approx(whole)
     right = evidence.from_contacts(Contacts(points, normals, 0.004, 0.1))
     expected = posterior.nats_of_contacts(model, right, 5, np.eye(4))
     assert posterior.contradiction(model, right, 5, np.eye(4)) == pytest.approx(expected, abs=0.1)
