@@ -124,6 +124,14 @@ def test_a_symmetric_object_is_as_sure_in_any_axes(name, seed, off):
     assert verdict_of((doubtful,), model) == "ambiguous"
 
 
+def test_an_answer_that_leaves_much_of_its_mask_bare_is_doubted():
+    """Either the mask or the pose is wrong; borders that are off and a fingertip within it are usual."""
+    box = library.make("box")
+    said = [posterior.verdict(box, (mode(),), (), 0.9, replace(SEEN, bare=bare)) for bare in (float("nan"), 0.2, 0.3)]
+    assert [word for word, _ in said] == ["ok", "ok", "ambiguous"]
+    assert said[2][1] == "30% of the mask's inside is not the object at this pose"
+
+
 def test_a_turn_about_an_axis_beside_the_centroid_moves_nothing_either():
     """A body of revolution whose centroid is off its axis: the turn carries the centroid around the axis."""
     box = library.make("box")
