@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from scenes.evidence import table as tables
 from scenes.evidence.table import SIGMA, TOUCH, Evidence
-from scenes.recordings.beliefs import Beliefs, CalibrationModel
-from scenes.recordings.frames import Contacts, Frame
+from scenes.recordings.beliefs import Beliefs, CalibrationModel, TouchModel
+from scenes.recordings.frames import DEFAULT_SIGMA_POINT, Contacts, Frame
 from touch.arrays.readings import Reading, readings_of
 from touch.arrays.rows import ArrayRowSettings, array_contacts, taxel_rows
 from touch.gels.patches import Patch, PatchSettings, patches_of
@@ -46,6 +46,9 @@ class TouchSettings:
     # share (calibration, the finger, the mesh) is larger than what the rest would add, and a search's time grows with
     # its rows. As `LocalizeSettings.most_contacts`, which settles with all.
     most_contacts: int = 400
+    # Contacts of sensors that report no other are one finger's where they are nearer to each other than this (m): the
+    # skins of two fingers alone keep them farther apart.
+    same_finger: float = 0.005
     # Points on the hand used as "the object is not in here" (0: none; so many, and fewer than twice as many where there
     # are), their sigma (m) and gate (sigmas).
     hand_points: int = 150
@@ -58,13 +61,47 @@ class TouchSettings:
 
 
 @dataclass(frozen=True)
+class Shared:
+    """What contacts of one finger are off by together: of (n,), the finger that each is of; variance (n,) m^2 of that
+    error along an axis; joints (n,) m, the part of it that their own sigmas do not have.
+    """
+
+    of: NDArray[np.intp]
+    variance: Array
+    joints: Array
+
+    @staticmethod
+    def by(contacts: Contacts, believed: TouchModel, with_hand: bool, same_finger: float) -> Shared:
+        """What a finger's joints add, whoever tells of them: where no hand does, only contacts that have company on
+        their finger are asked. What is believed of contacts that say no sigma is shared, but for what one that says
+        none has alone.
+        """
+        of = fingers_of(contacts, same_finger)
+        company = np.bincount(of)[of] > 1 if len(of) else np.zeros(0, dtype=np.bool_)
+        untold = np.maximum(contacts.sigma_point**2 - DEFAULT_SIGMA_POINT**2, 0.0)
+        joints = np.where(company | with_hand, believed.fingertip_sigma, 0.0)
+        return Shared(of, joints**2 + np.where(contacts.sigma_told, 0.0, untold), joints)
+
+    def weights(self, sigma: Array) -> Array:
+        """(n,) of contacts with errors sigma (n,) m, the shared one included: with own variances v and a shared s they
+        know where their finger is as well as sum(1/v) / (1 + s sum(1/v)) says, however many they are.
+        """
+        if not len(sigma):
+            return np.zeros(0)
+        own = 1.0 / np.maximum(sigma**2 - self.variance, 1e-12)
+        of_finger = np.bincount(self.of, own)[self.of]
+        return np.asarray((1.0 + self.variance * own) / (1.0 + self.variance * of_finger))
+
+
+@dataclass(frozen=True)
 class Felt:
     """All that a frame's fingers say, camera frame.
 
     reported_contacts and reported_rows: as the robot reports them. correction (4, 4) camera_from_camera: moves that to
     where it is, as far as known by now; `contacts`, `rows` and `patches` are moved. slack (m): what nothing has
     corrected yet, in the sigmas of `rows`. reported_patches: of gels, those that touch something. left_out: in words,
-    what of touch is not used and why.
+    what of touch is not used and why. shared: what contacts of a finger are off by together; weighed: whether their
+    rows are weighed down to what that leaves of the finger's place.
     """
 
     reported_contacts: Contacts
@@ -73,6 +110,8 @@ class Felt:
     slack: float = 0.0
     reported_patches: tuple[Patch, ...] = ()
     left_out: tuple[str, ...] = ()
+    shared: Shared | None = None
+    weighed: bool = True
 
     @property
     def patches(self) -> tuple[Patch, ...]:
@@ -114,14 +153,17 @@ def feel(
     beliefs: Beliefs | None = None,
     region: Ball | None = None,
     settings: TouchSettings | None = None,
+    beside_vision: bool = True,
 ) -> Felt:
     """All touch evidence of a frame, camera frame.
 
     correction (4, 4) camera_from_camera: moves what the robot reports to where it is; None when nothing has told: a
     frame seen by a camera is then as uncertain as its calibration. region: ball around which the hand's own surface is
-    listed as space the object cannot be in; None lists none. Sensors that nothing places are left out, and so is what
-    a thousand contacts would add to some hundreds; the answer says so. Raises CaptureError for sensors that the hand
-    does not have and readings that do not fit it.
+    listed as space the object cannot be in; None lists none. beside_vision: contacts of one finger are weighed down to
+    what they know of its place, which is what is asked of them beside an image; where they are alone, how they lie to
+    one another tells the turn. What either leaves out is told of an answer (`fusion.estimation.steps.fingers`).
+    Sensors that nothing places are left out, and so is what a thousand contacts would add to some hundreds; the answer
+    says so. Raises CaptureError for sensors that the hand does not have and readings that do not fit it.
     """
     settings, beliefs = settings or TouchSettings(), beliefs or Beliefs()
     frame, left_out = placed(frame)
@@ -132,8 +174,11 @@ def feel(
     with_hand = _has_hand(frame)
     # a contact of unknown worth cannot be told from a false one: it is never gated out
     rows = tables.from_contacts(reported, np.where(reported.sigma_told, settings.contact_gate, tables.NO_GATE))
-    if with_hand and len(reported):
-        rows = _of_fingers(rows, reported.sensors, beliefs.touch.fingertip_sigma)
+    shared = Shared.by(reported, beliefs.touch, with_hand, settings.same_finger)
+    rows = rows.widened(shared.joints)
+    if beside_vision:
+        # a row's own sigma stays one finger's, from which what is false is told
+        rows = rows.reweighted(shared.weights(rows.rows[:, SIGMA]))
     parts = [rows, taxel_rows(readings, settings.arrays), patch_rows(patches, settings.gels)]
     if frame.no_contact is not None and len(frame.no_contact):
         centres = frame.no_contact.points @ frame.camera_from_world[:3, :3].T + frame.camera_from_world[:3, 3]
@@ -144,9 +189,10 @@ def feel(
         parts.append(_hand_rows(frame, region, settings))
     table = tables.stack(*parts)
     pressed = tuple(patch for patch in patches if len(patch))
-    if correction is not None or frame.camera is None:
-        return Felt(reported, table, np.eye(4) if correction is None else correction, 0.0, pressed, left_out)
-    return Felt(reported, table, np.eye(4), _calibration_slack(table, beliefs.calibration), pressed, left_out)
+    known = correction is not None or frame.camera is None
+    slack = 0.0 if known else _calibration_slack(table, beliefs.calibration)
+    moved = np.eye(4) if correction is None else correction
+    return Felt(reported, table, moved, slack, pressed, left_out, shared, beside_vision)
 
 
 def places_touched(frame: Frame, settings: TouchSettings | None = None) -> Array:
@@ -213,17 +259,19 @@ def _reported(frame: Frame, readings: Sequence[Reading], patches: Sequence[Patch
     return Contacts.concatenate([found, gel_contacts(unspoken(frame, found, patches), settings.gels)])
 
 
-def _of_fingers(rows: Evidence, sensors: list[str], fingertip: float) -> Evidence:
-    """Rows of contacts with what a finger's joints add (m), one draw for all contacts of a sensor: with own variances v
-    and a shared s, they know where the finger is as well as sum(1/v) / (1 + s sum(1/v)) says, however many they are.
-
-    They are weighed down to that; a row's own sigma stays one finger's, from which what is false is told.
+def fingers_of(contacts: Contacts, same_finger: float) -> NDArray[np.intp]:
+    """(n,) number of the finger that each contact is of: its sensor's; sensors that report one contact each, as where
+    nobody names them, are one finger's while next to another (m), for no two fingertips are as close.
     """
-    index = np.unique(np.array(sensors), return_inverse=True)[1]
-    precision = rows.rows[:, SIGMA] ** -2.0
-    of_sensor = np.bincount(index, precision)[index]
-    shared = fingertip**2
-    return rows.widened(fingertip).reweighted((1.0 + shared * precision) / (1.0 + shared * of_sensor))
+    index = np.unique(np.array(contacts.sensors), return_inverse=True)[1]
+    lone = np.flatnonzero(np.bincount(index)[index] == 1)
+    if len(lone) < 2:
+        return index
+    from scipy.sparse.csgraph import connected_components
+
+    between = np.linalg.norm(contacts.points[lone, None] - contacts.points[None, lone], axis=-1)
+    index[lone] = int(index.max()) + 1 + connected_components(between < same_finger, directed=False)[1]
+    return np.unique(index, return_inverse=True)[1]
 
 
 def _calibration_slack(rows: Evidence, calibration: CalibrationModel) -> float:

@@ -13,11 +13,15 @@ from scenes.recordings.beliefs import DepthModel
 from scenes.recordings.frames import Frame
 from vision.contour import kernels
 from vision.contour.outline import Caster
+from vision.picture.masked import core_of, uncovered
+from vision.picture.settings import PredictionSettings
 
 Array = NDArray[np.float64]
 
 # Rays a side over the object's outline: a share is then known to a percent or two.
 RAYS = 40
+# Pixels that a mask is told by: a share is then known to six percent.
+MASKED = 64
 
 
 @dataclass(frozen=True)
@@ -25,22 +29,27 @@ class Visibility:
     """Shares of the object's own pixels inside the image (they sum to 1; NaN when it has none):
 
     visible: the depth agrees with the object; hidden: something is in front; violated: the camera saw past it, so it
-    cannot be there; unread: no depth reading.
+    cannot be there; unread: no depth reading. bare: share of a mask's inner pixels at which the object is not; NaN
+    without a mask.
     """
 
     visible: float
     hidden: float
     violated: float
     unread: float
+    bare: float = float("nan")
 
 
 def visibility(frame: Frame, model: ObjectModel, pose: Array, depth_model: DepthModel | None = None) -> Visibility:
     """Compare the object at pose (4, 4) camera_from_object with the frame's depth image."""
     depth_model = depth_model or DepthModel()
-    nothing = Visibility(np.nan, np.nan, np.nan, np.nan)
     if frame.depth is None or frame.camera is None:
-        return nothing
-    camera = frame.camera
+        return Visibility(np.nan, np.nan, np.nan, np.nan)
+    camera, bare = frame.camera, np.nan
+    if frame.mask is not None and frame.mask.any():
+        core = core_of(frame.mask, PredictionSettings.mask_margin, MASKED)
+        bare = float(uncovered(model, camera, core, pose[None])[0])
+    nothing = Visibility(np.nan, np.nan, np.nan, np.nan, bare)
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     some, bounds = np.ascontiguousarray(model.vertices[:: max(1, len(model.vertices) // 2000)]), np.zeros(5)
     kernels.box(some, np.ascontiguousarray(pose[:3, :3]), pose[:3, 3].copy(), lens, bounds)
@@ -67,4 +76,4 @@ def visibility(frame: Frame, model: ObjectModel, pose: Array, depth_model: Depth
     hidden = difference < -2.5 * sigma
     violated = difference > 2.5 * sigma
     visible = ~unread & ~hidden & ~violated
-    return Visibility(*(float(x.mean()) for x in (visible, hidden & ~unread, violated & ~unread, unread)))
+    return Visibility(*(float(x.mean()) for x in (visible, hidden & ~unread, violated & ~unread, unread)), bare)

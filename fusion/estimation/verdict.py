@@ -61,6 +61,9 @@ class VerdictSettings:
     least_pixels: float = 0.3
     # Share of the object's own pixels through which the camera may see, noise at the outline included.
     most_violated: float = 0.25
+    # Share of a mask's inner pixels that may lie beside the object: as much as it may be seen past. Either the mask or
+    # the pose is wrong then.
+    most_bare: float = 0.25
     # Without touch, an answer from less than this share of the object is a guess.
     least_visible: float = 0.12
     # So is one from fewer pixels that agree than this: some part of another thing looks as that few do. Of 117 such
@@ -98,13 +101,12 @@ def contact_residuals(
 
 
 def nats_of_contacts(model: ObjectModel, felt: Evidence, count: int, pose: Array) -> float:
-    """What `count` contacts cost at pose (4, 4), together: rows of touch beyond them, of gels and of taxels, count as
-    the mean of all does.
+    """What `count` contacts cost at pose (4, 4), together: each as the mean of all does, by their weights. Rows of
+    touch beyond them, of gels and of taxels, count in that; many of one finger weigh little, and are off as much.
     """
     if not count:
         return 0.0
-    on = felt.on
-    places = max(float(felt.rows[on, WEIGHT].sum()), float(count))
+    places = max(float(felt.rows[felt.on, WEIGHT].sum()), 1e-9)
     return float(alignment.costs(model, felt, pose[None])[0]) * count / places
 
 
@@ -263,6 +265,8 @@ def _contradicted(
         return "lost", f"the camera sees past {seeing.violated:.0%} of the object"
     if residuals and good <= settings.least_contacts and not excused:
         return "ambiguous", why
+    if seeing.bare > settings.most_bare:
+        return "ambiguous", f"{seeing.bare:.0%} of the mask's inside is not the object at this pose"
     if not residuals and seen and seeing.visible < settings.least_visible:
         return "ambiguous", f"only {seeing.visible:.0%} of the object is seen and nothing touches it"
     return None

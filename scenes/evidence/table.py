@@ -97,8 +97,8 @@ class Evidence:
         rows[self.sense == sense, SIGMA] = sigma
         return Evidence(rows, self.sense)
 
-    def widened(self, sigma: float) -> Evidence:
-        """The same rows with an independent error of this sigma (m) more."""
+    def widened(self, sigma: ArrayLike) -> Evidence:
+        """The same rows with an independent error of this sigma (m) more, scalar or (n,)."""
         rows = self.rows.copy()
         rows[:, SIGMA] = np.hypot(rows[:, SIGMA], sigma)
         return Evidence(rows, self.sense)

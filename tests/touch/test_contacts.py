@@ -11,7 +11,7 @@ from scenes.geometry import poses
 from scenes.recordings.beliefs import Beliefs, CalibrationModel
 from scenes.recordings.frames import Contacts, EmptyRegions, Frame
 from scenes.synthesis.recording import synthesize_frames
-from touch.contacts import feel, places_touched
+from touch.contacts import feel, fingers_of, places_touched
 from touch.wrenches.intrinsic import wrench_contacts
 
 
@@ -90,6 +90,35 @@ def test_contacts_of_one_finger_share_what_its_joints_add(exact_frame, rng):
     assert told[:30].sum() == pytest.approx(1.0 / (3e-4**2 / 30 + finger**2))
     assert np.allclose(rows[:, evidence.SIGMA], np.hypot(frame.contacts.sigma_point, finger))
     assert np.allclose(rows[30:, evidence.WEIGHT], 1.0)
+
+
+def test_contacts_of_one_finger_share_its_error_whoever_tells_of_the_hand(rng):
+    patch = Contacts(rng.normal(size=(30, 3)), sigma_point=np.full(30, 3e-4), sensors=["thumb"] * 30)
+    alone = Contacts(rng.normal(size=(2, 3)), sigma_point=[1e-3, 2e-3], sensors=["index", "ring"])
+    rows = feel(Frame(0, contacts=Contacts.concatenate([patch, alone]))).rows.rows
+    told = rows[:, evidence.WEIGHT] / rows[:, evidence.SIGMA] ** 2
+    assert told[:30].sum() == pytest.approx(1.0 / (3e-4**2 / 30 + Beliefs().touch.fingertip_sigma ** 2))
+    # one contact of a finger said what it is worth
+    assert np.allclose(told[30:], [1e6, 0.25e6])
+
+
+def test_many_contacts_of_a_finger_that_say_no_sigma_are_worth_what_one_is(rng):
+    points = np.array([0.2, 0.0, 0.0]) + 0.003 * rng.normal(size=(20, 3))
+    named = feel(Frame(0, contacts=Contacts(points, sensors=["thumb"] * 20))).rows.rows
+    told = (named[:, evidence.WEIGHT] / named[:, evidence.SIGMA] ** 2).sum()
+    unknown = Beliefs().touch.unknown_sigma
+    assert 0.8 * unknown**-2.0 < told < 1.1 * unknown**-2.0
+    one = feel(Frame(0, contacts=points[:1])).rows.rows
+    assert one[0, evidence.WEIGHT] / one[0, evidence.SIGMA] ** 2 == pytest.approx(unknown**-2.0)
+
+
+def test_contacts_without_names_are_one_fingers_while_next_to_another():
+    steps = 0.001 * np.arange(10)
+    points = np.stack([np.concatenate([steps, 0.05 + steps, [0.2]]), *np.zeros((2, 21))], axis=1)
+    fingers = fingers_of(Contacts(points), 0.005)
+    assert [len(set(part)) for part in (fingers[:10], fingers[10:20], fingers)] == [1, 1, 3]
+    # names say better
+    assert len(set(fingers_of(Contacts(points, sensors=["a"] * 5 + ["b"] * 16), 0.005))) == 2
 
 
 def test_an_uncorrected_calibration_widens_everything(exact_frame):

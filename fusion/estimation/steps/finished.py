@@ -17,6 +17,7 @@ from fusion.estimation.search.modes import not_solved, worth_solving
 from fusion.estimation.solve.joint import parted
 from fusion.estimation.solve.outlined import asks_for, outlined
 from fusion.estimation.steps.facing import Faced, Facing, by_print, turned_as_printed, unread
+from fusion.estimation.steps.fingers import with_fingers
 from fusion.estimation.steps.picture import asked_picture, why_not_asked
 from fusion.estimation.steps.sense import solve_together
 from fusion.estimation.steps.twins import with_twins
@@ -91,6 +92,7 @@ def finished(found: Faced, trace: Trace) -> Finished | None:
             first, how_wide = modes[0], settings.moments
             spread = moments(model, rows, first.pose, first.covariance, asked.seed, believed, settings=how_wide)
             modes = (replace(first, pose=spread.pose, covariance=spread.covariance), *modes[1:])
+            modes = tuple(with_fingers(model, felt, mode, believed) for mode in modes)
             stage.note(len(rows), f"{spread.effective:.0f} effective samples, directions widened: {spread.widened}")
     unasked = why_not_asked(model, modes[0], predictor, settings.picture_mean)
     with trace.stage("picture", finish and not unasked, why_not if not finish else unasked) as stage:

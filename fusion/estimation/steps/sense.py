@@ -119,7 +119,9 @@ def sense(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: 
     seen = looked.rows(beliefs.depth, settings.look.rows)
     with trace.stage("feel", "touch" in asked.senses, "touch not asked for") as stage:
         hand = looked.seen_hand
-        felt = feel(touched, hand.correct() if hand is not None else None, beliefs, looked.region, settings.touch)
+        shown = len(seen) > 0
+        correction = hand.correct() if hand is not None else None
+        felt = feel(touched, correction, beliefs, looked.region, settings.touch, beside_vision=shown)
         contacts = len(felt.reported_contacts)
         stage.note(
             len(felt.reported_rows),

@@ -124,6 +124,14 @@ def test_a_symmetric_object_is_as_sure_in_any_axes(name, seed, off):
     assert verdict_of((doubtful,), model) == "ambiguous"
 
 
+def test_an_answer_that_leaves_much_of_its_mask_bare_is_doubted():
+    """Either the mask or the pose is wrong; borders that are off and a fingertip within it are usual."""
+    box = library.make("box")
+    said = [posterior.verdict(box, (mode(),), (), 0.9, replace(SEEN, bare=bare)) for bare in (float("nan"), 0.2, 0.3)]
+    assert [word for word, _ in said] == ["ok", "ok", "ambiguous"]
+    assert said[2][1] == "30% of the mask's inside is not the object at this pose"
+
+
 def test_a_turn_about_an_axis_beside_the_centroid_moves_nothing_either():
     """A body of revolution whose centroid is off its axis: the turn carries the centroid around the axis."""
     box = library.make("box")
@@ -259,6 +267,8 @@ def test_what_contradicts_counts_no_more_than_false_contacts():
     capped = posterior.contradiction(model, felt, 5, np.eye(4))
     assert whole > 5 * 50.0
     assert capped == pytest.approx(5 * 8.0, rel=0.05)
+    # many of a finger weigh as one, and are off no less for it
+    assert posterior.nats_of_contacts(model, felt.reweighted(0.1), 5, np.eye(4)) == pytest.approx(whole)
     right = evidence.from_contacts(Contacts(points, normals, 0.004, 0.1))
     expected = posterior.nats_of_contacts(model, right, 5, np.eye(4))
     assert posterior.contradiction(model, right, 5, np.eye(4)) == pytest.approx(expected, abs=0.1)

@@ -14,6 +14,7 @@ from scenes.recordings.beliefs import DepthModel
 from scenes.synthesis import library
 from vision.picture.masked import beside, core_of, missing, uncovered
 from vision.picture.predictor import Predictor
+from vision.visibility import visibility
 
 
 def outline(model, camera, pose):
@@ -33,6 +34,21 @@ def test_the_core_of_a_mask_is_inside_it_and_a_thin_mask_has_one():
     assert len(core)
     assert thin[core[:, 1], core[:, 0]].all()
     assert not len(core_of(np.zeros_like(mask), 6, 40))
+
+
+def test_how_much_of_a_mask_is_bare_is_told_of_a_pose():
+    frame, model = plain_view("drill"), library.make("drill")
+    truth = frame.camera_from_object_truth
+    whole = outline(model, frame.camera, truth)
+    frame = replace(frame, mask=whole)
+    assert visibility(frame, model, truth).bare == 0.0
+    width = np.ptp(np.nonzero(whole)[1]) / frame.camera.fx * truth[2, 3]
+    aside = poses.make_pose(np.eye(3), np.array([0.5 * width, 0.0, 0.0])) @ truth
+    assert 0.3 < visibility(frame, model, aside).bare < 0.9
+    assert np.isnan(visibility(replace(frame, mask=None), model, aside).bare)
+    # where the object is out of the image the mask is all bare
+    gone = poses.make_pose(np.eye(3), np.array([10.0, 0.0, 0.0])) @ truth
+    assert visibility(frame, model, gone).bare == 1.0
 
 
 def test_rays_that_meet_nothing_are_the_pixels_outside_the_outline(rng):
