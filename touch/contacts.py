@@ -49,6 +49,9 @@ class TouchSettings:
     # Contacts of sensors that report no other are one finger's where they are nearer to each other than this (m): the
     # skins of two fingers alone keep them farther apart.
     same_finger: float = 0.005
+    # And those of one sensor where steps no longer than this (m), as a fingertip, lead from one to the next: a whole
+    # hand may be told as one. By judgement.
+    fingertip: float = 0.025
     # Points on the hand used as "the object is not in here" (0: none; so many, and fewer than twice as many where there
     # are), their sigma (m) and gate (sigmas).
     hand_points: int = 150
@@ -71,12 +74,12 @@ class Shared:
     joints: Array
 
     @staticmethod
-    def by(contacts: Contacts, believed: TouchModel, with_hand: bool, same_finger: float) -> Shared:
+    def by(contacts: Contacts, believed: TouchModel, with_hand: bool, near: tuple[float, float]) -> Shared:
         """What a finger's joints add, whoever tells of them: where no hand does, only contacts that have company on
         their finger are asked. What is believed of contacts that say no sigma is shared, but for what one that says
         none has alone.
         """
-        of = fingers_of(contacts, same_finger)
+        of = fingers_of(contacts, near)
         company = np.bincount(of)[of] > 1 if len(of) else np.zeros(0, dtype=np.bool_)
         untold = np.maximum(contacts.sigma_point**2 - DEFAULT_SIGMA_POINT**2, 0.0)
         joints = np.where(company | with_hand, believed.fingertip_sigma, 0.0)
@@ -174,7 +177,7 @@ def feel(
     with_hand = _has_hand(frame)
     # a contact of unknown worth cannot be told from a false one: it is never gated out
     rows = tables.from_contacts(reported, np.where(reported.sigma_told, settings.contact_gate, tables.NO_GATE))
-    shared = Shared.by(reported, beliefs.touch, with_hand, settings.same_finger)
+    shared = Shared.by(reported, beliefs.touch, with_hand, (settings.same_finger, settings.fingertip))
     rows = rows.widened(shared.joints)
     if beside_vision:
         # a row's own sigma stays one finger's, from which what is false is told
@@ -259,19 +262,26 @@ def _reported(frame: Frame, readings: Sequence[Reading], patches: Sequence[Patch
     return Contacts.concatenate([found, gel_contacts(unspoken(frame, found, patches), settings.gels)])
 
 
-def fingers_of(contacts: Contacts, same_finger: float) -> NDArray[np.intp]:
-    """(n,) number of the finger that each contact is of: its sensor's; sensors that report one contact each, as where
-    nobody names them, are one finger's while next to another (m), for no two fingertips are as close.
+def fingers_of(contacts: Contacts, near: tuple[float, float]) -> NDArray[np.intp]:
+    """(n,) number of the finger that each contact is of: its sensor's, as far as steps of one fingertip (m) lead from
+    contact to contact, for a whole hand may have one name; sensors that report one contact each, as where nobody names
+    them, are one finger's while next to another (m), for no two fingertips are as close.
     """
+    same_finger, fingertip = near
     index = np.unique(np.array(contacts.sensors), return_inverse=True)[1]
-    lone = np.flatnonzero(np.bincount(index)[index] == 1)
-    if len(lone) < 2:
+    if len(index) < 2:
         return index
-    from scipy.sparse.csgraph import connected_components
-
-    between = np.linalg.norm(contacts.points[lone, None] - contacts.points[None, lone], axis=-1)
-    index[lone] = int(index.max()) + 1 + connected_components(between < same_finger, directed=False)[1]
-    return np.unique(index, return_inverse=True)[1]
+    lone = np.bincount(index)[index] == 1
+    between = np.linalg.norm(contacts.points[:, None] - contacts.points[None], axis=-1)
+    together = (index[:, None] == index[None]) & (between < fingertip)
+    together |= lone[:, None] & lone[None] & (between < same_finger)
+    # each takes the least number of what it is together with, until none is less
+    first = np.arange(len(index))
+    while True:
+        least = np.where(together, first, len(index)).min(axis=1)
+        if (least == first).all():
+            return np.unique(first, return_inverse=True)[1]
+        first = least
 
 
 def _calibration_slack(rows: Evidence, calibration: CalibrationModel) -> float:

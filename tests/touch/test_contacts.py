@@ -11,8 +11,11 @@ from scenes.geometry import poses
 from scenes.recordings.beliefs import Beliefs, CalibrationModel
 from scenes.recordings.frames import Contacts, EmptyRegions, Frame
 from scenes.synthesis.recording import synthesize_frames
-from touch.contacts import feel, fingers_of, places_touched
+from touch.contacts import TouchSettings, feel, fingers_of, places_touched
 from touch.wrenches.intrinsic import wrench_contacts
+
+USUAL = TouchSettings()
+NEAR = USUAL.same_finger, USUAL.fingertip
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,7 @@ def test_joint_errors_widen_contacts_of_a_hand(exact_frame):
 
 
 def test_contacts_of_one_finger_share_what_its_joints_add(exact_frame, rng):
-    patch = Contacts(rng.normal(size=(30, 3)), sigma_point=np.full(30, 3e-4), sensors=["thumb"] * 30)
+    patch = Contacts(0.004 * rng.normal(size=(30, 3)), sigma_point=np.full(30, 3e-4), sensors=["thumb"] * 30)
     alone = Contacts(rng.normal(size=(2, 3)), sigma_point=[1e-3, 2e-3], sensors=["index", "ring"])
     frame = replace(exact_frame, contacts=Contacts.concatenate([patch, alone]), wrenches=(), tactile={})
     rows = feel(frame, np.eye(4)).rows
@@ -93,7 +96,7 @@ def test_contacts_of_one_finger_share_what_its_joints_add(exact_frame, rng):
 
 
 def test_contacts_of_one_finger_share_its_error_whoever_tells_of_the_hand(rng):
-    patch = Contacts(rng.normal(size=(30, 3)), sigma_point=np.full(30, 3e-4), sensors=["thumb"] * 30)
+    patch = Contacts(0.004 * rng.normal(size=(30, 3)), sigma_point=np.full(30, 3e-4), sensors=["thumb"] * 30)
     alone = Contacts(rng.normal(size=(2, 3)), sigma_point=[1e-3, 2e-3], sensors=["index", "ring"])
     rows = feel(Frame(0, contacts=Contacts.concatenate([patch, alone]))).rows.rows
     told = rows[:, evidence.WEIGHT] / rows[:, evidence.SIGMA] ** 2
@@ -115,10 +118,13 @@ def test_many_contacts_of_a_finger_that_say_no_sigma_are_worth_what_one_is(rng):
 def test_contacts_without_names_are_one_fingers_while_next_to_another():
     steps = 0.001 * np.arange(10)
     points = np.stack([np.concatenate([steps, 0.05 + steps, [0.2]]), *np.zeros((2, 21))], axis=1)
-    fingers = fingers_of(Contacts(points), 0.005)
+    fingers = fingers_of(Contacts(points), NEAR)
     assert [len(set(part)) for part in (fingers[:10], fingers[10:20], fingers)] == [1, 1, 3]
-    # names say better
-    assert len(set(fingers_of(Contacts(points, sensors=["a"] * 5 + ["b"] * 16), 0.005))) == 2
+    # names say better, where they are a finger's and not a whole hand's
+    named = fingers_of(Contacts(points, sensors=["a"] * 5 + ["b"] * 16), NEAR)
+    assert [len(set(part)) for part in (named[:5], named[5:10], named)] == [1, 1, 4]
+    assert not set(named[:5]) & set(named[5:])
+    assert len(set(fingers_of(Contacts(points, sensors=["hand"] * 21), NEAR))) == 3
 
 
 def test_an_uncorrected_calibration_widens_everything(exact_frame):
