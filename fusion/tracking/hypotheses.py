@@ -47,8 +47,12 @@ class HypothesisSettings:
     least_odds: float = -6.0
     most_odds: float = 3.0
     # Votes (no unit) without which a leader is not believed, however well it explains every frame: a track that has
-    # begun wrong explains itself, and a search that is just sure enough gives 0.6.
-    believed: float = 0.5
+    # begun wrong explains itself. An `ok` search gives 0.9 and more; ones that are likely and no more must be three, or
+    # two and repeated: with one and repeated (0.55) a track of `stranger` that begins wrong was `ok` 14 mm off.
+    believed: float = 0.7
+    # And votes of another that suffice for it to lead where nothing tells what hides the object, however many more the
+    # leader has.
+    enough: float = 0.5
     # Probability (no unit) at most that such a leader is right: of four sequences of `lab` that stayed so, two were.
     unvoted: float = 0.6
     # A search that is not sure, but this likely (a probability, no unit), gives this part of a vote to what it finds,
@@ -59,10 +63,12 @@ class HypothesisSettings:
     part: float = 0.3
     # A search that is not even that gives this share of a vote to a hypothesis that was there before, up to so many in
     # all: searches that are wrong seldom agree with one another, but what makes one wrong may make the next wrong, too,
-    # so that they never suffice to be believed. Nor does a search around the track, which gives no more than that: what
-    # it finds 15 mm off was, in one sequence of `lab`, near what the track had, 15 mm off, too.
+    # so that they never suffice to be believed, nor do they with one that is likely. Nor does a search around the
+    # track, which brings nothing to more than that, whatever it had: what it finds 15 mm off was, in one sequence of
+    # `lab`, near what the track had, 15 mm off, too; and one after a repeated one had a drill of `stranger` `ok` 18 mm
+    # off.
     repeated: float = 0.25
-    most_repeated: float = 0.49
+    most_repeated: float = 0.39
     # A search speaks for every hypothesis that puts the surface where it does, within this (m, on average: half of what
     # an answer may be off), whichever way a handle out of sight points.
     surface: float = 0.0025
@@ -174,7 +180,7 @@ def weighed(
         replace(h, pose=pose, score=float(score), age=h.age + 1) for h, pose, score in zip(hypotheses, found, scores)
     )
     ahead = strengths(after, settings)
-    may = [told_apart or h.votes >= min(settings.believed, hypotheses[0].votes) for h in hypotheses]
+    may = [told_apart or h.votes >= min(settings.enough, hypotheses[0].votes) for h in hypotheses]
     best = int(np.argmax(np.where(may, ahead, -np.inf)))
     if best == 0 or ahead[best] - ahead[0] < settings.ahead:
         best = 0
@@ -227,14 +233,16 @@ def voted(
     against: bool,
     settings: HypothesisSettings,
     odds: float = 0.0,
+    most: float | None = None,
 ) -> tuple[Hypotheses, bool]:
     """Hypotheses, at least one, after a frame searched by itself has found modes; whether it agrees with the leader.
 
     vote: of this search, 0 when it tells nothing by itself; against: whether it also speaks against the others. Modes
     that nobody had thought of begin a little below the leader, and by odds (nats) above it, which they keep: from there
-    what is sensed decides.
+    what is sensed decides. most: votes up to which this search may bring one in all, default what one keeps.
     """
     s, out = settings, list(hypotheses)
+    most = s.most_votes if most is None else most
     base, first = out[0].score, 0
     for rank, mode in enumerate(modes):
         at = next((k for k, h in enumerate(out) if alike(model, mode, h, settings)), None)
@@ -251,7 +259,7 @@ def voted(
     if vote > 0.0:
         for k, h in enumerate(out):
             change = vote if near[k] else -vote * (against and off[k] >= s.elsewhere)
-            out[k] = replace(h, votes=float(np.clip(h.votes + change, 0.0, settings.most_votes)))
+            out[k] = replace(h, votes=float(np.clip(h.votes + change, 0.0, max(h.votes, most))))
     elif first < len(hypotheses) and out[first].age > 0:
         more = max(out[first].votes, min(out[first].votes + s.repeated, s.most_repeated))
         out[first] = replace(out[first], votes=more)

@@ -15,6 +15,7 @@ from numpy import float64
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate, Mode
+from fusion.estimation.confidence import near_enough
 from fusion.tracking import hypotheses as several
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
 from fusion.tracking.hypotheses import Hypothesis
@@ -215,9 +216,10 @@ def look_closer(
     if looked is None:
         return answer
     found, mode = looked
-    sure, better = several.sure_of(found), -prefers(answer, found, sensed, s)
-    why = f"{sure:.0%} sure, {state.right:.0%} before; {better:.0f} nats better"
-    if found.verdict != "lost" and sure > state.right and better > 0.0:
+    sure, before = several.sure_of(found), _own_sure(model, answer, sensed, state, s)
+    better = -prefers(answer, found, sensed, s)
+    why = f"{sure:.0%} sure, {before:.0%} before; {better:.0f} nats better"
+    if found.verdict != "lost" and sure > before and better > 0.0:
         anchor(replace(found, pose=mode.pose), answer.pose)
         why += "; it goes on from there"
     stage = replace(found.trace[-1], name="look closer", ms=found.time_ms, why=why)
@@ -244,16 +246,27 @@ def search_around(
         return ""
     found, mode = looked
     better, sure = prefers(answer, found, sensed, s), several.sure_of(found)
-    vote = several.vote_of(found.verdict, sure, s.hypotheses)
-    vote = min(vote, s.hypotheses.most_repeated) if better <= 0.0 else 0.0
+    vote = several.vote_of(found.verdict, sure, s.hypotheses) if better <= 0.0 else 0.0
     leader = leader_at(answer, state)
     if found.verdict != "ok" and lets_go(model, mode.pose, answer, sensed, state, s):
         return "; around it what fingers do not hold"
-    if not (vote or sure > state.right) or several.alike(model, leader, mode, s.hypotheses):
+    surer = sure > _own_sure(model, answer, sensed, state, s)
+    if not (vote or surer) or several.alike(model, leader, mode, s.hypotheses):
         return f"; nothing surer around it ({sure:.0%})"
     carried, odds = (leader, *state.hypotheses[1:]), several.log_odds(sure, s.hypotheses)
-    state.hypotheses, _ = several.voted(model, carried, (mode,), vote, True, s.hypotheses, odds)
+    how = s.hypotheses
+    state.hypotheses, _ = several.voted(model, carried, (mode,), vote, True, how, odds, how.most_repeated)
     return f"; around it another, {sure:.0%} sure, {-better:.0f} nats better"
+
+
+def _own_sure(
+    model: ObjectModel, answer: TrackedEstimate, sensed: Sensed | None, state: TrackState, s: TrackSettings
+) -> float:
+    """How sure a track is of its answer by itself, whether searches speak for it or not: that it is the right one, and
+    near enough by its own covariance, as the confidence of a single frame has it that is held against it.
+    """
+    how = s.confident if sensed is not None and sensed.told_apart else s.first.confidence
+    return state.right * near_enough(model, answer.modes[0], how)
 
 
 def _looked_around(

@@ -82,6 +82,22 @@ def test_a_search_votes_for_what_it_finds_and_adds_what_is_new(mug):
     assert any(np.array_equal(h.pose, turned(-1.0)) for h in full)
 
 
+def test_searches_that_are_only_likely_or_around_the_track_do_not_make_it_believed(mug):
+    block, lead, mode = library.make("l_block"), pair()[:1], Mode(turned(0.02), 1.0, 0.0, NARROW)
+    lead = (replace(lead[0], age=1),)
+    for _ in range(5):  # what is found again and again, by searches that tell nothing by themselves
+        lead, _ = several.voted(block, lead, [mode], 0.0, False, S)
+    assert lead[0].votes == S.most_repeated
+    likely, _ = several.voted(block, lead, [mode], S.part, False, S)
+    assert S.most_repeated < likely[0].votes < S.believed
+    # one around the track brings none to more than that, and takes none away
+    for votes in (0.0, S.part, S.repeated, 1.0):
+        around, _ = several.voted(block, (replace(lead[0], votes=votes),), [mode], 0.9, True, S, most=S.most_repeated)
+        assert around[0].votes == max(votes, S.most_repeated)
+    sure, _ = several.voted(block, pair()[:1], [mode], several.vote_of("ok", 0.951, S), True, S)
+    assert sure[0].votes > S.believed
+
+
 def test_a_doubt_takes_from_the_leader_alone():
     settings = HypothesisSettings()
     leader, other = pair()

@@ -1,0 +1,74 @@
+"""What a frame says by itself around a track is held against how sure the track is of its answer, of all of it."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import fusion.tracking.steps.searching as searching
+from fusion.estimation.answer import Estimate, Mode, Stage
+from fusion.tracking.answer import TrackSettings, as_tracked
+from fusion.tracking.hypotheses import Hypothesis, HypothesisSettings
+from fusion.tracking.state import TrackState
+from scenes.geometry import poses
+from scenes.recordings.frames import Frame
+from scenes.synthesis import library
+
+KNOWN, OPEN = 0.001, 0.02  # how well the place of an answer is known, metres
+S = HypothesisSettings()
+
+
+@pytest.fixture(scope="module")
+def block():
+    return library.make("l_block")
+
+
+def said(pose, sigma, sure, verdict="ambiguous"):
+    covariance = np.diag([1e-4] * 3 + [sigma**2] * 3)
+    modes = (Mode(pose, 1.0, 0.0, covariance),)
+    return Estimate(9, pose, covariance, modes, verdict, trace=(Stage("judge", True, ""),), confidence=sure)
+
+
+def tracked(sigma, votes=0.0):
+    """A track that is likely the right one, its place known so well."""
+    answer = as_tracked(said(np.eye(4), sigma, 0.6), "tracked")
+    leader = Hypothesis(np.eye(4), answer.covariance, 0.0, votes, age=5)
+    return answer, replace(TrackState(), right=0.95, hypotheses=(leader,))
+
+
+@pytest.fixture
+def unknown_fingers(monkeypatch):
+    """A frame in which nothing tells what hides the object, and which prefers what it has itself found."""
+    monkeypatch.setattr(searching, "prefers", lambda *_: -1.0)
+    seen = SimpleNamespace(viewed=SimpleNamespace(index=9), told_apart=False, looked=SimpleNamespace(pixels=[0]))
+    return Frame(9), seen
+
+
+@pytest.mark.parametrize(("sigma", "goes"), [(KNOWN, False), (OPEN, True)])
+def test_a_track_that_does_not_know_where_goes_on_from_a_frame_that_does(block, unknown_fingers, sigma, goes):
+    frame, seen = unknown_fingers
+    answer, state = tracked(sigma)
+    found, begun = said(poses.make_pose(None, [0.004, 0.0, 0.0]), KNOWN, 0.7), []
+    searching.look_closer(
+        block, frame, answer, seen, state, lambda *_: found, lambda *how: begun.append(how), TrackSettings()
+    )
+    assert bool(begun) is goes
+
+
+@pytest.mark.parametrize(("sigma", "thought_of"), [(KNOWN, 1), (OPEN, 2)])
+def test_what_is_surer_around_such_a_track_is_followed_too(block, unknown_fingers, sigma, thought_of):
+    frame, seen = unknown_fingers
+    answer, state = tracked(sigma)
+    found = said(poses.make_pose(None, [0.2, 0.0, 0.0]), KNOWN, 0.7)
+    searching.search_around(block, frame, answer, seen, state, lambda *_: found, TrackSettings())
+    assert len(state.hypotheses) == thought_of
+
+
+def test_searches_around_a_track_never_make_it_believed(block, unknown_fingers):
+    frame, seen = unknown_fingers
+    answer, state = tracked(KNOWN)
+    found = said(poses.make_pose(None, [0.2, 0.0, 0.0]), KNOWN, 0.99, "ok")
+    for _ in range(3):
+        searching.search_around(block, frame, answer, seen, state, lambda *_: found, TrackSettings())
+        assert [h.votes for h in state.hypotheses] == [0.0, S.most_repeated]
