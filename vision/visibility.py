@@ -76,4 +76,6 @@ def visibility(frame: Frame, model: ObjectModel, pose: Array, depth_model: Depth
     hidden = difference < -2.5 * sigma
     violated = difference > 2.5 * sigma
     visible = ~unread & ~hidden & ~violated
-    return Visibility(*(float(x.mean()) for x in (visible, hidden & ~unread, violated & ~unread, unread)), bare)
+    states = np.stack([visible, hidden & ~unread, violated & ~unread, unread])
+    seen_of, hidden_of, violated_of, unread_of = states.mean(axis=1).tolist()
+    return Visibility(seen_of, hidden_of, violated_of, unread_of, bare)
