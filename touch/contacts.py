@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.evidence import table as tables
-from scenes.evidence.table import SIGMA, TOUCH, Evidence
+from scenes.evidence.table import SIGMA, TOUCH, WEIGHT, Evidence
 from scenes.recordings.beliefs import Beliefs, CalibrationModel, TouchModel
 from scenes.recordings.frames import DEFAULT_SIGMA_POINT, Contacts, Frame
 from touch.arrays.readings import Reading, readings_of
@@ -151,6 +151,14 @@ class Felt:
         if self.slack and len(rows):
             rows = rows.widened(self.slack)
         return rows.moved(self.correction)
+
+    @property
+    def each(self) -> Evidence:
+        """The rows with every contact in full: how contacts of one finger lie to one another tells where to look."""
+        contacts = np.arange(len(self.rows)) < len(self.reported_contacts)
+        rows = self.rows.rows.copy()
+        rows[contacts, WEIGHT] = 1.0
+        return Evidence(rows, self.rows.sense)
 
     def corrected(self, correction: Array) -> Felt:
         """The same with another correction, as sure as its own sigmas say."""

@@ -115,6 +115,16 @@ def test_many_contacts_of_a_finger_that_say_no_sigma_are_worth_what_one_is(rng):
     assert one[0, evidence.WEIGHT] / one[0, evidence.SIGMA] ** 2 == pytest.approx(unknown**-2.0)
 
 
+def test_where_to_look_is_told_by_every_contact_in_full(exact_frame, rng):
+    patch = Contacts(0.004 * rng.normal(size=(30, 3)), sigma_point=np.full(30, 3e-4), sensors=["thumb"] * 30)
+    felt = feel(replace(exact_frame, contacts=patch, wrenches=(), tactile={}), np.eye(4))
+    assert (felt.rows.rows[:30, evidence.WEIGHT] < 0.5).all()
+    assert (felt.each.rows[:30, evidence.WEIGHT] == 1.0).all()
+    others = np.delete(np.arange(felt.each.rows.shape[1]), evidence.WEIGHT)
+    assert np.array_equal(felt.each.rows[:, others], felt.rows.rows[:, others])
+    assert np.array_equal(felt.each.rows[30:], felt.rows.rows[30:])
+
+
 def test_contacts_without_names_are_one_fingers_while_next_to_another():
     steps = 0.001 * np.arange(10)
     points = np.stack([np.concatenate([steps, 0.05 + steps, [0.2]]), *np.zeros((2, 21))], axis=1)

@@ -40,7 +40,8 @@ class Pool:
     """What is known of the frame beyond poses: rows of touch as they are believed now, and a prior; `predictor` says
     what must be seen, `sight` quickly what is seen past. looked and depth: what pixels are worth as rows. held: the
     robot's own hand, where it is known. coloured: pieces of the image by depth and colour. told: what modes weigh in
-    what is told of an answer. contacts: how many are felt; an array or a gel is one, however many rows it has.
+    what is told of an answer. contacts: how many are felt; an array or a gel is one, however many rows it has. each:
+    rows of touch by which it proposes alone, every contact in full; default those of `felt`.
     """
 
     model: ObjectModel
@@ -59,6 +60,7 @@ class Pool:
     held: Held | None = None
     coloured: tuple[Pixels, ...] = ()
     told: ModeSettings = field(default_factory=ModeSettings)
+    each: Evidence | None = None
 
     @property
     def apart(self) -> float:
@@ -85,7 +87,8 @@ class Pool:
             return np.zeros((0, 4, 4))
         if anywhere:
             stages = tuple(replace(stage, keep=max(stage.keep, s.felt_kept)) for stage in stages)
-        ends = search(self.model, self.felt, starts, stages, self.prior, apart=0.5 * self.apart, settled=SETTLED).poses
+        rows = self.felt if self.each is None else self.each
+        ends = search(self.model, rows, starts, stages, self.prior, apart=0.5 * self.apart, settled=SETTLED).poses
         if anywhere:
             ends = ends[np.argsort(self.walking(ends), kind="stable")]
         best, _ = leaders(self.model, ends, self.apart)

@@ -151,6 +151,7 @@ def sense(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: 
         held=_held(frame, hand),
         coloured=parted.pieces,
         told=settings.told,
+        each=felt.each,
     )
     return Sensed(frame, viewed, touched, looked, felt, seen, tables.stack(seen, felt.rows), sight, pool)
 
