@@ -42,11 +42,6 @@ class TouchSettings:
 
     # A contact is as likely a false one at this many sigmas.
     contact_gate: float = 4.0
-    # One that says no sigma, beside a depth image: what is believed of it is a guess, so it may be farther off than
-    # others; but a finger that touched something else must not outvote an image. Tuned: of 80 answers of both senses to
-    # 40 frames of four tuning families whose contacts said none (seed 8) 75 are right without a gate, 76 and 75 at 5
-    # and 4; with one false contact beside them 43, 73 and 73 (62, 62 and 62, and 27, 57 and 61 `ok`).
-    unknown_gate: float = 5.0
     # More contacts than this (no unit) are taken by so many of them, spread over what was touched: what all of them
     # share (calibration, the finger, the mesh) is larger than what the rest would add, and a search's time grows with
     # its rows. As `LocalizeSettings.most_contacts`, which settles with all.
@@ -135,9 +130,7 @@ class Felt:
         silent = ~felt.sigma_told
         who = "contacts" if silent.all() else f"{int(silent.sum())} of {len(felt)} contacts"
         believed = 1e3 * float(felt.sigma_point[silent][0])
-        gate = float(self.reported_rows.rows[: len(felt)][silent, tables.GATE_ABOVE].min())
-        false = "none" if gate >= tables.NO_GATE else f"those beyond {gate * believed:.3g} mm"
-        return (f"{who} say no sigma: {believed:g} mm believed of each, {false} taken for false",)
+        return (f"{who} say no sigma: {believed:g} mm believed of each, none taken for false",)
 
     @cached_property
     def contacts(self) -> Contacts:
@@ -190,9 +183,8 @@ def feel(
     readings, patches = readings_of(frame), patches_of(frame, settings.patches)
     reported = _reported(frame, readings, patches, settings).of_unknown_worth(beliefs.touch.unknown_sigma)
     with_hand = _has_hand(frame)
-    # where no image shows the object, a contact of unknown worth cannot be told from a false one
-    unknown = settings.unknown_gate if beside_vision and frame.depth is not None else tables.NO_GATE
-    rows = tables.from_contacts(reported, np.where(reported.sigma_told, settings.contact_gate, unknown))
+    # a contact of unknown worth cannot be told from a false one: it is never gated out
+    rows = tables.from_contacts(reported, np.where(reported.sigma_told, settings.contact_gate, tables.NO_GATE))
     shared = Shared.by(reported, beliefs.touch, with_hand, (settings.same_finger, settings.fingertip))
     rows = rows.widened(shared.joints)
     if beside_vision:

@@ -50,8 +50,8 @@ class HypothesisSettings:
     # begun wrong explains itself. An `ok` search gives 0.9 and more; ones that are likely and no more must be three, or
     # two and repeated: with one and repeated (0.55) a track of `stranger` that begins wrong was `ok` 14 mm off.
     believed: float = 0.7
-    # And votes of another that suffice for it to lead where nothing tells what hides the object, however many more the
-    # leader has.
+    # And votes (no unit) of another that suffice for it to lead where nothing tells what hides the object, however many
+    # more the leader has.
     enough: float = 0.5
     # Probability (no unit) at most that such a leader is right: of four sequences of `lab` that stayed so, two were.
     unvoted: float = 0.6
