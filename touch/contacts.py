@@ -42,6 +42,9 @@ class TouchSettings:
 
     # A contact is as likely a false one at this many sigmas.
     contact_gate: float = 4.0
+    # Beside a depth image so is one that says no sigma, at this many of what is believed of it: of unknown worth, one
+    # that touched something else would outvote ten thousand pixels. Of 4, 5 and 8 tuned with false contacts and none.
+    unknown_gate: float = 5.0
     # More contacts than this (no unit) are taken by so many of them, spread over what was touched: what all of them
     # share (calibration, the finger, the mesh) is larger than what the rest would add, and a search's time grows with
     # its rows. As `LocalizeSettings.most_contacts`, which settles with all.
@@ -130,7 +133,9 @@ class Felt:
         silent = ~felt.sigma_told
         who = "contacts" if silent.all() else f"{int(silent.sum())} of {len(felt)} contacts"
         believed = 1e3 * float(felt.sigma_point[silent][0])
-        return (f"{who} say no sigma: {believed:g} mm believed of each, none taken for false",)
+        gate = float(self.reported_rows.rows[: len(felt)][silent, tables.GATE_ABOVE].min())
+        false = "none" if gate >= tables.NO_GATE else f"those beyond {gate * believed:.3g} mm"
+        return (f"{who} say no sigma: {believed:g} mm believed of each, {false} taken for false",)
 
     @cached_property
     def contacts(self) -> Contacts:
@@ -183,8 +188,9 @@ def feel(
     readings, patches = readings_of(frame), patches_of(frame, settings.patches)
     reported = _reported(frame, readings, patches, settings).of_unknown_worth(beliefs.touch.unknown_sigma)
     with_hand = _has_hand(frame)
-    # a contact of unknown worth cannot be told from a false one: it is never gated out
-    rows = tables.from_contacts(reported, np.where(reported.sigma_told, settings.contact_gate, tables.NO_GATE))
+    # where no image shows the object, a contact of unknown worth cannot be told from a false one
+    unknown = settings.unknown_gate if beside_vision and frame.depth is not None else tables.NO_GATE
+    rows = tables.from_contacts(reported, np.where(reported.sigma_told, settings.contact_gate, unknown))
     shared = Shared.by(reported, beliefs.touch, with_hand, (settings.same_finger, settings.fingertip))
     rows = rows.widened(shared.joints)
     if beside_vision:

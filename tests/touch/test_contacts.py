@@ -198,6 +198,16 @@ def test_contacts_of_unknown_worth_are_believed_little_and_never_gated_out():
     assert (felt.rows.rows[:, evidence.GATE_ABOVE] == evidence.NO_GATE).all()
 
 
+def test_beside_a_depth_image_one_of_unknown_worth_that_is_far_off_is_false(exact_frame):
+    silent_ones = replace(exact_frame, contacts=Contacts(exact_frame.contacts.points), wrenches=(), tactile={})
+    count = len(silent_ones.contacts)
+    seen = feel(silent_ones, np.eye(4))
+    assert (seen.reported_rows.rows[:count, evidence.GATE_ABOVE] == 5.0).all()
+    assert seen.untold == ("contacts say no sigma: 4 mm believed of each, those beyond 20 mm taken for false",)
+    for felt in (feel(silent_ones.without_vision(), np.eye(4)), feel(silent_ones, np.eye(4), beside_vision=False)):
+        assert (felt.reported_rows.rows[:count, evidence.GATE_ABOVE] == evidence.NO_GATE).all()
+
+
 def test_contacts_that_say_a_sigma_keep_it_beside_one_that_says_none(rng):
     points = rng.normal(size=(6, 3))
     told = feel(Frame(0, contacts=Contacts(points[:5], sigma_point=1e-3)))

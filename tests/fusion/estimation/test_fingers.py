@@ -1,23 +1,20 @@
 """What contacts of one finger are off by together, in how unsure an answer is."""
 
+from dataclasses import replace
+
 import numpy as np
-import pytest
 
 from fusion.estimation.estimate import estimate
+from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.steps.fingers import with_fingers
 from scenes.evidence.align import Prior, align, terms
 from scenes.evidence.modes import Mode
+from scenes.evidence.table import NO_GATE
 from scenes.geometry import poses
 from scenes.recordings.frames import Contacts, Frame
-from scenes.synthesis import library
-from touch.contacts import feel
+from touch.contacts import TouchSettings, feel
 
 FINGERS, TAXELS, SHARED = 4, 16, 1.1e-3
-
-
-@pytest.fixture(scope="module")
-def drill():
-    return library.make("drill")
 
 
 def touched(model, rng, shared=SHARED):
@@ -65,3 +62,18 @@ def test_an_estimate_by_touch_alone_tells_of_its_fingers(drill, rng):
         for felt in (together, apart)
     ]
     assert widths[0] > widths[1] + 2.0
+
+
+def test_a_finger_that_touched_something_else_does_not_outvote_the_image(exact_frame, drill):
+    """Contacts that say no sigma: nothing but what the camera shows tells which of them is false."""
+    felt = exact_frame.contacts.points
+    aside = felt.mean(axis=0) + np.array([0.08, 0.0, 0.04])
+    frame = replace(exact_frame, contacts=Contacts(np.vstack([felt, aside])), wrenches=(), tactile={})
+    truth = frame.camera_from_object_truth
+    trusting = EstimateSettings(touch=TouchSettings(unknown_gate=NO_GATE))
+    off = [
+        np.linalg.norm(poses.difference(estimate(frame, drill, settings=how).pose, truth, drill.centroid)[3:])
+        for how in (None, trusting)
+    ]
+    assert off[0] < 0.002
+    assert off[1] > 0.005
