@@ -106,8 +106,13 @@ def nats_of_contacts(model: ObjectModel, felt: Evidence, count: int, pose: Array
     """
     if not count:
         return 0.0
-    places = max(float(felt.rows[felt.on, WEIGHT].sum()), 1e-9)
-    return float(alignment.costs(model, felt, pose[None])[0]) * count / places
+    on = felt.on
+    places = float(felt.rows[on, WEIGHT].sum())
+    if places >= count:
+        return float(alignment.costs(model, felt, pose[None])[0]) * count / places
+    # empty points are not weighed down with the contacts, and cost what they cost
+    touched, empty_points = (float(alignment.costs(model, felt.take(own), pose[None])[0]) for own in (on, ~on))
+    return touched * count / max(places, 1e-9) + empty_points
 
 
 def contradiction(

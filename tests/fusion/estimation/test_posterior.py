@@ -269,6 +269,14 @@ def test_what_contradicts_counts_no_more_than_false_contacts():
     assert capped == pytest.approx(5 * 8.0, rel=0.05)
     # many of a finger weigh as one, and are off no less for it
     assert posterior.nats_of_contacts(model, felt.reweighted(0.1), 5, np.eye(4)) == pytest.approx(whole)
+    # and space that is felt to be empty costs what it costs, however little they weigh
+    within = evidence.outside(model.centroid[None], 0.003, evidence.TOUCH)
+    costs = [
+        posterior.nats_of_contacts(model, evidence.stack(one, within), 5, np.eye(4))
+        for one in (felt, felt.reweighted(0.1))
+    ]
+    assert costs[0] > whole
+    assert costs[1] == pytest.approx(costs[0])
     right = evidence.from_contacts(Contacts(points, normals, 0.004, 0.1))
     expected = posterior.nats_of_contacts(model, right, 5, np.eye(4))
     assert posterior.contradiction(model, right, 5, np.eye(4)) == pytest.approx(expected, abs=0.1)
