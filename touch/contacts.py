@@ -125,6 +125,18 @@ class Felt:
         return tuple(patch.moved(self.correction) for patch in self.reported_patches)
 
     @property
+    def fingers(self) -> int:
+        """How many fingers the contacts are of."""
+        return 0 if self.shared is None or not len(self.shared.of) else int(self.shared.of.max()) + 1
+
+    @property
+    def of_finger(self) -> Array:
+        """(n,) what part of its finger's contacts each contact is."""
+        if self.shared is None:
+            return np.ones(len(self.reported_contacts))
+        return np.asarray(1.0 / np.bincount(self.shared.of)[self.shared.of]) if self.fingers else np.zeros(0)
+
+    @property
     def untold(self) -> tuple[str, ...]:
         """In words, what is believed of contacts that say no sigma; none when all do."""
         felt = self.reported_contacts

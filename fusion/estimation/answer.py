@@ -32,7 +32,7 @@ class Stage:
 class ContactResidual:
     """How one contact agrees: distance to the surface (mm, signed, outside positive), angle between the sensed
     and the model's normal (degrees, NaN without a normal), whether it does not belong; the contact's own standard
-    deviation (mm, NaN where the reader of a result does not know it).
+    deviation (mm, NaN where the reader of a result does not know it); what part of its finger's contacts it is.
     """
 
     sensor: str
@@ -40,6 +40,7 @@ class ContactResidual:
     normal_deg: float
     outlier: bool
     sigma_mm: float = float("nan")
+    of_finger: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -248,7 +248,7 @@ def observations(
     }
     if contacts:
         found["touch"] = 1.0
-        found["outliers"] = float(np.mean([c.outlier for c in contacts]))
+        found["outliers"] = float(np.average([c.outlier for c in contacts], weights=[c.of_finger for c in contacts]))
         found["contact_nats"] = min(contact_nats / len(contacts), s.most_nats)
         found["blunt"] = _blunt(contacts, s)
     if picture is not None and picture.count[0] > 0:

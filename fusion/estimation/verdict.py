@@ -44,14 +44,14 @@ class VerdictSettings:
     # A contact this many sigmas off (and at least this far, metres) does not belong to the answer.
     outlier_sigmas: float = 4.0
     outlier_distance: float = 0.004
-    # Share of contacts (no unit) of which an answer must explain more, or it is not `ok`, and not less, or it may be
-    # lost: of two fused answers that explained two of four, on a tuning family and another generator's frames, none
-    # was right. Least share of the pixels taken for the object.
+    # Share of contacts (no unit; each finger's count as one) of which an answer must explain more, or it is not `ok`,
+    # and not less, or it may be lost: of two fused answers that explained two of four, on a tuning family and another
+    # generator's frames, none was right. Least share of the pixels taken for the object.
     least_contacts: float = 0.5
-    # So few contacts may all be false: what an image shows is not lost for them, nor is it doubted for one of two. Of
-    # 39 answers that explained one of two where the image shows the object, to 8 frames of two other generators, 37
-    # were right, the others 0.5 and 0.8 mm beyond the tolerance.
-    few_contacts: int = 2
+    # The contacts of so few fingers may all be false: what an image shows is not lost for them, nor is it doubted for
+    # one of two. Of 39 answers that explained one of two where the image shows the object, to 8 frames of two other
+    # generators, 37 were right, the others 0.5 and 0.8 mm beyond the tolerance.
+    few_fingers: int = 2
     # Nats a contact, on average, from which what is felt contradicts the answer: a false contact costs about eight, by
     # a gate of so many sigmas, and one beside an edge of the mesh, where normals are either face's, up to six. One of
     # unknown worth pulls without a gate, but counts no more here: one normal the wrong way round among five contacts is
@@ -75,9 +75,15 @@ class VerdictSettings:
 
 
 def contact_residuals(
-    model: ObjectModel, contacts: Contacts, pose: Array, settings: VerdictSettings | None = None
+    model: ObjectModel,
+    contacts: Contacts,
+    pose: Array,
+    settings: VerdictSettings | None = None,
+    of_finger: Array | None = None,
 ) -> tuple[ContactResidual, ...]:
-    """How each contact (camera frame, corrected) agrees with the object at pose (4, 4)."""
+    """How each of n contacts (camera frame, corrected) agrees with the object at pose (4, 4). of_finger (n,): what part
+    of its finger's contacts each is, None where each is a finger's only one.
+    """
     settings = settings or VerdictSettings()
     if not len(contacts):
         return ()
@@ -93,9 +99,10 @@ def contact_residuals(
     limit = np.maximum(settings.outlier_sigmas * contacts.sigma_point, settings.outlier_distance)
     outlier = np.abs(distance) > limit
     return tuple(
-        ContactResidual(sensor, 1e3 * off, angle, bool(false), 1e3 * sigma)
-        for sensor, off, angle, false, sigma in zip(
-            contacts.sensors, distance.tolist(), turned.tolist(), outlier, contacts.sigma_point.tolist()
+        ContactResidual(sensor, 1e3 * off, angle, bool(false), 1e3 * sigma, part)
+        for sensor, off, angle, false, sigma, part in zip(
+            *(contacts.sensors, distance.tolist(), turned.tolist(), outlier, contacts.sigma_point.tolist()),
+            [1.0] * len(contacts) if of_finger is None else of_finger.tolist(),
         )
     )
 
@@ -256,12 +263,13 @@ def _contradicted(
     """Verdict and reason of an answer that what is sensed contradicts, or hardly shows, whatever its modes; or None."""
     seen = np.isfinite(seeing.visible)
     if residuals:
-        good = float(np.mean([not r.outlier for r in residuals]))
+        fingers = [r.of_finger for r in residuals]
+        good = float(np.average([not r.outlier for r in residuals], weights=fingers))
         why = f"{good:.0%} of the contacts explained: they, or their normals, contradict the pose"
         # a finger or two may have touched something else, where the image shows the object all the same
         shown = seen and seeing.visible >= settings.least_visible
         agrees = shown and pixel_share >= settings.least_pixels and not seeing.violated > settings.most_violated
-        excused = agrees and len(residuals) <= settings.few_contacts
+        excused = agrees and round(sum(fingers)) <= settings.few_fingers
         if good < settings.least_contacts:
             return "ambiguous" if excused else "lost", why
     if np.isfinite(pixel_share) and pixel_share < settings.least_pixels and not residuals:

@@ -337,7 +337,10 @@ class _Recording:
                 dead = None if forces_seed is None else feel.draw_dead(hand, preset, np.random.default_rng(forces_seed))
                 tactile = feel.pressures(hand, self.model, grasp, forces, preset, rng, dead)
         if "point" in self.touch:
-            exact = feel.carried(hand, grasp, joints)
+            own = np.random.default_rng([self.seed, index, 19])  # as with gels, below
+            count, reach = settings.contacts_a_finger, settings.skin_reach
+            skins = feel.felt_by_skins(self.model, grasp, count, reach, own)
+            exact = feel.carried(hand, replace(grasp, contacts=skins), joints)
             contacts = noise_models.observe_contacts(exact, preset.touch, rng, errors).moved(world_from_hand)
         gels: dict[str, GelImage] = {}
         if "gel" in self.touch:

@@ -43,6 +43,9 @@ class SynthesisSettings:
     prior_distance: float = 0.033
     # Contacts drawn on the object when there is no hand.
     loose_contacts: int = 5
+    # Contacts that a fingertip reports, as a skin of taxels does, and how far from its middle they may be (m).
+    contacts_a_finger: int = 1
+    skin_reach: float = 0.005
     # Forces of a grasp (N), friction coefficient, and the share of the friction cone that is used.
     force: tuple[float, float] = (1.0, 5.0)
     friction: float = 0.5

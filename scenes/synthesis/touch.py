@@ -27,12 +27,36 @@ Array = NDArray[np.float64]
 BALL_GRID = 0.002
 BALLS_PER_LINK = 4
 SMALLEST_BALL = 0.003
+# Points of the surface among which those that a skin feels are drawn, and the cosine of the angle to the fingertip's
+# own contact up to which it bends around a thing.
+SKIN_POINTS = 30_000
+SKIN_FACES = 0.6
 
 
 def turning(hand: Hand, joints: dict[str, float]) -> dict[str, float]:
     """The joints measured in radians: sliding ones are left out of the angular noise."""
     sliding = {joint.name for joint in hand.robot.joints if joint.kind == "prismatic"}
     return {name: value for name, value in joints.items() if name not in sliding}
+
+
+def felt_by_skins(model: ObjectModel, grasp: Grasp, count: int, reach: float, rng: np.random.Generator) -> Contacts:
+    """The exact contacts of fingertips whose skin feels up to `count` of them each, hand frame: the grasp's own, and
+    random points of the surface within `reach` (m) of it that face as it does; fewer where there are none.
+    """
+    if count == 1 or not len(grasp.contacts):
+        return grasp.contacts
+    points, normals = model.sample_surface(SKIN_POINTS)
+    points = poses.apply(grasp.hand_from_object, points)
+    normals = normals @ grasp.hand_from_object[:3, :3].T
+    parts = []
+    for row, (middle, facing) in enumerate(zip(grasp.contacts.points, grasp.contacts.normals, strict=True)):
+        near = np.linalg.norm(points - middle, axis=1) < reach
+        there = np.flatnonzero(near & (np.abs(normals @ facing) > SKIN_FACES))
+        there = rng.permutation(there)[: count - 1]
+        alike = np.sign(normals[there] @ facing)[:, None] * normals[there]
+        parts.append(grasp.contacts.take([row]))
+        parts.append(Contacts(points[there], alike, sensors=[grasp.contacts.sensors[row]] * len(there)))
+    return Contacts.concatenate(parts)
 
 
 def carried(hand: Hand, grasp: Grasp, measured: dict[str, float]) -> Contacts:

@@ -137,6 +137,15 @@ def test_contacts_without_names_are_one_fingers_while_next_to_another():
     assert len(set(fingers_of(Contacts(points, sensors=["hand"] * 21), NEAR))) == 3
 
 
+def test_taxels_of_two_fingers_are_two_fingers():
+    steps = 0.001 * np.arange(6)
+    points = np.stack([np.concatenate([steps, 0.05 + steps[:2]]), *np.zeros((2, 8))], axis=1)
+    felt = feel(Frame(0, contacts=Contacts(points)), np.eye(4))
+    assert felt.fingers == 2
+    assert np.allclose(felt.of_finger, [1 / 6] * 6 + [1 / 2] * 2)
+    assert feel(Frame(0), np.eye(4)).fingers == 0
+
+
 def test_an_uncorrected_calibration_widens_everything(exact_frame):
     beliefs = Beliefs(calibration=CalibrationModel(0.002, 0.005))
     told = feel(exact_frame, np.eye(4), beliefs)

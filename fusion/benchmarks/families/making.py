@@ -148,6 +148,7 @@ def _seed(family: Family, seed: int, *what: str | float) -> int:
 def settings_of(family: Family) -> SynthesisSettings:
     """Camera, distances and start of its frames."""
     usual = SynthesisSettings(camera=family.lens, mask=family.mask, prior_angle=START[0], prior_distance=START[1])
+    usual = replace(usual, contacts_a_finger=family.contacts_a_finger, skin_reach=family.skin_reach)
     return replace(usual, views=replace(usual.views, nearest=family.distance[0], farthest=family.distance[1]))
 
 

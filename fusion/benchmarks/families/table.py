@@ -213,7 +213,8 @@ class Family:
     touch and robot there are, "" for the camera's own. occluders, scene: as `synthesize_frames` takes them. hand:
     "five-finger", "stout" (the same kind with other lengths), "gripper" or "" for none. mask: the true visible pixels
     are given. mesh_error: as `believed` takes it. levels: hidden shares, (NaN,) for those that recordings have.
-    stands_for: what outside our own scenes it is meant to be.
+    contacts_a_finger, skin_reach (m): of fingertips with a skin. stands_for: what outside our own scenes it is meant
+    to be.
     """
 
     name: str
@@ -227,6 +228,8 @@ class Family:
     rig: str = ""
     mask: bool = False
     mesh_error: str | None = None
+    contacts_a_finger: int = 1
+    skin_reach: float = 0.0
     objects: tuple[str, ...] = HELD_OBJECTS
     levels: tuple[float, ...] = LEVELS
     lens: Camera = HELD_LENS
@@ -333,6 +336,15 @@ FAMILIES: dict[str, Family] = {
             objects=TUNED_TOOLS,
             levels=OPEN_LEVELS,
         ),
+        _tuned(
+            "skin",
+            "rough",
+            "a robot hand without a URDF over a table, the skin of its fingertips feels several contacts each",
+            hand="five-finger",
+            scene="table+unknown-hand",
+            contacts_a_finger=7,
+            skin_reach=0.005,
+        ),
         _tuned("smoothed", "smoothed", "depth that a camera maker's viewer has smoothed", hand="five-finger"),
         _tuned("filled", "filled", "depth whose holes its recorder has filled", hand="five-finger"),
         _tuned("registered", "registered", "depth registered to a larger colour image", hand="five-finger"),
@@ -363,6 +375,15 @@ FAMILIES: dict[str, Family] = {
             "a robot hand without a URDF whose fingertips report contacts",
             hand="stout",
             scene="unknown-hand",
+        ),
+        _held(
+            "taxels",
+            "workshop",
+            "a robot hand without a URDF, ten taxels of each fingertip report contacts",
+            hand="stout",
+            scene="unknown-hand",
+            contacts_a_finger=10,
+            skin_reach=0.0062,
         ),
         _held(
             "neighbours",

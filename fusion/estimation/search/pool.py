@@ -40,13 +40,14 @@ class Pool:
     """What is known of the frame beyond poses: rows of touch as they are believed now, and a prior; `predictor` says
     what must be seen, `sight` quickly what is seen past. looked and depth: what pixels are worth as rows. held: the
     robot's own hand, where it is known. coloured: pieces of the image by depth and colour. told: what modes weigh in
-    what is told of an answer. contacts: how many are felt; an array or a gel is one, however many rows it has. each:
-    rows of touch by which it proposes alone, every contact in full; default those of `felt`.
+    what is told of an answer. contacts: how many are felt; an array or a gel is one, however many rows it has; fingers:
+    by how many. each: rows of touch by which it proposes alone, every contact in full; default those of `felt`.
     """
 
     model: ObjectModel
     felt: Evidence
     contacts: int
+    fingers: int
     prior: Prior | None
     predictor: Predictor
     sight: Sight
@@ -315,7 +316,7 @@ class Pool:
         looks the same does.
         """
         s = self.settings
-        share = s.glance_share_felt if self.contacts >= s.tying_contacts else s.glance_share
+        share = s.glance_share_felt if self.fingers >= s.tying_fingers else s.glance_share
         if not self._shows(pose, s.glance_shown, share, s.glance_past, s.glance_runs_on):
             return False
         turned = self._believable(pose, pose @ near_symmetries(self.model))
@@ -344,7 +345,7 @@ class Pool:
     @property
     def holds(self) -> bool:
         """Whether contacts hold the object in place, and it is known what hides it."""
-        return self.predictor.told_apart and self.contacts >= self.settings.tying_contacts
+        return self.predictor.told_apart and self.fingers >= self.settings.tying_fingers
 
     def _shows(self, pose: Array, least: float, share: float, past: float, runs_on: float) -> bool:
         """Whether at pose (4, 4) at least the share `least` of the whole agrees with what is seen and `share` of what

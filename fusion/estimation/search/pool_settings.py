@@ -62,8 +62,9 @@ class PoolSettings:
     # What agrees with at least this share of the whole is clearly seen: then nothing more is proposed.
     clearly_shown: float = 0.35
     contact_nats: float = 3.5
-    # Contacts that hold an object in place: three points. A picture that so many agree with is no other thing's.
-    tying_contacts: int = 3
+    # Fingers whose contacts hold an object in place: three points, for those of one finger lie next to each other. A
+    # picture that so many agree with is no other thing's.
+    tying_fingers: int = 3
     # What convinces may still be one of several that do: it explains what is seen, and nothing around it is tried, when
     # at least this share of the whole agrees, and at most these shares are seen past and run on over its outline. Of
     # 107 answers of the tuning families that convinced (half of them where nobody knows the hand), a walk bettered 44
@@ -77,7 +78,7 @@ class PoolSettings:
     # where it ends nowhere and scatters. A light bulb in a hand that agreed so cost 13 where the truth earned 23.
     most_against: float = 0.0
     # The same of what few starts near a prior end in, shares: of the whole, of what nothing hides where at least
-    # `tying_contacts` agree and where not, seen past, runs on. Of 416 answers with a start of the tuning families 162
+    # `tying_fingers` agree and where not, seen past, runs on. Of 416 answers with a start of the tuning families 162
     # passed; the whole search ended each of them in the same valley, and none that passed was wrong.
     glance_shown: float = 0.2
     glance_share_felt: float = 0.85

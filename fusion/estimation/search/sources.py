@@ -145,7 +145,7 @@ class Competition:
     @property
     def trusted(self) -> bool:
         """Whether what convinces is to be believed: it is known what hides the object, or it is felt where it is."""
-        return self.pool.predictor.told_apart or self.contacts >= self.pool.settings.tying_contacts
+        return self.pool.predictor.told_apart or self.pool.fingers >= self.pool.settings.tying_fingers
 
     @property
     def explained(self) -> bool:
@@ -160,7 +160,7 @@ class Competition:
         """The same poses (n, 4, 4), the best first that touch alone proposes: that one is solved with what is left
         while there is doubt, because a calibration that is off makes right contacts look wrong until it is solved for.
         """
-        if len(poses) and self.contacts >= self.pool.settings.tying_contacts:
+        if len(poses) and self.pool.fingers >= self.pool.settings.tying_fingers:
             self._felt = poses[0]
         return poses
 
@@ -204,7 +204,7 @@ def glance(pool: Pool, rows: Evidence, starts: Array, trace: Trace) -> Competiti
     why = ""
     if asked.convinced and pool.explains_at_a_glance(asked.modes[0].pose):
         why = "what a glance tells explains what is seen"
-    elif asked.convinced and asked.contacts >= s.tying_contacts:
+    elif asked.convinced and pool.fingers >= s.tying_fingers:
         asked.look_beside()
         # where nobody knows the hand, no draw around it may be likelier
         why = asked.enough if pool.predictor.told_apart or asked.gained < s.hardly else ""

@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 class JointProblem:
     """Everything but the pose: rows, beliefs and what can be computed once per frame.
 
-    seen: vision rows as measured; felt: touch rows as the robot reports them, of so many contacts. camera None: the
+    seen: vision rows as measured; felt: touch rows as the robot reports them, of so many fingers. camera None: the
     rows are a cloud without pixels, its bias stays in the rows' sigmas. has_robot False: touch and vision were recorded
     in one frame.
     """
@@ -37,7 +37,7 @@ class JointProblem:
     model: ObjectModel
     seen: Evidence
     felt: Evidence
-    contacts: int
+    fingers: int
     prior: Prior | None
     hand: HandView | None
     beliefs: Beliefs
@@ -51,7 +51,7 @@ class JointProblem:
         frame: Frame,
         seen: Evidence,
         felt: Evidence,
-        contacts: int,
+        fingers: int,
         prior: Prior | None,
         hand: HandView | None,
         beliefs: Beliefs,
@@ -66,7 +66,7 @@ class JointProblem:
             model,
             seen,
             felt,
-            contacts,
+            fingers,
             prior,
             hand,
             beliefs,
@@ -115,7 +115,7 @@ class JointProblem:
         """Whether something of known shape and place says how wrong depth is: the hand in view, or contacts that hold
         the object; a cloud's points are as they are.
         """
-        held = self.contacts >= self.settings.tying_contacts
+        held = self.fingers >= self.settings.tying_fingers
         return self.hand is not None or self.camera is None or held
 
     def _lay_hand(self, points: Array) -> None:

@@ -78,8 +78,8 @@ class JointSettings:
     # Independent error of the hand's surface (m): joint errors move whole links; and how many of its pixels share it.
     hand_sigma: float = 0.0013
     hand_sharing: float = 6.0
-    # Contacts that hold an object in place: three points. With so many, depth's scale and bias are solved for.
-    tying_contacts: int = 3
+    # Fingers whose contacts hold an object in place: three points. With so many, depth's scale and bias are solved for.
+    tying_fingers: int = 3
     # Blocks of the image, as many as this, within which pixels may share errors that no belief describes; none of a
     # shorter side (px), and the fewest that tell how much they disagree. Of a block left out this share goes: what only
     # it tells is not lost altogether.

@@ -56,6 +56,9 @@ def drawn_by_touch(
     reported, rows, first = felt.contacts, felt.rows, modes[0].pose
     # rows of contacts come first, and have a finger's own errors in their sigmas; those of `rows` may have slack, too
     sigma = np.hypot(felt.reported_rows.rows[: len(reported), SIGMA], slack)
+    # draws take errors for each contact's own: one finger's are as wide as leaves them what they know of its place
+    alone = np.ones(len(sigma)) if felt.shared is None else felt.shared.weights(sigma)
+    sigma = sigma / np.sqrt(alone)
     contacts = Contacts(reported.points, reported.normals, sigma, reported.sigma_normal)
     rest = rows.take(np.arange(len(reported), len(rows)))
     own, size = np.array([mode.pose for mode in modes]), float(np.sqrt(np.mean(sigma**2)))

@@ -141,6 +141,7 @@ def sense(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: 
         model,
         felt.rows,
         contacts,
+        felt.fingers,
         believed,
         predictor,
         sight,
@@ -206,7 +207,7 @@ def solve_together(sensed: Sensed, poses: list[Array], asked: Asked) -> Solved:
     """The joint solution from each of poses (4, 4), the likeliest first: it tells how large shared errors are."""
     settings, pool, hand = asked.settings, sensed.pool, sensed.hand
     shown = [pool.evidence(pose) if pool.predictor.sees else sensed.seen for pose in poses]
-    known = sensed.felt.reported_rows, sensed.contacts, asked.prior, hand, asked.beliefs, settings.joint
+    known = sensed.felt.reported_rows, sensed.felt.fingers, asked.prior, hand, asked.beliefs, settings.joint
     results = solve_modes([JointProblem.of(pool.model, sensed.frame, rows, *known) for rows in shown], poses)
     results = guarded(pool, results, poses, hand, settings)
     return Solved(results, joint_costs(sensed.touched, pool, results, poses, hand, sensed.sight, settings), shown)

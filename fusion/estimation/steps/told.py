@@ -47,7 +47,7 @@ def told(found: Faced, end: Finished, start: Prior | None, trace: Trace) -> Esti
     model, predictor, modes, felt = pool.model, pool.predictor, end.modes, end.felt
     with trace.stage("judge", True, "") as stage:
         pose = modes[0].pose
-        residuals = posterior.contact_residuals(model, felt.contacts, pose, settings.verdict)
+        residuals = posterior.contact_residuals(model, felt.contacts, pose, settings.verdict, felt.of_finger)
         share, rms = posterior.pixel_agreement(model, end.seen, pose)
         seeing = visibility(viewed, model, end.seen_from @ pose, beliefs.depth)
         picture = predictor.predict(pose[None]) if predictor.sees else None

@@ -161,7 +161,7 @@ def _glanced_at(
     prior = loose(predicted.pose, predicted.own, settings)
     fit = fitted(model, near, _touching(felt), start, freed(prior, known.part), how.steps)
     measured = known.measured(model, fit, predicted.pose)
-    residuals = contact_residuals(model, felt.contacts, fit, first.verdict)
+    residuals = contact_residuals(model, felt.contacts, fit, first.verdict, felt.of_finger)
     share, rms = pixel_agreement(model, near, fit)
     sight = float(Sight(frame, model, beliefs.depth, first.sight).costs(fit[None])[0])
     step = se3.difference(measured.pose, predicted.pose, model.centroid)
@@ -243,7 +243,7 @@ def known_of(
     felt = felt.corrected(looked.correction)
     share, _ = pixel_agreement(model, sensed.seen, looked.fit)
     sight = float(Sight(frame, model, beliefs.depth, first.sight).costs(looked.fit[None])[0])
-    off = _apart(contact_residuals(model, felt.contacts, looked.fit, first.verdict))
+    off = _apart(contact_residuals(model, felt.contacts, looked.fit, first.verdict, felt.of_finger))
     return Known(
         frame.index, measured.pose, looked.offset, looked.weight,
         measured.own, measured.shared, measured.biased, measured.hidden, looked.correction, share, sight, off,

@@ -72,7 +72,7 @@ def judge(
     """
     first, pose, hypotheses, sizes = settings.first, belief.pose, found.hypotheses, state.sizes
     contacts = sensed.felt.contacts
-    residuals = posterior.contact_residuals(model, contacts, pose, first.verdict)
+    residuals = posterior.contact_residuals(model, contacts, pose, first.verdict, sensed.felt.of_finger)
     if sensed.told_apart:
         sizes = sizes.learned(solved, residuals, settings.sizes, found.switched)
     belief = state.told(belief, settings.sizes, sizes)

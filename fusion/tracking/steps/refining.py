@@ -94,7 +94,7 @@ def frame_nats(poses: Array, widths: Sequence[Array], sensed: Sensed, settings: 
     contacts = sensed.felt.contacts
     for k, pose in enumerate(poses):
         picture = pool.predictor.predict(pose[None], settings.side)
-        residuals = contact_residuals(pool.model, contacts, pose, first.verdict)
+        residuals = contact_residuals(pool.model, contacts, pose, first.verdict, sensed.felt.of_finger)
         nats = nats_of_contacts(pool.model, sensed.felt.rows, len(contacts), pose)
         mode = (Mode(pose, 1.0, 0.0, widths[k]),)
         right, _ = chances(pool.model, mode, picture, residuals, nats, settings=first.confidence)
@@ -171,8 +171,7 @@ def _solved(
     hand = sensed.looked.hand
     felt = sensed.felt.rows if sensed.placed else sensed.felt.reported_rows
     most_worse = settings.first.most_worse
-    contacts = len(sensed.felt.reported_contacts)
-    problem = JointProblem.of(model, frame, seen, felt, contacts, prior, hand, beliefs, joint)
+    problem = JointProblem.of(model, frame, seen, felt, sensed.felt.fingers, prior, hand, beliefs, joint)
     solved = solve_modes([problem], [start])[0]
     if sensed.pool is None:
         return solved

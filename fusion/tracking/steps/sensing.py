@@ -154,7 +154,7 @@ def pool_near(
     sight = Sight(part, model, beliefs.depth, settings.sight)
     asks = settings.look.rows, settings.proposals, settings.modes, settings.pool
     rng = np.random.default_rng(0)  # nothing is drawn: starts come from the track
-    return Pool(model, felt.rows, contacts, None, predictor, sight, looked, beliefs.depth, rng, *asks)
+    return Pool(model, felt.rows, contacts, felt.fingers, None, predictor, sight, looked, beliefs.depth, rng, *asks)
 
 
 def learn_things(

@@ -427,6 +427,6 @@ def test_blocks_of_the_image_are_numbered_without_gaps(rng, count):
 
 def test_depth_is_tied_by_contacts_and_not_by_rows_of_one(drill):
     felt = evidence.from_contacts(Contacts(drill.sample_surface(12, seed=0)[0]), 4.0)
-    for contacts, tied in ((1, False), (2, False), (3, True)):
-        problem = JointProblem(drill, evidence.empty(), felt, contacts, None, None, Beliefs(), CAMERA)
+    for fingers, tied in ((1, False), (2, False), (3, True)):
+        problem = JointProblem(drill, evidence.empty(), felt, fingers, None, None, Beliefs(), CAMERA)
         assert problem.ties_depth is tied

@@ -67,11 +67,25 @@ def test_a_false_contact_or_two_lose_nothing_that_the_image_shows(drill):
     residuals = contact_residuals(drill, away, np.eye(4))
     assert all(one.outlier for one in residuals)
     shown, unseen = Visibility(0.6, 0.4, 0.0, 0.0), Visibility(0.0, 1.0, 0.0, 0.0)
-    few = VerdictSettings().few_contacts
+    few = VerdictSettings().few_fingers
     assert verdict(drill, (mode,), residuals[:few], 0.95, shown)[0] == "ambiguous"
     assert verdict(drill, (mode,), residuals, 0.95, shown)[0] == "lost"
     assert verdict(drill, (mode,), residuals[:1], 0.95, unseen)[0] == "lost"
     assert verdict(drill, (mode,), residuals[:1], float("nan"), shown)[0] == "lost"
+
+
+def test_taxels_of_a_finger_have_its_one_vote(drill):
+    """Eight taxels of one finger that touched something else are one of four fingers, which say otherwise."""
+    mode = Mode(np.eye(4), 1.0, 0.0, 1e-8 * np.eye(6))
+    points, normals = drill.sample_surface(11, 0)
+    wrong = np.arange(11) < 8
+    felt = Contacts(points + np.where(wrong, 0.03, 0.0)[:, None] * normals, normals, 0.001, 0.1)
+    shown, part = Visibility(0.6, 0.4, 0.0, 0.0), np.where(wrong, 1 / 8, 1.0)
+    by_finger = contact_residuals(drill, felt, np.eye(4), of_finger=part)
+    assert verdict(drill, (mode,), by_finger, 0.95, shown)[0] == "ok"
+    assert verdict(drill, (mode,), contact_residuals(drill, felt, np.eye(4)), 0.95, shown)[0] == "lost"
+    # nor is what the image shows lost for one finger alone
+    assert verdict(drill, (mode,), by_finger[:8], 0.95, shown)[0] == "ambiguous"
 
 
 @pytest.mark.parametrize("count", [2, 4])

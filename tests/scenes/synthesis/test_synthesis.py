@@ -50,6 +50,25 @@ def test_loose_fingers_hide_the_asked_share(name, asked):
     assert len(frame.contacts) == 5
 
 
+def test_a_skin_feels_the_surface_around_each_fingertip():
+    model = library.make("cylinder")
+    skin = replace(SETTINGS, contacts_a_finger=6, skin_reach=0.005)
+    one, several = (
+        synthesize_frames(model, five_finger_hand(), occlusion=0.5, noise=EXACT, seed=7, settings=settings)[0]
+        for settings in (SETTINGS, skin)
+    )
+    assert np.array_equal(one.camera_from_object_truth, several.camera_from_object_truth)
+    fingers = one.contacts.sensors
+    assert sorted(several.contacts.sensors) == sorted(6 * list(fingers))
+    local = poses.apply(poses.inverse(several.camera_from_object_truth), several.contacts.points)
+    assert np.abs(surface_distance(model, local)).max() < 5e-4
+    for name, point, normal in zip(fingers, one.contacts.points, one.contacts.normals, strict=True):
+        of = np.array(several.contacts.sensors) == name
+        apart = np.linalg.norm(several.contacts.points[of] - point, axis=1)
+        assert 0.001 < apart.max() < 0.005
+        assert (several.contacts.normals[of] @ normal > 0.55).all()
+
+
 @pytest.fixture(scope="module")
 def exact_frame():
     return synthesize_frames(
