@@ -246,7 +246,7 @@ def test_how_far_shared_errors_were_moved_is_told_beside_how_many_are_known(dril
     assert told == pytest.approx(len(settled.unknown) - 6 - float(np.trace(covariance[6:, 6:])))
     off = replace(problem, seen=problem.seen.moved(poses.make_pose(None, [0.0, 0.0, 0.006])))
     assert strained(settle(off, pose, Level()))[0] > strain
-    nothing = replace(problem, felt=evidence.empty(), contacts=0)
+    nothing = replace(problem, felt=evidence.empty(), fingers=0)
     assert strained(settle(nothing, pose, Level())) == (0.0, 0.0)  # nothing of known shape ties them
 
 

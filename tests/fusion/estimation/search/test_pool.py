@@ -78,7 +78,7 @@ def test_few_starts_that_explain_what_is_seen_end_the_search(lab_frame, drill):
 
 def test_a_whole_search_knows_nothing_of_a_glance_that_left_a_doubt(sensed, lab_frame):
     pool = replace(sensed.pool, settings=replace(PoolSettings(), least_agree=1.01))
-    pool = replace(pool, felt=tables.empty(), contacts=0, rng=np.random.default_rng(5))
+    pool = replace(pool, felt=tables.empty(), contacts=0, fingers=0, rng=np.random.default_rng(5))
     before = pool.rng.bit_generator.state
     starts = np.tile(lab_frame.camera_from_object_truth, (8, 1, 1))
     assert not glance(pool, sensed.seen, starts, trace := Trace()).why
@@ -90,7 +90,9 @@ def test_a_whole_search_knows_nothing_of_a_glance_that_left_a_doubt(sensed, lab_
 def test_without_touch_a_glance_that_convinces_is_enough_where_the_hand_is_known(
     sensed, lab_frame, monkeypatch, told_apart, enough
 ):
-    pool = replace(sensed.pool, settings=replace(PoolSettings(), glance_shown=1.01), felt=tables.empty(), contacts=0)
+    pool = replace(
+        sensed.pool, settings=replace(PoolSettings(), glance_shown=1.01), felt=tables.empty(), contacts=0, fingers=0
+    )
     monkeypatch.setattr(type(pool.predictor), "told_apart", told_apart)
     starts = np.tile(lab_frame.camera_from_object_truth, (8, 1, 1))
     found = glance(pool, sensed.seen, starts, trace := Trace())
@@ -103,7 +105,7 @@ def test_without_touch_a_glance_that_convinces_is_enough_where_the_hand_is_known
 @pytest.mark.parametrize(("least", "enough"), [(0.1, True), (1.01, False)])
 def test_where_less_agrees_a_glance_is_enough_if_no_turn_is_likelier(sensed, lab_frame, monkeypatch, least, enough):
     settings = replace(PoolSettings(), glance_shown=1.01, glance_enough=least)
-    pool = replace(sensed.pool, settings=settings, felt=tables.empty(), contacts=0)
+    pool = replace(sensed.pool, settings=settings, felt=tables.empty(), contacts=0, fingers=0)
     monkeypatch.setattr(type(pool), "shows_most", lambda own, pose, share=0.0: 0.0 < share < 1.0)
     starts = np.tile(lab_frame.camera_from_object_truth, (8, 1, 1))
     found = glance(pool, sensed.seen, starts, trace := Trace())
@@ -185,7 +187,7 @@ def test_without_a_start_the_whole_objective_says_what_touch_proposes(sensed, la
     assert (np.diff(anywhere.walking(ends)) >= 0.0).all()
     by_touch = costs(drill, anywhere.felt, sensed.pool.by_touch(around, stages), sensed.pool.prior)
     assert by_touch[0] == pytest.approx(by_touch.min(), abs=0.5)
-    assert replace(anywhere, felt=tables.empty(), contacts=0).by_touch(around, stages).shape == (0, 4, 4)
+    assert replace(anywhere, felt=tables.empty(), contacts=0, fingers=0).by_touch(around, stages).shape == (0, 4, 4)
 
 
 def test_very_many_pairs_of_pixels_propose_the_truth(sensed, lab_frame, drill):
@@ -359,7 +361,7 @@ def test_what_little_is_seen_need_not_show_more_where_contacts_hold_the_object(s
     assert pool.tied
     assert pool.convinces((first,))
     assert not replace(pool, prior=None).convinces((first,))
-    assert not replace(pool, felt=tables.empty(), contacts=0).convinces((first,))
+    assert not replace(pool, felt=tables.empty(), contacts=0, fingers=0).convinces((first,))
     monkeypatch.setattr(type(pool.predictor), "told_apart", False)
     assert not pool.convinces((first,))
 
