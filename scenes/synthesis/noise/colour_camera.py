@@ -26,6 +26,8 @@ SHADE_SLACK, LAMP_PIXELS, LAMP_AWAY = 0.004, 900, 2.0
 AMBIENT = (0.3, 0.6)
 # Directions to the lamp: straight from the camera and up to this far beside it (rad).
 LAMP_TILT = float(np.deg2rad(60.0))
+# What a recording's look draws beside its things, which are numbered from 0.
+LAMP, GAINS = 1001, 1002
 
 
 @dataclass(frozen=True)
@@ -55,11 +57,14 @@ class ColourCamera:
 
 @dataclass(frozen=True)
 class ColourErrors:
-    """One camera's: colour_from_depth (4, 4), what nobody knows of it; factor of its focal length; cube of tangents."""
+    """One camera's: colour_from_depth (4, 4), what nobody knows of it; factor of its focal length; cube of tangents.
+    look: seed of what things and their light look like to it, None where every frame draws its own.
+    """
 
     moved: Array
     focal: float
     cubic: float
+    look: int | None = None
 
 
 def draw_colour_errors(camera: ColourCamera, rng: np.random.Generator) -> ColourErrors:
@@ -67,6 +72,11 @@ def draw_colour_errors(camera: ColourCamera, rng: np.random.Generator) -> Colour
     turn = poses.exp_rotation(camera.turn * rng.normal(size=(1, 3)))[0]
     moved = poses.make_pose(turn, camera.shift * rng.normal(size=3))
     return ColourErrors(moved, 1.0 + camera.focal * rng.normal(), camera.cubic * rng.normal())
+
+
+def draw_lasting(camera: ColourCamera, rng: np.random.Generator) -> ColourErrors:
+    """Those of a recording: things keep their colours and patches, the lamp its place, the sensor its gains."""
+    return replace(draw_colour_errors(camera, rng), look=int(rng.integers(2**31)))
 
 
 def colour_image(
@@ -86,11 +96,12 @@ def colour_image(
     view = replace(lens, fx=lens.fx * own.focal, fy=lens.fy * own.focal)
     moved = {name: own.moved @ pose for name, pose in scene.items()}
     rendering = renderer.render(view.scaled(camera.samples), moved)
-    fine = _painted(renderer, rendering, moved, view.scaled(camera.samples), camera, rng)
+    fine = _painted(renderer, rendering, moved, view.scaled(camera.samples), camera, rng, own.look)
     light = np.asarray(cv2.resize(fine, (lens.width, lens.height), interpolation=cv2.INTER_AREA))
     light = _bent(light.astype(np.float32), lens, own.cubic)
     light = np.asarray(cv2.GaussianBlur(light, (0, 0), rng.uniform(*camera.blur)))
-    light = light * rng.uniform(*camera.gains, 3).astype(np.float32)
+    gains = rng if own.look is None else np.random.default_rng([own.look, GAINS])
+    light = light * gains.uniform(*camera.gains, 3).astype(np.float32)
     light = light + np.float32(rng.uniform(*camera.grain)) * rng.standard_normal(light.shape, dtype=np.float32)
     return np.clip(np.rint(light), 0, 255).astype(np.uint8)
 
@@ -102,8 +113,11 @@ def _painted(
     lens: Camera,
     camera: ColourCamera,
     rng: np.random.Generator,
+    look: int | None,
 ) -> NDArray[np.float32]:
-    """(h, w, 3) levels of 255: things in colours and patches of their own under one lamp that throws shades."""
+    """(h, w, 3) levels of 255: things in colours and patches of their own under one lamp that throws shades. look: seed
+    of all of these, None to draw them.
+    """
     seen = rendering.ids >= 0
     names = rendering.names
     points = lens.back_project(rendering.depth, seen)
@@ -115,7 +129,10 @@ def _painted(
             continue
         local = poses.apply(poses.inverse(scene[name]), points[mine])
         size = camera.patch_behind if name in ("background", "table", "wall") else camera.patch
-        colour[mine] = _patches(local, _own_colour(rng), size, camera.patchy, rng)
+        # by its number, for a thing may be out of sight
+        own = rng if look is None else np.random.default_rng([look, index])
+        colour[mine] = _patches(local, _own_colour(own), size, camera.patchy, own)
+    rng = rng if look is None else np.random.default_rng([look, LAMP])
     ambient = rng.uniform(*AMBIENT)
     tilt, turn = LAMP_TILT * np.sqrt(rng.uniform()), rng.uniform(0.0, 2.0 * np.pi)
     toward = np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), -np.cos(tilt)])

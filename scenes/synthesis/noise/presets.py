@@ -15,7 +15,7 @@ from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.geometry.rendering import Rendering
 from scenes.recordings.frames import DEFAULT_SIGMA_NORMAL, DEFAULT_SIGMA_POINT, Contacts
-from scenes.synthesis.noise.colour_camera import ColourCamera, ColourErrors, draw_colour_errors
+from scenes.synthesis.noise.colour_camera import ColourCamera, ColourErrors, draw_lasting
 from scenes.synthesis.noise.depth import (
     DepthErrors,
     DepthNoise,
@@ -299,7 +299,7 @@ def draw_lasting_errors(
         noise.touch.offset * rng.normal(),
         {name: noise.touch.shape * rng.normal() for name in sensors},
         {name: step * rng.normal(size=6) for name in sensors},
-        None if noise.colour is None else draw_colour_errors(noise.colour, rng),
+        None if noise.colour is None else draw_lasting(noise.colour, rng),
     )
 
 

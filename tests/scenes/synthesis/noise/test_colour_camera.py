@@ -79,7 +79,8 @@ def test_calibrations_are_off_by_one_to_three_pixels():
     assert np.std([one.focal for one in drawn]) == pytest.approx(camera.focal, rel=0.2)
 
 
-def test_things_have_patches_and_one_throws_its_shade():
+def before_a_wall():
+    """A box 0.2 m before a wall."""
     model = library.make("box")
     renderer = Renderer({"object": (model.vertices, model.faces)})
     wall = 2.0 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
@@ -88,6 +89,11 @@ def test_things_have_patches_and_one_throws_its_shade():
         "object": poses.make_pose(np.eye(3), [0.0, 0, 0.5]),
         "background": poses.make_pose(np.eye(3), [0.0, 0, 0.7]),
     }
+    return renderer, scene
+
+
+def test_things_have_patches_and_one_throws_its_shade():
+    renderer, scene = before_a_wall()
     ground = ~renderer.render(LENS, scene).mask("object")
     plain = [colour_image(renderer, scene, LENS, PLAIN, np.random.default_rng(s), EXACT)[ground] for s in range(8)]
     # a shade is a part of the ground, darker than the rest
@@ -96,6 +102,19 @@ def test_things_have_patches_and_one_throws_its_shade():
     assert max(shares) < 0.5
     patchy = colour_image(renderer, scene, LENS, ColourCamera(), np.random.default_rng(0), EXACT)
     assert patchy[ground].astype(float).std(axis=0).max() > 5.0
+
+
+def test_what_things_look_like_lasts_through_a_recording():
+    """Blur and grain are each frame's own; colours, patches and light are not."""
+    camera = ColourCamera(grain=(0.5, 0.5), blur=(0.7, 0.7))
+    renderer, scene = staged()
+    lasting = replace(EXACT, look=5)
+    first, second, own = (
+        colour_image(renderer, scene, LENS, camera, np.random.default_rng(seed), errors).astype(float)
+        for seed, errors in ((0, lasting), (1, lasting), (1, EXACT))
+    )
+    assert np.abs(first - second).mean() < 1.0
+    assert np.abs(first - own).mean() > 10.0
 
 
 def test_a_recording_has_one_calibration_and_frames_their_own():
