@@ -23,6 +23,7 @@ from fusion.tracking.state import GlanceSettings, RenewalSettings
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
 from vision.look.warm import WarmLookSettings
+from vision.tracking.by_image import MarkSettings
 from vision.tracking.by_vision import VelocitySettings
 
 Array = NDArray[np.float64]
@@ -57,6 +58,7 @@ class TrackSettings:
     way_round: bool = True
     look: WarmLookSettings = field(default_factory=WarmLookSettings)
     velocity: VelocitySettings = field(default_factory=VelocitySettings)
+    marks: MarkSettings = field(default_factory=MarkSettings)
     hand: HandMotionSettings = field(default_factory=HandMotionSettings)
     slip: WatchSettings = field(default_factory=WatchSettings)
     # Blur (m) of the first of two passes: as wide as a slip in one frame.

@@ -24,6 +24,7 @@ from fusion.tracking.touched import Touched
 from fusion.tracking.untold import Untold
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
+from vision.tracking.by_image import Marks
 from vision.tracking.by_vision import FASTEST, FASTEST_TURN, VelocitySettings
 
 Array = NDArray[np.float64]
@@ -170,7 +171,8 @@ class TrackState:
     frame must be looked at so; correction (4, 4) camera_from_camera of what the robot reports, as the last joint
     solution has it where no pixels of the hand tell: a calibration stays; None before; lens (4,): focal lengths (px,
     and shares of the image) of the last image looked at, and lens_for: images since, which had others; touched: what
-    the fingers have felt of it last, None where there is no hand or they have not; released: the hand has let go.
+    the fingers have felt of it last, None where there is no hand or they have not; marks: on its surface in the last
+    colour image, where no hand tells how it moves; released: the hand has let go.
     """
 
     belief: Belief | None = None
@@ -195,12 +197,13 @@ class TrackState:
     lens: Array | None = None
     lens_for: int = 0
     touched: Touched | None = None
+    marks: Marks | None = None
     released: bool = False
 
     def forget(self, settings: SizeSettings) -> None:
         """What looks at an object have taught, whose place is begun anew."""
         self.things, self.untold, self.jumps = Occluders(), Untold(), Jumps()
-        self.touched = None
+        self.touched = self.marks = None
         self.sizes = self.sizes.faded(settings)
 
     def holding(

@@ -38,6 +38,7 @@ from fusion.tracking.steps.contradicting import NOT_HERE, without_strangers
 from fusion.tracking.steps.glancing import as_judged, glance, known_of, may_glance, steadied
 from fusion.tracking.steps.judging import as_believed, as_followed, as_learned, judge
 from fusion.tracking.steps.lens import through_one_lens
+from fusion.tracking.steps.marking import Shown, mark, shown_motion
 from fusion.tracking.steps.outlining import with_outline
 from fusion.tracking.steps.predicting import as_moved, predict
 from fusion.tracking.steps.printed import as_before, as_printed
@@ -157,8 +158,6 @@ class Tracker:
         unused = *unused, *unused_touch(self._felt_frame(frame), self.settings.first.touch)
         return replace(answer, notes=tuple(dict.fromkeys((*answer.notes, *unused)))) if unused else answer
 
-    # --- beginning, beginning again, and asking whether the beginning was right
-
     def _begin(self, frame: Frame) -> TrackedEstimate:
         if self.live:
             built_pair_table(self.model)  # a search beside the frames would build it, and keep them waiting
@@ -255,8 +254,6 @@ class Tracker:
         how = self.settings.first  # and beliefs as they were told: each frame widens them by its camera's noise
         return estimate(frame, self.model, prior, self._senses, seed=self._seed, settings=how, beliefs=self._asked)
 
-    # --- one frame
-
     def _follow(self, frame: Frame, belief: Belief, briefly: bool, there: Array | None = None) -> TrackedEstimate:
         """Predict, look, solve, judge; at a glance only where that may be brief. there: a pose (4, 4), that it was
         solved to, farther from the prediction than that knew: it is looked at once more from there.
@@ -266,13 +263,14 @@ class Tracker:
         with trace.stage("predict", True, "") as stage:
             moving = self._velocity, self._hand_motion, self._watch
             right = state.corrected(self._looker.correction)
-            ahead = predict(model, frame, belief, state, *moving, beliefs.calibration, right)
+            flow = shown_motion(model, frame, belief, state, self._velocity, s.marks)
+            ahead = predict(model, frame, belief, state, *moving, beliefs.calibration, right, flow)
             near = ahead if there is None else as_moved(model, ahead, there)
             predicted, carried = near.belief, near.hypotheses
             stage.note(0, near.why)
         viewed = frame if "vision" in self._senses else frame.without_vision()
         if briefly and not self._watch.settling and may_glance(viewed, state, carried, s):
-            glanced = self._glance(frame, viewed, predicted, carried, trace)
+            glanced = self._glance(frame, viewed, predicted, carried, trace, flow)
             if glanced is not None:
                 return glanced
         with trace.stage("look", "vision" in self._senses, "vision not asked for") as stage:
@@ -340,11 +338,12 @@ class Tracker:
             settled = not found.switched and frame.index == state.index
             state.known = known_of(model, common, now, said, beliefs, s) if settled else None
             learn_things(model, sensed, state, belief.pose, found.switched, s)
+            mark(model, sensed, belief.pose, None if found.switched else flow, state, s.marks)
         answer = as_followed(frame, belief, predicted, said, watched, replace(sensed, felt=felt), trace.stages, s)
         return self._believed(answer) if answer.how == "tracked" else answer
 
     def _glance(
-        self, frame: Frame, viewed: Frame, predicted: Belief, carried: Hypotheses, trace: Trace
+        self, frame: Frame, viewed: Frame, predicted: Belief, carried: Hypotheses, trace: Trace, flow: Shown | None
     ) -> TrackedEstimate | None:
         """The frame by a glance; None when it must be looked at in full."""
         state, s = self._state, self.settings
@@ -363,6 +362,7 @@ class Tracker:
             belief, watched = self._updated(frame, predicted, found.measured, False, felt)
             said = as_judged(self.model, known, carried, state.told(belief, s.sizes), found, s)
         self._accept(frame, felt, belief, carried, found.share)
+        mark(self.model, found.sensed, belief.pose, flow, state, s.marks)
         return self._believed(as_followed(frame, belief, predicted, said, watched, found.sensed, trace.stages, s))
 
     def _felt_frame(self, frame: Frame) -> Frame:

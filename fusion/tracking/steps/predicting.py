@@ -13,6 +13,7 @@ from fusion.tracking.hypotheses import Hypotheses
 from fusion.tracking.motion import HandMotion, calibration_drift, drift_since
 from fusion.tracking.slip import SlipWatch
 from fusion.tracking.state import TrackState
+from fusion.tracking.steps.marking import Shown
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import CalibrationModel
@@ -42,19 +43,25 @@ def predict(
     watch: SlipWatch,
     calibration: CalibrationModel,
     correction: Array | None,
+    shown: Shown | None = None,
 ) -> Predicted:
-    """With the palm and the fingertips where the robot tells of them, else at the last velocity; `watch` is told.
+    """With the palm and the fingertips where the robot tells of them, else at the last velocity and as its image is
+    `shown` to have moved; `watch` is told.
 
     correction (4, 4): camera_from_camera of what the robot reports, as the image has shown it; None where it has not.
     """
     now = camera_from_hand(frame)
     if state.hand is None or now is None:
         pose, noise = velocity.predict(frame.index)
+        why = "at its last velocity"
+        if shown is not None:
+            pose, noise = shown.beside(model, belief.pose, pose, noise)
+            why = f"as {len(shown.marks.uv)} marks in the image have moved"
         motion = pose @ se3.inverse(belief.pose)
         watch.restart()  # nothing holds it that could lose it
         moved = replace(belief.moved(motion), pose=pose)
         carried = several.moved(state.hypotheses, motion)
-        return Predicted(replace(moved, own=moved.own + noise), carried, "at its last velocity")
+        return Predicted(replace(moved, own=moved.own + noise), carried, why)
     before, right = state.hand.camera_from_hand, np.eye(4) if correction is None else correction
     told = state.seen_at is None or np.array_equal(state.seen_at, before)
     before, now = right @ before, right @ now

@@ -107,7 +107,7 @@ def test_things_have_patches_and_one_throws_its_shade():
 def test_what_things_look_like_lasts_through_a_recording():
     """Blur and grain are each frame's own; colours, patches and light are not."""
     camera = ColourCamera(grain=(0.5, 0.5), blur=(0.7, 0.7))
-    renderer, scene = staged()
+    renderer, scene = before_a_wall()
     lasting = replace(EXACT, look=5)
     first, second, own = (
         colour_image(renderer, scene, LENS, camera, np.random.default_rng(seed), errors).astype(float)
