@@ -33,8 +33,8 @@ from vision.picture.shown_kernels import shown_rays
 
 Array = NDArray[np.float64]
 
-# So many poses, or fewer, are asked for again: those that are solved together, before and after.
-_FEW = 8
+# So many poses, or fewer, are asked for again: those that are solved together, before and after; twelve or so at most.
+_FEW = 16
 # Stands for an image that is not there.
 _NO_IMAGE = np.zeros((0, 0))
 _NO_PIECES = np.zeros((0, 0), dtype=np.int64)
