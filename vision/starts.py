@@ -2,7 +2,8 @@
 
 Two kinds. Pairs of pixels with normals are matched to pairs of the object's surface that look alike (Drost et al.,
 CVPR 2010; see scenes.evidence.point_pairs): few are needed where the shape tells. Even rotations behind random pixels
-do where normals tell nothing. All are looked at once, on few rows of evidence, and only the best that differ are moved.
+do where normals tell nothing. All are looked at once by what the camera sees past them, those that may be among the
+best on few rows of evidence, too, and only the best that differ are moved.
 """
 
 from __future__ import annotations
