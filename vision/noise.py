@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from scenes.recordings.beliefs import LARGEST, Beliefs, DepthModel
 from scenes.recordings.frames import Frame
 from vision import noise_kernels
+from vision.look.pixels import quantile
 
 # What grows with the noise.
 NOISY = ("axial_floor", "axial_growth", "bias_sigma")
@@ -52,7 +53,7 @@ def noise_ratio(depth: ArrayLike, believed: DepthModel, settings: NoiseSettings 
     if count < s.fewest:
         return float("nan")
     scatter, z = found[:count].T
-    return float(np.quantile(scatter / believed.independent_sigma(z), s.flat))
+    return quantile(scatter / believed.independent_sigma(z), s.flat)
 
 
 def believed_of(frame: Frame, beliefs: Beliefs, settings: NoiseSettings | None = None) -> Beliefs:

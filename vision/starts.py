@@ -2,20 +2,22 @@
 
 Two kinds. Pairs of pixels with normals are matched to pairs of the object's surface that look alike (Drost et al.,
 CVPR 2010; see scenes.evidence.point_pairs): few are needed where the shape tells. Even rotations behind random pixels
-do where normals tell nothing. All are looked at once, on few rows of evidence, and only the best that differ are moved.
+do where normals tell nothing. All are looked at once by what the camera sees past them, those that may be among the
+best on few rows of evidence, too, and only the best that differ are moved.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenes.evidence.align import AlignSettings, costs
 from scenes.evidence.point_pairs import pair_table
-from scenes.evidence.search import first_of_cells, rotation_grid, thin
+from scenes.evidence.search import best_that_differ, first_of_cells, rotation_grid, thin
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.cameras import Camera
@@ -198,8 +200,9 @@ def seen_starts(
             continue
         blur = float(np.clip(share * model.radius, low, high))
         how = AlignSettings(blur=blur, blur_normal=0.5)
-        merit = costs(model, few, candidates, settings=how) + rank(candidates, blur)
-        kept.append(candidates[different(model, candidates, merit, settings)[:keep]])
+        past, fit = rank(candidates, blur), partial(costs, model, few, settings=how)
+        differ = partial(different, model, settings=settings)
+        kept.append(candidates[best_that_differ(candidates, past, fit, differ, keep)[0]])
     return np.concatenate(kept)
 
 

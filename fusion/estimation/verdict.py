@@ -187,11 +187,11 @@ def open_directions(
     own = model.symmetries.quotient(rotation, model.centroid)
     doubtful = own @ covariance @ own.T
     found = []
-    for block, limit, word in (
-        (slice(0, 3), settings.unknown_angle, "rotation about"),
-        (slice(3, 6), settings.unknown_distance, "translation along"),
-    ):
-        values, vectors = np.linalg.eigh(rotation.T @ doubtful[block, block] @ rotation)
+    spreads, axes = np.linalg.eigh(
+        np.array([rotation.T @ doubtful[block, block] @ rotation for block in (slice(0, 3), slice(3, 6))])
+    )
+    limits = (settings.unknown_angle, "rotation about"), (settings.unknown_distance, "translation along")
+    for values, vectors, (limit, word) in zip(spreads, axes, limits):
         for value, vector in zip(values, vectors.T):
             if np.sqrt(max(value, 0.0)) > limit:
                 turns = word == "rotation about" and tolerance > 0.0

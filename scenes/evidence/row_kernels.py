@@ -61,14 +61,13 @@ def robust(s, gate, floor, huber):
 def prepare(rows, blur, blur_normal):
     """(n, PREPARED) rows for the kernels from a table (n, COLUMNS) of evidence, under blurs in m and rad."""
     out = np.zeros((rows.shape[0], PREPARED))
+    lay_floors(rows, out[:, FLOOR_ABOVE : FLOOR_BELOW + 1])
     for n in range(rows.shape[0]):
         for i in range(COLUMNS):
             out[n, i] = rows[n, i]
         out[n, INVERSE] = 1.0 / math.sqrt(rows[n, SIGMA] * rows[n, SIGMA] + blur * blur)
         sigma_normal = rows[n, SIGMA_NORMAL]
         out[n, NARROW] = sigma_normal * sigma_normal + blur_normal * blur_normal if sigma_normal > 0.0 else 0.0
-        out[n, FLOOR_ABOVE] = loss_floor(rows[n, GATE_ABOVE])
-        out[n, FLOOR_BELOW] = loss_floor(rows[n, GATE_BELOW])
     return out
 
 
@@ -76,10 +75,21 @@ def prepare(rows, blur, blur_normal):
 def loss_floors(rows):
     """(n, 2) loss_floor of a table's gates above and below."""
     out = np.zeros((rows.shape[0], 2))
-    for n in range(rows.shape[0]):
-        out[n, 0] = loss_floor(rows[n, GATE_ABOVE])
-        out[n, 1] = loss_floor(rows[n, GATE_BELOW])
+    lay_floors(rows, out)
     return out
+
+
+@numba.njit(cache=True, nogil=True, **LENT)
+def lay_floors(rows, out):
+    """Fill out (n, 2) with `loss_floors`: one for all rows that follow one another and have the same gate."""
+    for side in range(2):
+        column = GATE_BELOW if side else GATE_ABOVE
+        last, floor = math.nan, 0.0
+        for n in range(rows.shape[0]):
+            if rows[n, column] != last:
+                last = rows[n, column]
+                floor = loss_floor(last)
+            out[n, side] = floor
 
 
 @numba.njit(inline="always")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,12 +126,13 @@ def search(
         )
         if stage.iterations:
             result = align(model, rows, poses, prior, how)
+            ranked = result.costs if rank is None else result.costs + rank(result.poses, stage.blur)
+            result = result.take(distinct_first(model, replace(result, costs=ranked), stage.keep))
         else:
-            steps = np.zeros(len(poses), dtype=np.int64)
-            result = Alignment(poses, costs(model, rows, poses, prior, how), np.zeros((len(poses), 6, 6)), steps)
-        ranked = result.costs if rank is None else result.costs + rank(result.poses, stage.blur)
-        order = distinct_first(model, replace(result, costs=ranked), stage.keep)
-        result = result.take(order)
+            known = np.zeros(len(poses)) if rank is None else rank(poses, stage.blur)
+            fit, differ = partial(costs, model, rows, prior=prior, settings=how), partial(_distinct, model)
+            best, at = best_that_differ(poses, known, fit, differ, stage.keep)
+            result = Alignment(poses[best], at, np.zeros((len(best), 6, 6)), np.zeros(len(best), dtype=np.int64))
         if apart > 0.0:
             result = result.take(leaders(model, result.poses, apart)[0])
         poses = result.poses
@@ -139,12 +141,43 @@ def search(
     return result
 
 
+def best_that_differ(
+    poses: Array,
+    known: Array,
+    costly: Callable[[Array], Array],
+    differ: Callable[[Array, Array], NDArray[np.intp]],
+    keep: int,
+) -> tuple[NDArray[np.intp], Array]:
+    """The first `keep` of the indices differ(poses, known + costly(poses)), the best first, and what is costly of them.
+
+    That is nowhere below 0, so that poses (n, 4, 4) of which known (n,) is more than the last of the best costs are not
+    asked about.
+    """
+    found, is_asked = np.zeros(len(poses)), np.zeros(len(poses), dtype=bool)
+    fresh = np.argsort(known, kind="stable")[: keep + keep // 2] if known.any() else np.arange(len(poses))
+    while True:
+        found[fresh] = costly(poses[fresh])
+        is_asked[fresh] = True
+        asked = np.flatnonzero(is_asked)
+        best = asked[differ(poses[asked], found[asked] + known[asked])[:keep]]
+        last = found[best[-1]] + known[best[-1]] if len(best) == keep else np.inf
+        # rounding may have a loss a little below 0
+        fresh = np.flatnonzero(~is_asked & (known <= last + 1e-6))
+        if not len(fresh):
+            return best, found[best]
+
+
 def distinct_first(model: ObjectModel, result: Alignment, keep: int) -> NDArray[np.intp]:
     """Indices of the best `keep` poses, those that fell onto the same minimum counted once: starts that reached one
     agree far better than to a thousandth of the radius and a hundredth in rotation, and different minima almost never
     do.
     """
-    return first_of_cells(model, result.poses, np.argsort(result.costs, kind="stable"), 1e-3, 1e-2)[:keep]
+    return _distinct(model, result.poses, result.costs)[:keep]
+
+
+def _distinct(model: ObjectModel, poses: Array, at: Array) -> NDArray[np.intp]:
+    """`distinct_first` of poses (n, 4, 4) that cost so much, at (n,)."""
+    return first_of_cells(model, poses, np.argsort(at, kind="stable"), 1e-3, 1e-2)
 
 
 def first_of_cells(

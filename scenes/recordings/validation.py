@@ -274,7 +274,7 @@ def scale_problem(frame: Frame, model: ObjectModel) -> str | None:
     points = frame.contacts.points
     if len(points) > 1:
         # of most: a fingertip that reports nonsense is one contact that is false, a unit mistaken moves them all
-        middle = np.array([_quantile(places, 0.5) for places in points.T])
+        middle = _middle(points)
         extent = 2.0 * _quantile(np.linalg.norm(points - middle, axis=1), 0.5)
         if extent > SUSPICIOUS_RATIO * diameter:
             return _says("contacts spread over", extent, "an object of", diameter)
@@ -302,7 +302,7 @@ def _far_hand(frame: Frame) -> str | None:
         return None
     place = frame.world_from_hand[:3, 3]
     seen_from = [] if frame.camera is None else [("the camera", poses.inverse(frame.camera_from_world)[:3, 3])]
-    felt = [("the contacts", np.median(frame.contacts.points, axis=0))] if len(frame.contacts) else []
+    felt = [("the contacts", _middle(frame.contacts.points))] if len(frame.contacts) else []
     for what, other in (*seen_from, *felt):
         away = float(np.linalg.norm(place - other))
         if away > FARTHEST_HELD:
@@ -359,6 +359,11 @@ def _quantile(values: NDArray, share: float) -> float:
     high = min(low + 1, len(values) - 1)
     parted = np.partition(values, (low, high))
     return float(parted[low]) + (place - low) * (float(parted[high]) - float(parted[low]))
+
+
+def _middle(points: Array) -> Array:
+    """(3,) median of points (n, 3), axis by axis."""
+    return np.array([_quantile(places, 0.5) for places in points.T])
 
 
 def _says(what: str, size: float, other: str, reference: float, hint: str | None = None) -> str:

@@ -15,6 +15,7 @@ from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
 from vision.look.look import LookSettings, among_others, large_planes, look
 from vision.look.mask.mask import connected_pieces, exceeds, object_mask
+from vision.look.mask.piece_kernels import sizes_of
 from vision.look.mask.planes import find_plane, find_planes, on_planes
 from vision.look.mask.settings import MaskSettings
 from vision.look.pixels import read_pixels
@@ -78,6 +79,9 @@ def test_a_piece_longer_than_the_object_is_not_it(cylinder):
     for share, longer in ((0.9, False), (1.1, False), (1.4, True)):
         frame, mask = wide_frame(share * cylinder.diameter)
         assert exceeds(mask, frame, cylinder, MaskSettings()) == longer
+        # wherever it is in the image
+        moved = replace(frame, depth=np.roll(frame.depth, (70, -5), axis=(0, 1)))
+        assert exceeds(np.roll(mask, (70, -5), axis=(0, 1)), moved, cylinder, MaskSettings()) == longer
     assert not exceeds(np.zeros_like(mask), frame, cylinder, MaskSettings())
 
 
@@ -212,7 +216,10 @@ def test_pieces_are_those_of_a_graph_of_neighbours(rng):
         expected = np.full(z.shape, -1)
         expected[candidates] = order[np.searchsorted(np.unique(labels[candidates]), labels[candidates])]
         np.testing.assert_array_equal(connected_pieces(z, candidates, settings), expected)
-    assert (connected_pieces(z, np.zeros(z.shape, dtype=bool), settings) == -1).all()
+        np.testing.assert_array_equal(sizes_of(expected), np.unique(expected[candidates], return_counts=True)[1])
+    none = connected_pieces(z, np.zeros(z.shape, dtype=bool), settings)
+    assert (none == -1).all()
+    assert len(sizes_of(none)) == 0
 
 
 def test_points_on_planes_are_those_of_plain_arrays(rng):

@@ -8,7 +8,7 @@ from scenes.recordings.beliefs import DepthModel
 from vision.look.mask.planes import for_kernels, on_planes
 from vision.look.mask.settings import MaskSettings
 from vision.look.pixel_kernels import CHOSEN, OTHER
-from vision.look.pixels import Pixels, Region, read_pixels, sort_pixels
+from vision.look.pixels import Pixels, Region, quantile, read_pixels, sort_pixels
 
 CAMERA = Camera(110.0, 120.0, 41.2, 28.9, 80, 60)
 BOXES = [(0, 0, 80, 60), (7, 3, 64, 51), (5, 5, 5, 9)]
@@ -61,3 +61,11 @@ def same(a: Pixels, b: Pixels) -> None:
     assert np.array_equal(a.uv, b.uv)
     assert np.array_equal(a.points, b.points)
     assert a.area == b.area
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 300])
+@pytest.mark.parametrize("share", [0.0, 0.25, 0.5, 0.985, 1.0])
+def test_a_quantile_is_numpys_to_the_last_bit(rng, count, share):
+    for _ in range(20):
+        values = rng.normal(size=count)
+        assert quantile(values, share) == np.quantile(values, share)

@@ -119,7 +119,7 @@ def look(
     if not settings.tidy or start is not None or frame.mask is not None or hand is None or not len(hand.points):
         return _sorted(frame, region, frame.mask, hand, settings)
     mask = object_mask(frame, model, beliefs, settings=settings.mask, view=hand)
-    if int(mask.sum()) < settings.least_masked:
+    if np.count_nonzero(mask) < settings.least_masked:
         bare = _sorted(frame, region, None, hand, settings)
         return replace(bare, how="; no piece of an object near the hand")
     if not len(frame.contacts) and exceeds(mask, frame, model, settings.mask):

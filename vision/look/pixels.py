@@ -78,7 +78,7 @@ def read_pixels(
     u0, v0, u1, v1 = box
     area = (u1 - u0) * (v1 - v0)
     if mask is not None:
-        area = int(mask[v0:v1, u0:u1].sum())
+        area = int(np.count_nonzero(mask[v0:v1, u0:u1]))
     stride = max(1, int(np.ceil(np.sqrt(area / most))))
     room = min(area, max(0, -(-(u1 - u0) // stride)) * max(0, -(-(v1 - v0) // stride)))
     uv, points = np.zeros((room, 2), dtype=np.int64), np.zeros((room, 3))
@@ -136,3 +136,13 @@ def median(values: NDArray) -> NDArray:
     half, even = len(values) // 2, len(values) % 2 == 0
     parted = np.partition(values, (half - 1, half) if even else half, axis=0)
     return np.asarray((parted[half - 1] + parted[half]) / 2 if even else parted[half])
+
+
+def quantile(values: NDArray, share: float) -> float:
+    """What a share of at least one finite value (n,) is below: NumPy's bits, whose own way takes many times as long."""
+    place = share * (len(values) - 1)
+    low = int(place)
+    parted, part = np.partition(values, (low, min(low + 1, len(values) - 1))), place - low
+    first, second = float(parted[low]), float(parted[min(low + 1, len(values) - 1)])
+    # the nearer of the two is begun at: each is met exactly
+    return first + (second - first) * part if part < 0.5 else second - (second - first) * (1.0 - part)

@@ -33,8 +33,8 @@ from vision.picture.shown_kernels import shown_rays
 
 Array = NDArray[np.float64]
 
-# So many poses, or fewer, are asked for again: those that are solved together, before and after.
-_FEW = 8
+# So many poses, or fewer, are asked for again: those that are solved together, before and after; twelve or so at most.
+_FEW = 16
 # Stands for an image that is not there.
 _NO_IMAGE = np.zeros((0, 0))
 _NO_PIECES = np.zeros((0, 0), dtype=np.int64)
@@ -310,10 +310,12 @@ class Predictor:
 
     def _as_told(self, candidates: Array, nats: Array) -> Array:
         """Nats (n,) of poses (n, 4, 4) as far as depth resolves the object at their distance, and what is believed of
-        that distance.
+        that distance; as they are where it is no farther than `resolved_to`.
         """
         s = self.settings
         z = candidates[:, 2, :3] @ self.model.centroid + candidates[:, 2, 3]
+        if not (z > s.resolved_to).any():
+            return nats
         beyond = np.maximum(z, s.resolved_to)
         told = np.log1p(self.model.radius / self._tolerance(beyond)) / self._told_near
         return np.asarray(told * nats + s.places * np.log(beyond / s.resolved_to))

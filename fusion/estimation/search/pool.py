@@ -267,7 +267,9 @@ class Pool:
         best = best[: most or s.fitted]
         tried = Alignment(candidates[best], at[best], np.zeros((len(best), 6, 6)), np.zeros(len(best), int))
         for turn, side in enumerate(s.sides):
-            tried = self.among(self._fitted(tried, side, turn == 0)) if len(tried.poses) else tried
+            # what took no step in the round before stays where it is
+            if len(tried.poses) and (turn == 0 or tried.iterations.any()):
+                tried = self.among(self._fitted(tried, side, turn == 0))
         return tried if known is None else self.among(known.joined(tried))
 
     def among(self, tried: Alignment) -> Alignment:

@@ -182,25 +182,21 @@ def expected(after: Settled, level: Level) -> Expected:
     return Expected(se3.perturb(after.pose, step[POSE], system.problem.model.centroid), -cost - 0.5 * log_det)
 
 
-def rigs_beside(after: Settled, levels: list[float]) -> list[tuple[Array, float]]:
-    """How far (6,) the pose would be moved, and by how much more log evidence there would be, for each of other sizes
-    of calibration and scale than a solution's: as `expected`, its bias marginalised once.
+def rigs_beside(after: Settled, levels: list[float]) -> tuple[Array, Array]:
+    """How far (k, 6) the pose would be moved, and by how much more log evidence (k,) there would be, for each of other
+    sizes of calibration and scale than a solution's: as `expected`, its bias marginalised once.
     """
     width, own = after.system.width[:FIXED], after.unknown[:FIXED]
     whole = after.normal + np.diag(after.system.width)
     ties = whole[:FIXED, FIXED:]
     kept = whole[:FIXED, :FIXED] - ties @ np.linalg.solve(whole[FIXED:, FIXED:], ties.T)
-    before = float(np.linalg.slogdet(kept)[1])
-    out: list[tuple[Array, float]] = []
-    for level in levels:
-        ratio, prior = level / after.level.rig, np.zeros(FIXED)
-        prior[6:] = ratio**-2.0 - 1.0
-        there = kept + np.diag(prior)
-        step = np.asarray(np.linalg.solve(there, -prior * own), dtype=np.float64)
-        costlier = 0.5 * float(step @ kept @ step - width @ step**2 + prior @ (own + step) ** 2)
-        log_det = float(np.linalg.slogdet(there)[1]) + 2.0 * (FIXED - 6) * float(np.log(ratio)) - before
-        out.append((step[POSE], -costlier - 0.5 * log_det))
-    return out
+    ratios, priors = [level / after.level.rig for level in levels], np.zeros((len(levels), FIXED))
+    priors[:, 6:] = np.array([ratio**-2.0 - 1.0 for ratio in ratios])[:, None]
+    there = kept + priors[:, :, None] * np.eye(FIXED)
+    steps = np.asarray(np.linalg.solve(there, (-priors * own)[:, :, None]), dtype=np.float64)[:, :, 0]
+    costlier = np.array([s @ kept @ s - width @ s**2 + prior @ (own + s) ** 2 for s, prior in zip(steps, priors)])
+    log_dets = np.linalg.slogdet(there)[1] + 2.0 * (FIXED - 6) * np.log(ratios) - np.linalg.slogdet(kept)[1]
+    return steps[:, POSE], -0.5 * costlier - 0.5 * log_dets
 
 
 def answered(settled: Settled) -> JointResult:

@@ -12,12 +12,12 @@ import math
 import numba
 import numpy as np
 
-from scenes._numba import FUSED, LENT
+from scenes._numba import FUSED, LENT, fused
 from scenes.evidence.kernels import cost_terms
 from scenes.evidence.prior_kernels import prior_terms
 from scenes.evidence.row_kernels import robust
 from scenes.evidence.table import FACING, GATE_ABOVE, GATE_BELOW, OFFSET
-from scenes.geometry.lattice import distance_at, led_back_at
+from scenes.geometry.lattice import distance_at, led_back_at, seen_distance_at
 from scenes.geometry.rotation_kernels import exp_times
 
 # Rows that belong to the object with less than this weight say nothing: most free space is far from it.
@@ -127,6 +127,41 @@ def vision_rows(
     return total, k
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy", **LENT)
+def surface_met(lattice, rows, is_pixel, rotation, middle, normals, cosines):
+    """Fill, of rows that are pixels, normals (n, 3) of the surface met, object frame, and the incidence's cosines (n,).
+
+    lattice, rows, is_pixel, rotation, middle: as of vision_rows.
+    """
+    values, origin, spacing, lead, centroid = lattice
+    for n in range(rows.shape[0]):
+        if not is_pixel[n]:
+            continue
+        x, y, z = rows[n, 0] - middle[0], rows[n, 1] - middle[1], rows[n, 2] - middle[2]
+        qx, qy, qz = turned_back(rotation, x, y, z)
+        a, b, c = rows[n, 3], rows[n, 4], rows[n, 5]
+        vx, vy, vz = turned_back(rotation, a, b, c)
+        qx, qy, qz = qx + centroid[0], qy + centroid[1], qz + centroid[2]
+        _, gx, gy, gz = seen_distance_at(values, origin, spacing, lead, qx, qy, qz, vx, vy, vz)
+        length = max(math.sqrt((gx * gx + gz * gz) + gy * gy), 1e-9)
+        gx, gy, gz = gx / length, gy / length, gz / length
+        normals[n, 0], normals[n, 1], normals[n, 2] = gx, gy, gz
+        x = fused(gz, rotation[0, 2], fused(gy, rotation[0, 1], gx * rotation[0, 0]))
+        y = fused(gz, rotation[1, 2], fused(gy, rotation[1, 1], gx * rotation[1, 0]))
+        z = fused(gz, rotation[2, 2], fused(gy, rotation[2, 1], gx * rotation[2, 0]))
+        cosines[n] = -((x * a + z * c) + y * b)
+
+
+@numba.njit(inline="always")
+def turned_back(rotation, x, y, z):
+    """A vector in the frame that a rotation (3, 3) turns from, with the bits of NumPy's product."""
+    return (
+        fused(z, rotation[2, 0], fused(y, rotation[1, 0], x * rotation[0, 0])),
+        fused(z, rotation[2, 1], fused(y, rotation[1, 1], x * rotation[0, 1])),
+        fused(z, rotation[2, 2], fused(y, rotation[1, 2], x * rotation[0, 2])),
+    )
+
+
 @numba.njit(cache=True, nogil=True)
 def touch_rows(lattice, rows, bend, rotation, middle, xi, centre, prior, hessian, gradient, scratch):
     """Cost of prepared touch rows (row_kernels.prepare), as the robot reports them, moved by xi (6,) about centre (3,).
@@ -222,25 +257,30 @@ def mark_near(grid, points, reach, out):
 
 
 @numba.njit(cache=True, nogil=True)
-def number_blocks(uv, low, side, out):
-    """Fill out (n,) with the block of the image that each pixel uv (n, 2) is in: squares of `side` px from low (2,),
-    numbered column by column, without gaps.
+def number_blocks(uv, index, count, least, out):
+    """Fill out (n,) with the block of the image that each of the pixels `index` (n,), at least one, of uv (m, 2) is in:
+    squares about `count` of which cover them all, no side shorter than `least` px, numbered column by column, without
+    gaps. Returns how many there are.
     """
-    columns = rows = 0
-    for n in range(uv.shape[0]):
-        columns = max(columns, math.floor((uv[n, 0] - low[0]) / side) + 1)
-        rows = max(rows, math.floor((uv[n, 1] - low[1]) / side) + 1)
+    low_u, high_u, low_v, high_v = math.inf, -math.inf, math.inf, -math.inf
+    for k in range(index.shape[0]):
+        u, v = uv[index[k], 0], uv[index[k], 1]
+        low_u, high_u, low_v, high_v = min(low_u, u), max(high_u, u), min(low_v, v), max(high_v, v)
+    side = max(least, math.sqrt((high_u - low_u + 1.0) * (high_v - low_v + 1.0) / count))
+    columns, rows = math.floor((high_u - low_u) / side) + 1, math.floor((high_v - low_v) / side) + 1
     number = np.zeros(columns * rows, dtype=np.int64)
-    for n in range(uv.shape[0]):
-        block = math.floor((uv[n, 0] - low[0]) / side) * rows + math.floor((uv[n, 1] - low[1]) / side)
-        out[n] = block
+    for k in range(index.shape[0]):
+        u, v = uv[index[k], 0], uv[index[k], 1]
+        block = math.floor((u - low_u) / side) * rows + math.floor((v - low_v) / side)
+        out[k] = block
         number[block] = 1
-    count = 0
+    found = 0
     for block in range(columns * rows):
-        count += number[block]
-        number[block] = count - 1
-    for n in range(uv.shape[0]):
-        out[n] = number[out[n]]
+        found += number[block]
+        number[block] = found - 1
+    for k in range(index.shape[0]):
+        out[k] = number[out[k]]
+    return found
 
 
 @numba.njit(cache=True, nogil=True)

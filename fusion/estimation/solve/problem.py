@@ -6,6 +6,7 @@ Camera frame, metres, radians.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,18 +98,23 @@ class JointProblem:
         if self.camera is not None:
             self.weight[self.on] = self.settings.pixel_weight
         self._lay_hand(hand_points)
-        count = len(rows)
         self.lattice = lattice_of(self.model)
         self.floors = row_kernels.loss_floors(rows)
         # what newton_kernels.terms fills
-        self.room = (
-            np.zeros(count, dtype=np.int64),
-            np.zeros((count, 7)),
-            *np.zeros((3, count)),
-            np.zeros((count, 7 + len(self.bias))),
-        )
+        self.room = *self.rows_room(), np.zeros((len(rows), 7 + len(self.bias)))
         self.felt_rows = row_kernels.prepare(np.ascontiguousarray(self.felt.rows), 0.0, 0.0)
         self.prior_parts, self.no_prior = prior_of(self.model, self.prior), prior_of(self.model, None)
+
+    def rows_room(self) -> tuple:
+        """What kernels.vision_rows fills."""
+        count = len(self.seen)
+        return np.zeros(count, dtype=np.int64), np.zeros((count, 7)), *np.zeros((3, count))
+
+    @cached_property
+    def pixels(self) -> Array:
+        """(n, 2) of the vision rows, before a camera."""
+        assert self.camera is not None
+        return self.camera.project(self.seen.points)[0]
 
     @property
     def ties_depth(self) -> bool:

@@ -99,10 +99,9 @@ def _tried(problem: JointProblem, start: Array) -> list[list[Settled | Expected]
     for one in tried:
         if isinstance(one, Settled):
             # of a bias that is not solved it is as of the last that is
-            beside = rigs_beside(one, levels)
-        row: list[Settled | Expected] = [
-            Expected(se3.perturb(one.pose, step, centroid), one.log_evidence + gained) for step, gained in beside
-        ]
+            steps, gained = rigs_beside(one, levels)
+        beside = zip(se3.perturb(one.pose, steps, centroid), (one.log_evidence + gained).tolist())
+        row: list[Settled | Expected] = [Expected(pose, log_evidence) for pose, log_evidence in beside]
         row[usual] = one
         out.append(row)
     return out
@@ -127,7 +126,7 @@ def _averaged(model: ObjectModel, poses: list[Array], weights: Array, best: Join
     that are nearer than another side of the object. Turns about the object's own axes are no way apart.
     """
     ended = model.symmetries.nearest(np.array(poses), best.pose)
-    delta = np.array([se3.difference(pose, best.pose, model.centroid) for pose in ended])
+    delta = se3.difference(ended, best.pose, model.centroid)
     moved = np.linalg.norm(delta[:, :3], axis=1) + np.linalg.norm(delta[:, 3:], axis=1) / model.radius
     beside = np.where(moved < BESIDE, weights, 0.0)
     mean = beside @ delta / beside.sum()

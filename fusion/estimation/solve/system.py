@@ -6,17 +6,14 @@ weighs, are held while it is solved. Camera frame, metres, radians.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.solve import newton_kernels as kernels
-from fusion.estimation.solve.kernels import number_blocks, prior_row
+from fusion.estimation.solve.kernels import number_blocks, prior_row, surface_met, vision_rows
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.settings import Level
 from scenes.evidence.align import Prior, align
-from scenes.evidence.table import NORMAL, POINT
 from scenes.geometry import poses as se3
 from vision.look.hand.hand import prior_spread
 
@@ -119,24 +116,14 @@ class System:
         """Which way (n, 3) the surface looks where each pixel meets it at `pose`, object frame, and how much more noise
         (n,) a slope has there. What lies beside a pixel, and what the mesh leaves out, counts along the ray.
         """
-        problem = self.problem
-        count = len(problem.seen)
-        normals, slope = np.zeros((count, 3)), np.ones(count)
+        problem, rows = self.problem, self.problem.seen.rows
+        normals, slope, cosines = np.zeros((len(rows), 3)), np.ones(len(rows)), np.zeros(len(rows))
         pixels = np.flatnonzero(problem.is_pixel)
         if problem.camera is None or not len(pixels):
             return normals, slope
-        # what is no pixel is met by no ray: nothing is looked up for it
-        rows = problem.seen.rows[pixels]
-        rotation = pose[:3, :3]
-        middle = rotation @ problem.model.centroid + pose[:3, 3]
-        local = (rows[:, POINT] - middle) @ rotation + problem.model.centroid
-        facing = np.ones(len(pixels), dtype=bool)
-        _, g = problem.model.field.seen_distance_and_gradient(local, rows[:, NORMAL] @ rotation, facing)
-        met = g / np.maximum(np.sqrt(np.einsum("ij,ij->i", g, g)), 1e-9)[:, None]
-        cosine = -np.einsum("ij,ij->i", met @ rotation.T, rows[:, NORMAL])
-        cosine = np.maximum(cosine, problem.settings.least_cosine)
-        noise = problem.beliefs.depth.sloping_sigma(rows[:, 2], cosine, problem.camera.fx)
-        normals[pixels] = met
+        surface_met(problem.lattice, rows, problem.is_pixel, *self._place(pose), normals, cosines)
+        cosine = np.maximum(cosines[pixels], problem.settings.least_cosine)
+        noise = problem.beliefs.depth.sloping_sigma(rows[pixels, 2], cosine, problem.camera.fx)
         slope[pixels] = np.hypot(noise, problem.beliefs.mesh_sigma / cosine) / problem.sigma[pixels]
         return normals, slope
 
@@ -172,8 +159,14 @@ class System:
         the pose. What is believed of meshes is the prior, an inverse gamma as for the pixels (`misfit`); what
         independent noise leaves in a block's mean is taken off, and six blocks' worth goes into the pose.
         """
+        if self._off is None:
+            (index, _, _, residual, information, _), k = self.problem.room, self._used
+            self._off = self._blocks_off(index[:k], residual[:k], information[:k])
+        return self._mesh_variance(*self._off)
+
+    def _mesh_variance(self, mean: Array, weight: Array) -> float:
+        """`mesh_variance` by how far (b,) m blocks of the image are off, and their weights (b,) 1/m^2."""
         s, believed = self.problem.settings, self.problem.beliefs.mesh_sigma**2
-        mean, weight = self._block_means()
         if not len(mean):
             return believed
         square = float(np.maximum(np.square(mean) - 1.0 / weight, 0.0).sum())
@@ -183,42 +176,29 @@ class System:
         return ((s.believed_blocks - 2.0) * believed + square) / (s.believed_blocks + free - 2.0)
 
     def mesh_or_bias(self, pose: Array, unknown: Array) -> float:
-        """`mesh_variance` at pose (4, 4) and unknowns (size,), if the smooth bias of depth there is the mesh's, too.
-        Moves where `terms` last was.
-        """
-        unbiased = unknown.copy()
-        unbiased[FIXED:] = 0.0
-        self.terms(pose, unbiased)
-        return self.mesh_variance()
+        """`mesh_variance` at pose (4, 4) and unknowns (size,), if the smooth bias of depth there is the mesh's, too."""
+        (lattice, _, _, least_cosine, sees, _), (*rows, _, scale), *_ = self._arguments
+        unbiased, room = np.zeros(len(self.problem.seen)), self.problem.rows_room()
+        held = least_cosine, sees, *self._place(pose), scale * unknown[SCALE], unbiased
+        _, k = vision_rows(lattice, *rows, *held, *room)
+        index, _, _, residual, information = room
+        return self._mesh_variance(*self._blocks_off(index[:k], residual[:k], information[:k]))
 
-    def _block_means(self) -> tuple[Array, Array]:
-        """How far (b,) m blocks of the image are off on average, where `terms` last was, and their weights (b,) 1/m^2;
-        none where no pixel tells.
+    def _blocks_off(self, index: NDArray[np.int64], residual: Array, information: Array) -> tuple[Array, Array]:
+        """How far (b,) m blocks of the image are off on average, and their weights (b,) 1/m^2, by rows `index` (n,),
+        residuals (n,) m and their information (n,) 1/m^2; none where no pixel tells.
         """
-        if self._off is None:
-            self._off = self._blocks_off()
-        return self._off
-
-    def _blocks_off(self) -> tuple[Array, Array]:
-        """`_block_means`, worked out."""
-        problem, k = self.problem, self._used
-        nothing = np.zeros(0), np.zeros(0)
-        if problem.camera is None or not k:
-            return nothing
-        index, _, _, residual, information, _ = (part[:k] for part in problem.room)
-        mine = problem.on[index] & (information > 0.0)
-        if not mine.any():
-            return nothing
-        group = self._blocks(index[mine])
+        mine = self.problem.on[index] & (information > 0.0)
+        if self.problem.camera is None or not mine.any():
+            return np.zeros(0), np.zeros(0)
+        group, _ = self._blocks(index[mine])
         weight = np.asarray(np.bincount(group, information[mine]), dtype=np.float64)
         return np.bincount(group, (information * residual)[mine]) / weight, weight
 
-    def _blocks(self, index: NDArray[np.int64]) -> NDArray[np.int64]:
-        """(n,) block of the image of each of the rows `index` (n,)."""
-        problem = self.problem
-        assert problem.camera is not None
-        uv, _ = problem.camera.project(problem.seen.points[index])
-        return _blocks(uv, problem.settings.groups, problem.settings.block)
+    def _blocks(self, index: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
+        """(n,) block of the image of each of the rows `index` (n,), and how many there are."""
+        s, out = self.problem.settings, np.zeros(len(index), dtype=np.int64)
+        return out, number_blocks(self.problem.pixels, index, s.groups, s.block, out)
 
     def excess_spread(self, whole: Array, misfit: float) -> Array:
         """(6, 6) by how much the pose would move with other pixels, beyond what their sigmas say, where `terms` last
@@ -236,8 +216,7 @@ class System:
             return np.zeros((6, 6))
         free = len(whole)
         index, _, _, residual, information, design = (part[: self._used] for part in problem.room)
-        group = self._blocks(index)
-        groups = int(group.max()) + 1
+        group, groups = self._blocks(index)
         if groups < problem.settings.least_blocks:
             return np.zeros((6, 6))
         columns = np.concatenate([np.arange(6), np.arange(SCALE, self.size)])
@@ -270,14 +249,6 @@ class System:
         normal[:, :6] = normal[:, :6] @ self.white_xi
         gradient[:6] = self.white_xi.T @ gradient[:6]
         return constant, gradient * scale, normal * (scale * scale[:, None])
-
-
-def _blocks(uv: Array, count: float, least: float) -> NDArray[np.int64]:
-    """(n,) block of each pixel (n, 2): squares of the image, about `count` of them, no side shorter than `least`."""
-    low, out = uv.min(axis=0), np.zeros(len(uv), dtype=np.int64)
-    width, height = uv.max(axis=0) - low + 1.0
-    number_blocks(uv, low, max(least, math.sqrt(width * height / count)), out)
-    return out
 
 
 def exceeding(spread: Array, said: Array) -> Array:

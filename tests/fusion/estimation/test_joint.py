@@ -15,7 +15,7 @@ from fusion.estimation.solve.kernels import mark_near
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import _averaged, solve_modes
 from fusion.estimation.solve.settings import Level
-from fusion.estimation.solve.system import FIXED, POSE, SCALE, XI, System, _blocks, exceeding
+from fusion.estimation.solve.system import FIXED, POSE, SCALE, XI, System, exceeding
 from scenes.evidence import table as evidence
 from scenes.evidence.row_kernels import loss_floor
 from scenes.evidence.row_kernels import robust as compiled_robust
@@ -270,7 +270,7 @@ def test_rigs_beside_one_that_was_solved_are_told_with_its_bias_marginalised_onc
     problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-4)
     solved = settle(problem, pose, Level(1.0, 0.5))
     levels = [0.25, 1.0, 3.0]
-    for level, (step, gained) in zip(levels, rigs_beside(solved, levels)):
+    for level, step, gained in zip(levels, *rigs_beside(solved, levels)):
         whole = expected(solved, Level(level, 0.5))
         np.testing.assert_allclose(poses.perturb(solved.pose, step, drill.centroid), whole.pose, atol=1e-8)
         assert solved.log_evidence + gained == pytest.approx(whole.log_evidence, abs=1e-3)
@@ -415,14 +415,6 @@ def test_what_exceeds_is_what_another_covariance_lacks(rng):
         assert np.isfinite(found).all()
         assert axes[:, 5] @ found @ axes[:, 5] == pytest.approx(0.5, rel=1e-3)
     assert np.isfinite(exceeding(np.zeros((6, 6)), np.zeros((6, 6)))).all()
-
-
-@pytest.mark.parametrize("count", [1, 7, 400])
-def test_blocks_of_the_image_are_numbered_without_gaps(rng, count):
-    uv = rng.uniform(0.0, 300.0, (count, 2))
-    side = max(5.0, float(np.sqrt(np.prod(np.ptp(uv, axis=0) + 1.0) / 16.0)))
-    squares = np.floor((uv - uv.min(axis=0)) / side).astype(np.int64)
-    np.testing.assert_array_equal(_blocks(uv, 16.0, 5.0), np.unique(squares, axis=0, return_inverse=True)[1].ravel())
 
 
 def test_depth_is_tied_by_contacts_and_not_by_rows_of_one(drill):

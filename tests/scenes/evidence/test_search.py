@@ -5,9 +5,10 @@ import pytest
 
 from scenes.errors import InputError
 from scenes.evidence import table as evidence
-from scenes.evidence.align import Alignment, Prior
+from scenes.evidence.align import Alignment, AlignSettings, Prior, costs
 from scenes.evidence.search import (
     SearchStage,
+    best_that_differ,
     distinct_first,
     first_of_cells,
     first_of_each,
@@ -242,3 +243,47 @@ def test_the_least_are_those_that_a_stable_sort_has_first(count, rng):
     values[[3, 50, 51]] = np.nan
     np.testing.assert_array_equal(least_of(values, count), np.argsort(values, kind="stable")[:count])
     assert len(least_of(np.zeros(0), count)) == 0
+
+
+@pytest.mark.parametrize("keep", [1, 20, 60, 500])
+@pytest.mark.parametrize("share", [0.1, 1.0, 10.0])
+def test_the_best_that_differ_are_found_without_asking_what_all_cost(drill, rng, keep, share):
+    """By chance, and where what is known tells nothing: then all are asked."""
+    centre = poses.make_pose(None, [0.0, 0.0, 0.6])
+
+    def differ(some, at):
+        return first_of_cells(drill, some, np.argsort(at, kind="stable"), 0.12, 0.25)
+
+    candidates = poses.perturb(centre, rng.normal(size=(300, 6)) * ([0.6] * 3 + [0.02] * 3), drill.centroid)
+    for known in (rng.uniform(0.0, 1.0, 300), np.zeros(300), np.round(rng.uniform(0.0, 1.0, 300), 1)):
+        costly, asked = dict(zip(map(bytes, candidates), share * rng.uniform(0.0, 1.0, 300))), []
+
+        def ask(some, costly=costly, asked=asked):
+            asked.extend(some)
+            return np.array([costly[bytes(pose)] for pose in some])
+
+        found, at = best_that_differ(candidates, known, ask, differ, keep)
+        assert len(asked) <= len(candidates)
+        if share < 1.0 and keep < 60 and known.max() > 0.0:
+            assert len(asked) < 0.5 * len(candidates)
+        every = np.array([costly[bytes(pose)] for pose in candidates])
+        np.testing.assert_array_equal(found, differ(candidates, known + every)[:keep])
+        np.testing.assert_array_equal(at, every[found])
+
+
+@pytest.mark.parametrize("ranked", [True, False])
+def test_a_pass_without_steps_keeps_the_best_that_differ(drill, rng, ranked):
+    points, _ = drill.sample_surface(40, seed=0)
+    rows = evidence.make(points, 1e-3, VISION)
+    starts = poses.perturb(np.eye(4), rng.normal(size=(200, 6)) * ([0.5] * 3 + [0.01] * 3), drill.centroid)
+    starts[150:] = starts[:50]  # those that are the same count once
+
+    def rank(candidates, blur):
+        return 1e3 * blur * np.abs(candidates[:, 0, 3]) if ranked else np.zeros(len(candidates))
+
+    found = search(drill, rows, starts, (SearchStage(0.01, 0.0, 40, 0, 30),), rank=rank if ranked else None)
+    at = costs(drill, rows, starts, settings=AlignSettings(blur=0.01))
+    order = first_of_cells(drill, starts, np.argsort(at + rank(starts, 0.01), kind="stable"), 1e-3, 1e-2)[:30]
+    np.testing.assert_array_equal(found.poses, starts[order])
+    np.testing.assert_array_equal(found.costs, at[order])
+    assert not found.hessians.any()

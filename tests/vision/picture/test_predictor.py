@@ -64,6 +64,10 @@ def test_of_few_poses_only_those_are_predicted_that_were_not(rng, monkeypatch):
     for chosen in ([0, 2], [2, 1, 0], [3, 1, 4], [4, 3], [2]):
         np.testing.assert_array_equal(found.costs(some[chosen]), np.array(alone)[chosen])
     assert asked == [2, 1, 2]
+    # as many as are ever solved together
+    many = np.array([poses.displaced(truth, 0.1, 0.01, model.centroid, rng) for _ in range(13)])
+    assert np.array_equal(found.costs(many), found.costs(many))
+    assert asked == [2, 1, 2, 13]
 
 
 @pytest.mark.parametrize("known", ["nothing", "hand", "mask", "plane", "camera"])

@@ -17,10 +17,10 @@ from scenes.recordings.beliefs import Beliefs, DepthModel
 from scenes.recordings.frames import Frame
 from vision.look.hand.hand import HandView, HandViewSettings, view_hand
 from vision.look.mask import mask_kernels as kernels
-from vision.look.mask.piece_kernels import number_pieces
+from vision.look.mask.piece_kernels import number_pieces, sizes_of
 from vision.look.mask.planes import find_plane, for_kernels, some_points
 from vision.look.mask.settings import MaskSettings
-from vision.look.pixels import Region, median, read_pixels
+from vision.look.pixels import Region, median, quantile, read_pixels
 from vision.look.regions import find_region
 
 Array = NDArray[np.float64]
@@ -74,10 +74,16 @@ def exceeds(mask: Mask, frame: Frame, model: ObjectModel, settings: MaskSettings
     """
     assert frame.depth is not None
     assert frame.camera is not None
-    z = np.where(mask, frame.depth, 0.0).astype(np.float64)
-    pieces = connected_pieces(z, mask, settings)
-    size = np.bincount(pieces.ravel() + 1, minlength=1)[1:]
-    samples = _samples(pieces, np.where(size >= settings.smallest, size, 0), z, (0, 0), frame.camera)
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return False
+    top, left = int(rows[0]), int(columns[0])
+    part = slice(top, rows[-1] + 1), slice(left, columns[-1] + 1)
+    inside = np.ascontiguousarray(mask[part])
+    z = np.where(inside, frame.depth[part], 0.0).astype(np.float64)
+    pieces = connected_pieces(z, inside, settings)
+    size = sizes_of(pieces)
+    samples = _samples(pieces, np.where(size >= settings.smallest, size, 0), z, (left, top), frame.camera)
     longest = max((_length(points, settings.longest_share) for points in samples.values()), default=0.0)
     return longest > settings.longest * model.diameter
 
@@ -86,8 +92,7 @@ def _length(points: Array, share: float) -> float:
     """How long (m) the middle `share` of points (n, 3) is, along the axis along which they are longest."""
     off = points - median(points)
     along = off @ np.linalg.svd(off, full_matrices=False)[2][0]
-    low, high = np.quantile(along, (0.5 - 0.5 * share, 0.5 + 0.5 * share))
-    return float(high - low)
+    return quantile(along, 0.5 + 0.5 * share) - quantile(along, 0.5 - 0.5 * share)
 
 
 def _candidates(
@@ -187,7 +192,8 @@ def _colour_scores(
     if apart.max() < settings.colour_apart:
         return None
     share = shares(asked, np.inf)
-    off = [np.square((share - c) / s).sum(axis=1) + 2 * np.log(s).sum() for c, s in zip(centres, spreads)]
+    squares = [np.square((share - c) / s) for c, s in zip(centres, spreads)]
+    off = [square[:, 0] + square[:, 1] + 2 * np.log(s).sum() for square, s in zip(squares, spreads)]
     return np.asarray(off[1] - off[0])
 
 
@@ -216,7 +222,7 @@ def _chosen(
     z (h, w): depths (m) of the pixels from corner (u, v) on.
     """
     assert frame.camera is not None
-    size = np.bincount(pieces.ravel() + 1)[1:]
+    size = sizes_of(pieces)
     kept = np.zeros(len(size) + 1, dtype=bool)  # the last one stands for no piece
     felt = frame.contacts.moved(frame.camera_from_world).points
     # the hand may be behind the object: what is seen is then its thickness away

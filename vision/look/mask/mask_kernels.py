@@ -15,6 +15,9 @@ def candidates(depth, lens, box, ball, planes, noise, margins, z, good):  # type
     has one, in a ball (x, y, z, radius) and off planes (k, 6). lens (fx, fy, cx, cy); noise, margins: see mark_planes.
     """
     fx, fy, cx, cy = lens
+    along, reach = np.zeros(z.shape[1]), ball[3] * ball[3]
+    for column in range(z.shape[1]):
+        along[column] = (box[0] + column - cx) / fx
     for row in range(z.shape[0]):
         across = (box[1] + row - cy) / fy
         for column in range(z.shape[1]):
@@ -23,9 +26,12 @@ def candidates(depth, lens, box, ball, planes, noise, margins, z, good):  # type
             if not 0.0 < there < FARTHEST_READING:
                 continue
             z[row, column] = there
-            x, y = (box[0] + column - cx) / fx * there, across * there
-            a, b, c = x - ball[0], y - ball[1], there - ball[2]
-            if a * a + b * b + c * c < ball[3] * ball[3]:
+            c = there - ball[2]
+            if not c * c < reach:
+                continue
+            x, y = along[column] * there, across * there
+            a, b = x - ball[0], y - ball[1]
+            if a * a + b * b + c * c < reach:
                 good[row, column] = not is_on_plane(x, y, there, planes, noise, margins)
 
 

@@ -59,6 +59,21 @@ def number_pieces(z, candidates, step, step_share, parent, out):  # type: ignore
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def sizes_of(numbers):  # type: ignore[no-untyped-def]
+    """(k,) how many pixels of numbers (h, w) each piece has, the last of which has some."""
+    most = -1
+    for i in range(numbers.shape[0]):
+        for j in range(numbers.shape[1]):
+            most = max(most, numbers[i, j])
+    out = np.zeros(most + 1, dtype=np.int64)
+    for i in range(numbers.shape[0]):
+        for j in range(numbers.shape[1]):
+            if numbers[i, j] >= 0:
+                out[numbers[i, j]] += 1
+    return out
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def is_on_plane(x, y, z, planes, noise, margins):  # type: ignore[no-untyped-def]
     """Whether a point is on one of planes (k, 6); see mark_planes."""
     floor, growth, least_from = noise

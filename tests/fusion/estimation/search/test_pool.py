@@ -165,6 +165,23 @@ def test_what_was_fitted_is_not_fitted_again(sensed, lab_frame, monkeypatch):
     np.testing.assert_array_equal(none.hessians, known.hessians)
 
 
+def test_what_takes_no_step_is_not_looked_at_more_closely(sensed, lab_frame, monkeypatch):
+    """A fit that ends costlier stays where it was: the closer look of the next round is for those that moved."""
+    pool, truth, looked = sensed.pool, lab_frame.camera_from_object_truth, []
+    shown, off = Pool.evidence_of_each, poses.perturb(truth, np.full(6, 0.5), sensed.pool.model.centroid)
+
+    def worse(model, rows, starts, prior, settings):
+        return Alignment(np.array([off]), np.zeros(1), np.eye(6)[None], np.ones(1, dtype=np.int64))
+
+    monkeypatch.setattr("fusion.estimation.search.pool.align", worse)
+    monkeypatch.setattr(
+        Pool, "evidence_of_each", lambda self, many, side, most: looked.append(side) or shown(self, many, side, most)
+    )
+    found = pool.fitted(truth[None])
+    np.testing.assert_array_equal(found.poses, truth[None])
+    assert looked == [pool.settings.sides[0]]
+
+
 def test_draws_around_the_best_cast_doubt_where_one_is_likelier(sensed, lab_frame, drill):
     pool, truth = sensed.pool, lab_frame.camera_from_object_truth
     off = poses.perturb(truth, np.array([0.0, 0.0, 0.15, 0.012, 0.0, 0.0]), drill.centroid)
