@@ -17,7 +17,7 @@ from fusion.estimation.asked import Asked, check_kinds, check_limits, sure_to_be
 from fusion.estimation.settings import EstimateSettings, usual_settings
 from fusion.estimation.steps.facing import check_print
 from fusion.estimation.steps.finished import finished
-from fusion.estimation.steps.searched import searched
+from fusion.estimation.steps.searched import search_on, searched
 from fusion.estimation.steps.sense import look_again, look_once, sense
 from fusion.estimation.steps.told import nothing_told, told
 from fusion.estimation.tolerance import good_enough
@@ -104,4 +104,12 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         return nothing_told(sensed, asked, trace)
     found = searched(sensed, asked, trace)
     end = finished(found, trace)
-    return None if end is None else told(found, end, asked.prior, trace)
+    if end is None:
+        return None
+    answer = told(found, end, asked.prior, trace)
+    whole = search_on(found.found, asked, answer, trace)
+    if whole is not None:
+        found = searched(sensed, whole, trace, found.found.modes)
+        end = finished(found, trace)
+        answer = answer if end is None else told(found, end, asked.prior, trace)
+    return answer

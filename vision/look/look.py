@@ -41,6 +41,10 @@ class LookSettings:
 
     # Room around the prior's ball in which the object is looked for, metres: T1's coarse starts are 33 mm off.
     slack: float = 0.035
+    # Share of a mask's readings from which on those that lie before the rest, by more than the object is long, are the
+    # object's, and the rest was seen through it: a quarter, of which a mask is not believed anyway
+    # (`VerdictSettings.most_bare`); less than that leaks onto what stands in front.
+    seen_through: float = 0.25
     # Pixels read from the region's box (object, hand and background together), and of those inside the region the
     # ones that are told apart from the hand: a closest-point query each.
     most: int = 40_000
@@ -104,7 +108,7 @@ def look(
     settings, beliefs = settings or LookSettings(), beliefs or usual_beliefs()
     if start is not None:
         settings = replace(settings, most_inside=min(settings.most_inside, settings.most_near))
-    region = find_region(frame, model, start, settings.slack, frame.mask)
+    region = find_region(frame, model, start, settings.slack, frame.mask, settings.seen_through)
     if frame.depth is None or frame.camera is None:
         return _cloud(frame, region, settings)
     if _box(frame, region) is None:

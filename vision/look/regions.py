@@ -14,10 +14,15 @@ Mask = NDArray[np.bool_]
 
 
 def find_region(
-    frame: Frame, model: ObjectModel, start: Array | None, slack: float, mask: Mask | None = None
+    frame: Frame,
+    model: ObjectModel,
+    start: Array | None,
+    slack: float,
+    mask: Mask | None = None,
+    through: float = 1.0,
 ) -> Region | None:
     """Around the start (4, 4) camera_from_object, else the mask (h, w), the contacts, the hand's fingertips; None is
-    everywhere. slack: room (m) beyond the object's own size.
+    everywhere. slack: room (m) beyond the object's own size. through: share of the mask's readings, see `in_front`.
     """
     if start is not None:
         return Region(start[:3, :3] @ model.centroid + start[:3, 3], model.radius + slack)
@@ -28,7 +33,8 @@ def find_region(
         )
         points = every.points
         if len(points):
-            return Region(median(points), model.diameter + slack)
+            reach = model.diameter + slack
+            return Region(median(in_front(points, reach, through)), reach)
     if len(frame.contacts):
         middle = frame.contacts.moved(frame.camera_from_world).points.mean(axis=0)
         return Region(middle, model.diameter + slack)
@@ -40,6 +46,21 @@ def find_region(
             centre = camera_from_hand[:3, :3] @ middle + camera_from_hand[:3, 3]
             return Region(centre, model.diameter + slack)
     return None
+
+
+def in_front(points: Array, reach: float, through: float) -> Array:
+    """Those of a mask's points (n, 3) that are the object's: where at least the share `through` of all lies before the
+    middle by more than any part of the object can (reach, m), the others were seen past it or through it.
+
+    Glass and wire let most of a mask's rays through, holes are filled with what is behind, and depth that was moved to
+    another image has the wall at an object's edge: the middle of such a mask is not on the object.
+    """
+    least = max(through * len(points), 1.0)
+    while True:
+        before = points[points[:, 2] < median(points)[2] - reach]
+        if len(before) < least:
+            return points
+        points = before
 
 
 def region_around(model: ObjectModel, candidates: Array, slack: float) -> Region:

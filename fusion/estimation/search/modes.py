@@ -102,13 +102,15 @@ class PlanSettings:
 @dataclass(frozen=True)
 class Found:
     """Modes of a search after refinement with all rows; starts looked at; why no more were, or what was doubted. also:
-    poses (4, 4) that are solved with them, however unlikely they seem before calibration is solved for.
+    poses (4, 4) that are solved with them, however unlikely they seem before calibration is solved for. early: whether
+    sources were not asked, where nothing is known, because the best was convincing.
     """
 
     modes: tuple[Mode, ...]
     looked_at: int
     why: str
     also: tuple[Array, ...] = ()
+    early: bool = False
 
 
 def find_modes(

@@ -309,15 +309,19 @@ def modes_anywhere(
     passes: tuple[SearchStage, ...],
     plan: PlanSettings,
     trace: Trace,
+    before: tuple[Mode, ...] = (),
 ) -> Found:
     """Modes of a frame of which nothing is known. A few pairs of pixels propose first, and what looks like the best of
     them when it is turned; where that leaves a doubt, touch and rows from many starts, or, where nobody says what hides
     the object, very many pairs of pixels. Unless two of these agree, the whole objective walks from these, from each
     piece of the image and from between the fingers.
 
-    rows: all evidence. starts_of: makes those many starts (n, 4, 4); passes: over them.
+    rows: all evidence. starts_of: makes those many starts (n, 4, 4); passes: over them. before: what a search left that
+    ended early; it competes here, too.
     """
     asked, s = Competition(pool, trace), pool.settings
+    if before:
+        asked.enter("the search before", lambda: poses_of(before))
     few = len(pool.looked.pixels) < s.glanced_pixels
     asked.enter("pairs of pixels", lambda: pool.glanced(rows), "few pixels may be the object's" if few else "")
     asked.look_beside()
@@ -341,11 +345,11 @@ def modes_anywhere(
         begun.append(asked.by_touch(pool.by_touch(starts, passes)))
         return begun[-1]
 
-    def agrees(before: tuple[Mode, ...]) -> str:
+    def agrees(others: tuple[Mode, ...]) -> str:
         """Why no more need be asked, where contacts hold the object and a source that knows nothing of those before it
         ended where they did, and draws around there are hardly likelier.
         """
-        alike = before and pool.is_same(asked.modes, before) and asked.met
+        alike = others and pool.is_same(asked.modes, others) and asked.met
         if enough or not (plan.skipping and pool.holds and alike):
             return ""
         asked.look_around()
@@ -361,12 +365,12 @@ def modes_anywhere(
         ("touch", felt_alone, "" if asked.contacts else "nothing is felt"),
         (*by_vision, ""),
     ):
-        before = asked.modes
+        others = asked.modes
         asked.enter(source, proposed, enough or why_not)
         if not enough and not why_not:
             asked.look_beside()
             enough = asked.settled if plan.skipping else ""
-            enough = agreed = enough or agrees(before)
+            enough = agreed = enough or agrees(others)
     of_pieces: list[tuple[Evidence, Array]] = []
 
     def walked() -> Array:
@@ -393,4 +397,4 @@ def modes_anywhere(
         asked.look_beside()
     if not asked.convinced and not agreed:
         asked.look_around()
-    return asked.found(len(starts), plan)
+    return replace(asked.found(len(starts), plan), early=bool(enough))

@@ -5,9 +5,12 @@ The step between sensing and solving for shared errors. Camera frame, metres, ra
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import Asked
 from fusion.estimation.search.modes import Found, find_modes
 from fusion.estimation.search.proposals import search_stages, starts_of
@@ -15,14 +18,18 @@ from fusion.estimation.search.sources import modes_anywhere, modes_near
 from fusion.estimation.steps.facing import Faced, Facing, faced, why_no_print
 from fusion.estimation.steps.sense import Sensed
 from fusion.estimation.trace import Trace
+from scenes.evidence.modes import Mode
 from scenes.words import counted
 
 Array = NDArray[np.float64]
 
 
-def searched(sensed: Sensed, asked: Asked, trace: Trace) -> Faced:
-    """The modes that rows and picture leave, the likeliest first, each the way round that its print has it."""
-    found = _found(sensed, asked, trace)
+def searched(sensed: Sensed, asked: Asked, trace: Trace, before: tuple[Mode, ...] = ()) -> Faced:
+    """The modes that rows and picture leave, the likeliest first, each the way round that its print has it.
+
+    before: what a search of the same frame left that ended early.
+    """
+    found = _found(sensed, asked, trace, before)
     why_not = why_no_print(sensed, asked.settings.texture)
     out = Faced(found, np.zeros(0), asked, sensed, Facing(why=why_not))
     with trace.stage("print", not why_not, why_not) as stage:
@@ -32,7 +39,29 @@ def searched(sensed: Sensed, asked: Asked, trace: Trace) -> Faced:
     return out
 
 
-def _found(sensed: Sensed, asked: Asked, trace: Trace) -> Found:
+def search_on(found: Found, asked: Asked, answer: Estimate, trace: Trace) -> Asked | None:
+    """What a search is asked that leaves no source out, where one that ended early was convinced of a pose, and the
+    answer made of it is not `ok`: what convinces by its picture may be another thing's, or a part that looks like the
+    object. None where nothing speaks for that.
+    """
+    why_not = "" if found.early else "no source was left out"
+    if asked.prior is not None:
+        why_not = "the search began at a start"
+    if not why_not and answer.verdict == "ok":
+        why_not = "the answer is ok"
+    elif not why_not and asked.or_none:
+        why_not = "what is felt is asked next"
+    elif not why_not and trace.over_budget:
+        why_not = "the time budget is spent"
+    with trace.stage("search on", not why_not, why_not) as stage:
+        if why_not:
+            return None
+        stage.note(0, f"convinced, but {answer.verdict}: all sources are asked")
+        settings = asked.settings
+        return replace(asked, settings=replace(settings, plan=replace(settings.plan, skipping=False)))
+
+
+def _found(sensed: Sensed, asked: Asked, trace: Trace, before: tuple[Mode, ...]) -> Found:
     settings, pool, felt, rows = asked.settings, sensed.pool, sensed.felt, sensed.rows
     model, costs, believed = pool.model, sensed.sight.costs, asked.prior
     how, blur = settings.proposals, settings.proposals.blur(model)
@@ -49,7 +78,7 @@ def _found(sensed: Sensed, asked: Asked, trace: Trace) -> Found:
             near = search_stages(blur, how.near)
             found = modes_near(pool, rows, sensed.seen, begun(), near, settings.plan, trace)
         elif pool.predictor.sees:
-            found = modes_anywhere(pool, rows, begun, wide, settings.plan, trace)
+            found = modes_anywhere(pool, rows, begun, wide, settings.plan, trace, before)
         else:
             found = find_modes(model, rows, begun(), wide, None, costs, settings.plan, settings.modes)
         gels = f", by {counted(len(felt.patches), 'gel')} too" if felt.patches and believed is None else ""
