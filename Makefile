@@ -9,6 +9,7 @@ IMPORTED := numpy scipy numba llvmlite trimesh open3d dash flask werkzeug plotly
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 ROOMS := scenes vision touch fusion
 SOURCES := $(ROOMS) tests
+KERNELS := $(shell grep -rl --include='*.py' 'import.*njit\|import numba' $(ROOMS))
 
 .DEFAULT_GOAL := help
 .PHONY: help install install-test demo test test-slow lint bench docs gallery clean
@@ -22,9 +23,14 @@ help:
 	@echo "make docs       the pages as a site in $(OUT)/docs, links checked"
 	@echo "make gallery    the gallery's scenes and pictures anew"
 
-install: $(VENV)/installed
+install: $(VENV)/installed $(VENV)/kernels
 
-install-test: $(VENV)/installed-test
+install-test: $(VENV)/installed-test $(VENV)/kernels
+
+# Numba compiles a kernel anew when its own file changes, not when another's does that it has compiled in.
+$(VENV)/kernels: $(KERNELS) | $(VENV)/installed
+	@find $(ROOMS) -name '*.nb[ic]' -delete
+	@touch $@
 
 # Stamps hold the time of the last install that went well; pyproject.toml says what is installed.
 $(VENV)/installed: pyproject.toml
@@ -71,3 +77,4 @@ gallery: install
 
 clean:
 	rm -rf $(VENV) $(OUT) build dist *.egg-info
+	find $(ROOMS) -name '*.nb[ic]' -delete
