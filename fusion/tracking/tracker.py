@@ -38,7 +38,7 @@ from fusion.tracking.steps.contradicting import NOT_HERE, without_strangers
 from fusion.tracking.steps.glancing import as_judged, glance, known_of, may_glance, steadied
 from fusion.tracking.steps.judging import as_believed, as_followed, as_learned, judge
 from fusion.tracking.steps.lens import through_one_lens
-from fusion.tracking.steps.marking import Shown, mark, shown_motion
+from fusion.tracking.steps.marking import mark, seen_motion
 from fusion.tracking.steps.outlining import with_outline
 from fusion.tracking.steps.predicting import as_moved, predict
 from fusion.tracking.steps.printed import as_before, as_printed
@@ -62,6 +62,7 @@ from vision.filling import as_measured
 from vision.look.looked import Looked
 from vision.look.warm import Looker
 from vision.noise import believed_of
+from vision.tracking.by_image import Motion
 from vision.tracking.by_vision import ConstantVelocity
 
 Array = NDArray[np.float64]
@@ -263,7 +264,7 @@ class Tracker:
         with trace.stage("predict", True, "") as stage:
             moving = self._velocity, self._hand_motion, self._watch
             right = state.corrected(self._looker.correction)
-            flow = shown_motion(model, frame, belief, state, self._velocity, s.marks)
+            flow = seen_motion(model, frame, belief, state, self._velocity, s.marks)
             ahead = predict(model, frame, belief, state, *moving, beliefs.calibration, right, flow)
             near = ahead if there is None else as_moved(model, ahead, there)
             predicted, carried = near.belief, near.hypotheses
@@ -343,11 +344,10 @@ class Tracker:
         return self._believed(answer) if answer.how == "tracked" else answer
 
     def _glance(
-        self, frame: Frame, viewed: Frame, predicted: Belief, carried: Hypotheses, trace: Trace, flow: Shown | None
+        self, frame: Frame, viewed: Frame, predicted: Belief, carried: Hypotheses, trace: Trace, flow: Motion | None
     ) -> TrackedEstimate | None:
         """The frame by a glance; None when it must be looked at in full."""
-        state, s = self._state, self.settings
-        known = state.known
+        state, s, known = self._state, self.settings, self._state.known
         assert known is not None
         with trace.stage("glance", True, "") as stage:
             felt_frame = self._felt_frame(frame)

@@ -89,22 +89,22 @@ def is_coloured(rgb: NDArray[np.uint8] | None, settings: MarkSettings) -> bool:
 
 
 def motion_between(marks: Marks, frame: Frame, expected: Array, centre: Array, settings: MarkSettings) -> Motion | None:
-    """How what the marks are on has moved by this frame; None where too few are found again. expected (4, 4)
-    camera_from_camera: where to look for them. centre (3,): of the thing, in the frame of the marks.
+    """How what the marks are on has moved by this frame; None where too few are found again, or its image is another
+    kind's. expected (4, 4) camera_from_camera: where to look for them. centre (3,): of the thing, in the marks' frame.
     """
     s, camera, rgb, depth = settings, frame.camera, frame.rgb, frame.depth
-    if camera is None or depth is None or rgb is None or len(marks.uv) < s.fewest:
+    if camera is None or depth is None or rgb is None or len(marks.uv) < s.fewest or not is_coloured(rgb, s):
+        return None
+    height, width = marks.grey.shape
+    u, v = marks.corner
+    part = rgb[v : v + height, u : u + width]
+    if part.shape[:2] != marks.grey.shape:  # of an image of another size
         return None
     ahead, z = camera.project(se3.apply(expected, marks.points))
     if not (np.isfinite(ahead).all() and (z > 0).all()):
         return None
-    before = marks.uv - marks.corner
-    height, width = marks.grey.shape
-    u, v = marks.corner
-    now = _grey(rgb[v : v + height, u : u + width])
-    if now.shape != marks.grey.shape:
-        return None
-    found, good = _followed(marks.grey, now, before, ahead - marks.corner, s)
+    now = _grey(part)
+    found, good = _followed(marks.grey, now, marks.uv - marks.corner, ahead - marks.corner, s)
     if good.sum() < max(s.fewest, s.found * len(good)):
         return None
     uv, points = found[good] + marks.corner, marks.points[good]
@@ -194,8 +194,6 @@ def marked(
     if camera is None or depth is None or rgb is None or not len(uv) or not is_coloured(rgb, s):
         return None
     height, width = depth.shape
-    if rgb.shape[:2] != depth.shape:
-        return None
     low = np.maximum(uv.min(axis=0) - s.margin, 0)
     high = np.minimum(uv.max(axis=0) + s.margin + 1, (width, height))
     grey = _grey(rgb[low[1] : high[1], low[0] : high[0]])
@@ -217,8 +215,7 @@ def marked(
     new = None
     if len(old[0]) < s.most:
         new = cv2.goodFeaturesToTrack(grey, s.most - len(old[0]), s.quality, s.apart, mask=own)
-    points = old[1]
-    pixels = old[0]
+    pixels, points = old
     if new is not None:
         corners = new[:, 0].astype(np.float64) + low
         at = np.rint(corners).astype(np.int64)

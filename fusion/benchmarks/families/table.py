@@ -319,6 +319,7 @@ FAMILIES: dict[str, Family] = {
             touch=(),
             rig="lab",
         ),
+        _tuned("visitor", "studio", "such a hand in colour", hand="five-finger", scene="table+unknown-hand", touch=()),
         _tuned(
             "borrowed",
             "rough",

@@ -44,14 +44,16 @@ def search_on(found: Found, asked: Asked, answer: Estimate, trace: Trace) -> Ask
     answer made of it is not `ok`: what convinces by its picture may be another thing's, or a part that looks like the
     object. None where nothing speaks for that.
     """
-    why_not = "" if found.early else "no source was left out"
+    why_not = ""
     if asked.prior is not None:
         why_not = "the search began at a start"
-    if not why_not and answer.verdict == "ok":
+    elif not found.early:
+        why_not = "no source was left out"
+    elif answer.verdict == "ok":
         why_not = "the answer is ok"
-    elif not why_not and asked.or_none:
+    elif asked.or_none:
         why_not = "what is felt is asked next"
-    elif not why_not and trace.over_budget:
+    elif trace.over_budget:
         why_not = "the time budget is spent"
     with trace.stage("search on", not why_not, why_not) as stage:
         if why_not:

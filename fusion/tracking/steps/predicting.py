@@ -13,12 +13,13 @@ from fusion.tracking.hypotheses import Hypotheses
 from fusion.tracking.motion import HandMotion, calibration_drift, drift_since
 from fusion.tracking.slip import SlipWatch
 from fusion.tracking.state import TrackState
-from fusion.tracking.steps.marking import Shown
+from fusion.tracking.steps.marking import with_marks
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import CalibrationModel
 from scenes.recordings.frames import Frame
 from vision.look.hand.hand import camera_from_hand
+from vision.tracking.by_image import Motion
 from vision.tracking.by_vision import ConstantVelocity
 
 Array = NDArray[np.float64]
@@ -43,10 +44,10 @@ def predict(
     watch: SlipWatch,
     calibration: CalibrationModel,
     correction: Array | None,
-    shown: Shown | None = None,
+    seen: Motion | None,
 ) -> Predicted:
-    """With the palm and the fingertips where the robot tells of them, else at the last velocity and as its image is
-    `shown` to have moved; `watch` is told.
+    """With the palm and the fingertips where the robot tells of them, else at the last velocity and as it is `seen` to
+    have moved; `watch` is told.
 
     correction (4, 4): camera_from_camera of what the robot reports, as the image has shown it; None where it has not.
     """
@@ -54,9 +55,9 @@ def predict(
     if state.hand is None or now is None:
         pose, noise = velocity.predict(frame.index)
         why = "at its last velocity"
-        if shown is not None:
-            pose, noise = shown.beside(model, belief.pose, pose, noise)
-            why = f"as {len(shown.marks.uv)} marks in the image have moved"
+        if seen is not None:
+            pose, noise = with_marks(model, seen, belief.pose, pose, noise)
+            why = f"as {len(seen.marks.uv)} marks in the image have moved"
         motion = pose @ se3.inverse(belief.pose)
         watch.restart()  # nothing holds it that could lose it
         moved = replace(belief.moved(motion), pose=pose)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fusion.tracking.checkpoint import restore_tracker, save_tracker
-from fusion.tracking.steps.marking import Shown
+from fusion.tracking.steps.marking import with_marks
 from fusion.tracking.tracker import Tracker
 from fusion.truth.errors import Judge
 from scenes.geometry import poses
@@ -17,6 +17,7 @@ from scenes.synthesis.noise.colour_camera import ColourCamera
 from scenes.synthesis.noise.presets import PRESETS
 from scenes.synthesis.recording import synthesize_frames
 from scenes.synthesis.settings import SynthesisSettings
+from vision.tracking.by_image import Motion
 
 SMALL = Camera(400.0, 400.0, 239.5, 179.5, 480, 360)
 FRAMES = 8
@@ -46,6 +47,15 @@ def test_marks_in_colour_images_tell_where_it_goes(carried):
     judge = Judge(model)
     errors = [judge.errors(a.pose, f.camera_from_object_truth).add_s for a, f in zip(answers, frames, strict=True)]
     assert max(errors) < 0.005
+
+
+def test_colours_beside_depth_lose_nothing(carried):
+    """An image ten pixels beside depth."""
+    model, frames, _ = carried
+    tracker, judge = Tracker(model), Judge(model)
+    for frame in frames:
+        answer = tracker.step(replace(frame, rgb=np.roll(frame.rgb, 10, axis=1)))
+        assert judge.errors(answer.pose, frame.camera_from_object_truth).add_s < 0.005
 
 
 def test_a_hand_that_is_told_tells_it_better(carried):
@@ -82,7 +92,7 @@ def test_what_marks_do_not_tell_stays_with_the_velocity():
     velocity = np.diag(np.repeat([0.03, 0.003], 3) ** 2)
     marks = np.diag(np.repeat([30.0, 0.0003], 3) ** 2)
     motion = poses.perturb(np.eye(4), np.array([0.0, 0.0, 0.2, 0.004, 0.0, 0.0]), model.centroid)
-    pose, noise = Shown(motion, marks, None).beside(model, np.eye(4), np.eye(4), velocity)
+    pose, noise = with_marks(model, Motion(motion, marks, None), np.eye(4), np.eye(4), velocity)
     step = poses.difference(pose, np.eye(4), model.centroid)
     assert np.allclose(step[:3], 0.0, atol=1e-3)
     assert step[3] == pytest.approx(0.004, rel=0.02)

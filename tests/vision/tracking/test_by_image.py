@@ -97,13 +97,16 @@ def test_grey_images_and_bare_things_have_no_marks():
     assert motion_between(bare, seen(step(), 1)[0], np.eye(4), PLACE[:3, 3], USUAL) is None
 
 
-@pytest.mark.parametrize("lost", ["colour", "depth", "camera", "elsewhere"])
+@pytest.mark.parametrize("lost", ["colour", "depth", "camera", "size", "infra-red", "elsewhere"])
 def test_a_frame_without_what_it_takes_tells_no_motion(lost):
     first, own = seen(PLACE)
     marks = marked(first, pixels(own), 1.0, None, USUAL)
     second, _ = seen(step(), 1)
     gone = poses.make_pose(np.eye(3), [0.0, 0.0, -2.0])
+    tiny = replace(LENS, width=20, height=20)
     changed = {
+        "size": {"camera": tiny, "rgb": second.rgb[:20, :20], "depth": second.depth[:20, :20]},
+        "infra-red": {"rgb": np.repeat(second.rgb[..., :1], 3, axis=2)},
         "colour": {"rgb": None},
         "depth": {"depth": None},
         "camera": {"camera": None, "depth": None},

@@ -6,6 +6,7 @@ import numpy as np
 
 from fusion.estimation.estimate import estimate
 from fusion.estimation.settings import EstimateSettings
+from fusion.estimation.steps.drawn import drawn_by_touch
 from fusion.estimation.steps.fingers import with_fingers
 from scenes.evidence.align import Prior, align, terms
 from scenes.evidence.modes import Mode
@@ -77,3 +78,18 @@ def test_a_finger_that_touched_something_else_does_not_outvote_the_image(exact_f
     ]
     assert off[0] < 0.002
     assert off[1] > 0.005
+
+
+def test_draws_of_what_contacts_allow_know_of_their_fingers(drill, rng):
+    """Sixteen taxels a finger that are off together allow more than as many fingers that touch by one each."""
+    together, truth = touched(drill, rng)
+    apart = Contacts(together.points, sigma_point=3e-4, sensors=[f"{i}" for i in range(len(together))])
+    prior = Prior(truth, np.diag([0.05**-2.0] * 3 + [0.005**-2.0] * 3))
+    mode = Mode(truth, 1.0, 0.0, 1e-6 * np.eye(6))
+    wide, narrow = (
+        drawn_by_touch(
+            drill, feel(Frame(0, contacts=felt), np.eye(4), beside_vision=False), 0.0, (mode,), prior, 0, 5e-3
+        )
+        for felt in (together, apart)
+    )
+    assert np.linalg.slogdet(wide[1])[1] > np.linalg.slogdet(narrow[1])[1] + 2.0
