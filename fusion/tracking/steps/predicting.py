@@ -44,7 +44,7 @@ def predict(
     watch: SlipWatch,
     calibration: CalibrationModel,
     correction: Array | None,
-    seen: Motion | None,
+    seen: Motion | None = None,
 ) -> Predicted:
     """With the palm and the fingertips where the robot tells of them, else at the last velocity and as it is `seen` to
     have moved; `watch` is told.
