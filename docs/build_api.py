@@ -67,7 +67,7 @@ ROOMS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
             "scenes.errors": ("MeshError", "CaptureError", "InputError", "SystemLibraryError"),
             "scenes.recordings.captures": ("Capture",),
             "scenes.recordings.frames": ("EmptyRegions", "Wrench"),
-            "scenes.recordings.beliefs": ("Beliefs", "DepthModel", "CalibrationModel", "TouchModel"),
+            "scenes.recordings.beliefs": ("Beliefs", "DepthModel", "CalibrationModel", "TouchModel", "ImageModel"),
             "scenes.recordings.telling": ("believed", "depth_camera"),
             "scenes.recordings.validation": ("validate", "check_usable"),
             "scenes.geometry.cameras": ("Camera",),

@@ -1,4 +1,4 @@
-"""--camera, --calibration, --joints, --mesh: what is believed of a recording, in millimetres and degrees."""
+"""--camera, --calibration, --joints, --mesh, --image: what is believed of a recording, in mm, degrees and pixels."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def add_beliefs(parser: argparse.ArgumentParser) -> None:
-    """--camera, --calibration, --joints, --mesh: over --config, and that over what a capture says."""
+    """--camera, --calibration, --joints, --mesh, --image: over --config, and that over what a capture says."""
     group = parser.add_argument_group("what is believed of the recording", "instead of what its capture.json says")
     group.add_argument(
         "--camera",
@@ -31,6 +31,12 @@ def add_beliefs(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument("--joints", metavar="DEG", type=_joints, help="sigma of a finger's joint")
     group.add_argument("--mesh", metavar="MM", type=_mesh, help="sigma of what the mesh leaves out")
+    group.add_argument(
+        "--image",
+        metavar="PX",
+        type=_image,
+        help="sigma of how far the colour or grey image lies beside depth (default 1.5, 0.25 of a grey one)",
+    )
 
 
 def beliefs_told(args: argparse.Namespace) -> list[Told]:
@@ -47,6 +53,8 @@ def beliefs_told(args: argparse.Namespace) -> list[Told]:
         found.append(("--joints", of_joints(math.radians(args.joints))))
     if getattr(args, "mesh", None) is not None:
         found.append(("--mesh", {"mesh_sigma": 1e-3 * args.mesh}))
+    if getattr(args, "image", None) is not None:
+        found.append(("--image", {"image": {"grey_sigma": args.image, "colour_sigma": args.image}}))
     return found
 
 
@@ -69,6 +77,13 @@ def _mesh(text: str) -> float:
     from scenes.recordings.beliefs import LARGEST
 
     return _up_to(positive_number(text), 1e3 * LARGEST["mesh_sigma"], "mm", text)
+
+
+def _image(text: str) -> float:
+    """Pixels, for argparse."""
+    from scenes.recordings.beliefs import LARGEST
+
+    return _up_to(positive_number(text), LARGEST["colour_sigma"], "px", text)
 
 
 def _joints(text: str) -> float:

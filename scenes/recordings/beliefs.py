@@ -25,6 +25,7 @@ LARGEST = {
     **{"sharing_length": 5000.0, "sharing_length_unknown": 5000.0, "cloud_sigma": 0.1, "cloud_patches": 1e6},
     **{"scale_sigma": 0.2, "shift_sigma": 50.0, "edge_pixels": 50},
     **{"translation_sigma": 0.5, "rotation_sigma": 0.8, "unknown_sigma": 0.1, "fingertip_sigma": 0.1},
+    **{"grey_sigma": 50.0, "colour_sigma": 50.0},
     "mesh_sigma": 0.05,
 }
 # Sizes that are pixels of the image. Their defaults are of a camera whose focal length (px) is this, as those that
@@ -156,12 +157,40 @@ class TouchModel:
 
 
 @dataclass(frozen=True)
+class ImageModel:
+    """How far the image beside depth may lie beside where depth has things, pixels of the image per axis.
+
+    A camera whose colours and depth are of one sensor, or registered to a fraction of a pixel, is worth a small
+    `colour_sigma`; a grey image of another camera than depth's, the `grey_sigma` that colour cameras have.
+    """
+
+    # Of an image without colours: it is taken for the infra-red image that depth was computed from.
+    grey_sigma: float = 0.25
+    # Of a colour camera's image, brought to depth by a calibration that leaves 1 to 3 px (by judgement; a frame that
+    # shows more is believed).
+    colour_sigma: float = 1.5
+
+    def __post_init__(self) -> None:
+        """Refuse what is no size."""
+        check_sizes(self)
+
+    def sigma(self, grey: bool) -> float:
+        """Of an image that has no colours, or that has."""
+        return self.grey_sigma if grey else self.colour_sigma
+
+    def of_another_camera(self) -> ImageModel:
+        """The same where depth is another camera's, whatever the colours: grey is then worth no more than they are."""
+        return replace(self, grey_sigma=max(self.grey_sigma, self.colour_sigma))
+
+
+@dataclass(frozen=True)
 class Beliefs:
     """Everything that is believed of a recording before it is looked at. The mesh by judgement."""
 
     depth: DepthModel = field(default_factory=DepthModel)
     calibration: CalibrationModel = field(default_factory=CalibrationModel)
     touch: TouchModel = field(default_factory=TouchModel)
+    image: ImageModel = field(default_factory=ImageModel)
     # What a mesh and its lattice leave out of a real object, metres: scans of products agree to half a millimetre.
     mesh_sigma: float = 0.0006
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -25,7 +26,7 @@ from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings import bop
-from scenes.recordings.beliefs import Beliefs
+from scenes.recordings.beliefs import Beliefs, usual_beliefs
 from scenes.recordings.frames import Contacts, EmptyRegions, Frame, GelImage, Wrench
 from scenes.recordings.manifest import read_manifest, read_model
 from scenes.recordings.registration import registered
@@ -89,8 +90,14 @@ class Capture:
 
     @property
     def beliefs(self) -> Beliefs | None:
-        """What capture.json says its sensors are worth, None where it says nothing; every frame has the same."""
-        return self.manifest.beliefs
+        """What capture.json says its sensors are worth, None where it says nothing; every frame has the same. An image
+        that rgb_camera.json says another camera took is that camera's, has it colours or not.
+        """
+        said = self.manifest.beliefs
+        if not self._rgb_cameras:
+            return said
+        said = said or usual_beliefs()
+        return replace(said, image=said.image.of_another_camera())
 
     def __len__(self) -> int:
         return len(self.frame_ids)

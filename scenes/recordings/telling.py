@@ -1,7 +1,8 @@
 """How beliefs are told: as a table of capture.json or of TOML, one laid over the other; and written again.
 
-A table is `{"camera": NAME, "depth": {…}, "calibration": {…}, "touch": {…}, "mesh_sigma": …}`, every part optional, the
-fields of `Beliefs` in metres and radians. `camera` is one of DEPTH_CAMERAS and stands before what `depth` adds.
+A table is `{"camera": NAME, "depth": {…}, "calibration": {…}, "touch": {…}, "image": {…}, "mesh_sigma": …}`,
+every part optional, the fields of `Beliefs` in metres, radians and pixels. `camera` is one of DEPTH_CAMERAS and stands
+before what `depth` adds.
 """
 
 from __future__ import annotations

@@ -38,8 +38,8 @@ UNTIED = 1e-3
 
 @dataclass(frozen=True)
 class ColouredSettings:
-    """What `ContourSettings` is for a colour camera's image. It is shifted, turned, scaled and bent against depth:
-    steps in brightness are sharper than that is known.
+    """What `ContourSettings` is for the image of another camera than depth's. It is shifted, turned, scaled and bent
+    against depth: steps in brightness are sharper than that is known.
 
     Tuned before there were steps, on `d435`, `lab` and `desk`. With steps `lab` gains 3 to 5 % of ADD-S, `studio` 2 and
     `counter` nothing; they took a drill of the nine recorded frames from 1.3 to 1.9 mm off its surface.
@@ -62,9 +62,12 @@ class ColouredSettings:
 class ContourSettings:
     """What an outline is worth. Tuned on the tuning family `d435`."""
 
-    # Whether a colour image is asked, and a grey one, which is a depth camera's own.
+    # Whether any image is asked, and one that is registered with depth as its own is.
     used: bool = True
     own: bool = True
+    # Standard deviation (px) of a shift against depth up to which an image is as good as depth's own: steps in
+    # brightness are read to 0.2 to 0.8 px. By judgement.
+    as_own: float = 0.5
     # Times that the outline is drawn and read, anew only where the last time moved it by more than this (px); and
     # Gauss-Newton steps of each.
     rounds: int = 4
@@ -76,11 +79,9 @@ class ContourSettings:
     # Where steps scatter by this factor more than their fits say (variance, by the median), the image has a pattern of
     # its own, a projector's dots on every line, or the mesh another outline, and steps are not used.
     most_scatter: float = 3.0
-    # Standard deviations (px) of a shift of the image against depth: of a grey image, which is a depth camera's own,
-    # and of a colour camera's, brought to it by a calibration that leaves 1 to 3 px (by judgement, and widened where a
-    # frame shows more); of an outline that is fatter than predicted, and of a line beyond what its colours say.
+    # Standard deviations (px) of a shift of the image against depth, as is believed of the image (`of`); of an outline
+    # that is fatter than predicted, and of a line beyond what its colours say.
     shift: float = 0.25
-    shift_colour: float = 1.5
     fatter: float = 0.4
     floor: float = 0.25
     # A rounded edge turns away from the light, so that one that is brighter than what is behind it seems to end early:
@@ -124,6 +125,9 @@ class ContourSettings:
     most_shift: float = 3.0
     most_sigmas: float = 4.0
     shift_gain: float = 1.5
+    # Whether the shift is believed to be larger where a frame shows more. By judgement off for an image that is as good
+    # as depth's own: of stereo without a projector the image's outline is right and depth's is not.
+    learned: bool = False
     # Share of how far errors that depth shares leave distance and tilt open, as it is weighed against the outline: both
     # change an outline by as little as light and blur do. Of 1 the outline took the depth of recorded frames from 1.24
     # to 1.82 mm off the surface, of 0.3 it leaves it at that with the same overlap with masks; `d435` gains by it.
@@ -148,13 +152,17 @@ class ContourSettings:
     edges: EdgeSettings = field(default_factory=EdgeSettings)
     coloured: ColouredSettings = field(default_factory=ColouredSettings)
 
-    def of(self, grey: bool) -> ContourSettings:
-        """These for an image that is grey, a depth camera's own; for a colour camera's, what `coloured` has instead."""
-        if grey:
-            return self
+    def of(self, shift: float) -> ContourSettings:
+        """These for an image that may be shifted against depth by so much (px, standard deviation): one as good as
+        depth's own, or else another camera's, for which `coloured` has other numbers.
+        """
+        if shift <= self.as_own:
+            return replace(self, shift=shift)
         c = self.coloured
         return replace(
             self,
+            shift=shift,
+            learned=True,
             rounds=c.rounds,
             anew=c.anew,
             sharp=c.sharp,
@@ -221,8 +229,7 @@ class ContourEvidence:
         self._scale = float(median(camera.fx / z))
         self._mesh = mesh_sigma * self._scale
         fatter = np.hypot(s.fatter, self._mesh)
-        self.shift = s.shift if self.lines.grey else s.shift_colour
-        self.believed = np.array([self.shift, self.shift, fatter, s.rounded]) ** 2.0
+        self.believed = np.array([s.shift, s.shift, fatter, s.rounded]) ** 2.0
         self.common_information = np.diag(1.0 / self.believed)
         alone = np.zeros(len(place))
         kernels.neighbours(outline.places, 0.5 * s.apart, alone)
@@ -303,11 +310,10 @@ class ContourEvidence:
         self._apart = float(found[1])
 
     def _register(self, left: Array, weight: Array, gradient: Array, information: Array) -> None:
-        """Widen what a colour image's shift against depth may be to what this frame shows of it, where all else has
+        """Widen what another camera's shift against depth may be to what this frame shows of it, where all else has
         gradient (6,) and information (6, 6): the likeliest variance (empirical Bayes), no less than is believed.
         """
-        assert self.lines is not None
-        if self.lines.grey:
+        if not self.settings.learned:
             return
         hessian, pull = self._summed(left, weight)
         hessian[:6, :6] += information
@@ -391,7 +397,7 @@ class ContourEvidence:
             return ""
         # how the pose's own error moves the outline as a whole
         fit = np.linalg.lstsq(self.lines.outline.normals, self.jacobian, rcond=None)[0]
-        spread = fit @ covariance @ fit.T + self.shift**2 * np.eye(2)
+        spread = fit @ covariance @ fit.T + s.shift**2 * np.eye(2)
         if float(shift @ np.linalg.solve(spread, shift)) <= s.most_sigmas**2:
             return ""
         return f"the image's outline is {size:.0f} px beside where depth has it: image and depth may not be registered"

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from fusion.benchmarks.families.table import RECORDED, Family
-from scenes.recordings.beliefs import Beliefs, CalibrationModel, DepthModel, TouchModel
+from scenes.recordings.beliefs import Beliefs, CalibrationModel, DepthModel, ImageModel, TouchModel
 from scenes.recordings.depth_cameras import DEPTH_CAMERAS
 from scenes.synthesis.noise.depth import DepthNoise
 from scenes.synthesis.staging.mesh_errors import BENT_SIGMA, DENTED_SIGMA, FAT, SCALE, SCAN_SIGMA
@@ -42,6 +42,8 @@ def beliefs_of(family: Family) -> Beliefs:
         _depth(preset.depth),
         CalibrationModel(max(robot.camera_translation, LEAST), max(robot.camera_rotation, LEAST)),
         replace(TouchModel(), fingertip_sigma=max(tips, LEAST)),
+        # colours that the depth camera itself sees lie where its depth does, as grey does
+        ImageModel() if preset.colour is not None else replace(ImageModel(), colour_sigma=ImageModel().grey_sigma),
         float(np.hypot(LATTICE, MESHES.get(family.mesh_error or "", 0.0))),
     )
 

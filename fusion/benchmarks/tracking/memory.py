@@ -2,7 +2,7 @@
 
 A recording of an object that is carried to and fro, a quarter of VGA a side, is tracked as `palpate track` does it:
 read frame by frame from its folder, answers, pictures and checkpoints written as they come, and a report at the end.
-Few of its frames differ, all are read.
+Few of its frames differ, all are read. Another process makes it: what drawing a hand takes is no tracker's.
 """
 
 from __future__ import annotations
@@ -10,7 +10,9 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +21,7 @@ from fusion.benchmarks.families.making import hand_of, true_model
 from fusion.benchmarks.families.table import FAMILIES
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Rate, Report, Table
 from fusion.benchmarks.tracking.sequences import USUAL
-from scenes.recordings.captures import Capture, read_capture, write_capture
+from scenes.recordings.captures import read_capture, write_capture
 from scenes.recordings.frames import Frame
 
 OBJECT = "drill"
@@ -50,7 +52,10 @@ def run(settings: BenchSettings) -> Report:
     report = Report("memory", "A track that goes on and on", f"{count} frames", settings.seed, tables=[table])
     told = {min(FIRST, count), *(max(1, round(share * count)) for share in SHARES)}
     with tempfile.TemporaryDirectory() as scratch:
-        capture = _recorded(Path(scratch) / "recording", count, settings.seed)
+        folder = Path(scratch) / "recording"
+        with ProcessPoolExecutor(1, get_context("spawn")) as other:
+            other.submit(_record, folder, count, settings.seed).result()
+        capture = read_capture(folder)
         out, model = Path(scratch) / "out", capture.model
         most, before, since = 0.0, time.process_time(), 0
         with TrackRun(capture, model, out, lambda: Tracker(model, seed=settings.seed), lambda f, _: f, {}) as track:
@@ -79,8 +84,8 @@ def run(settings: BenchSettings) -> Report:
     return report
 
 
-def _recorded(folder: Path, count: int, seed: int) -> Capture:
-    """A recording of `count` frames, of which MADE differ."""
+def _record(folder: Path, count: int, seed: int) -> None:
+    """Writes a recording of `count` frames, of which MADE differ."""
     from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
 
     family, model = FAMILIES[USUAL], true_model(OBJECT)
@@ -96,7 +101,6 @@ def _recorded(folder: Path, count: int, seed: int) -> Capture:
             yield replace(around[index % len(around)], index=index, prior=made[0].prior if index == 0 else None)
 
     write_capture(folder, frames(), model, hand)
-    return read_capture(folder)
 
 
 def _megabytes() -> float:

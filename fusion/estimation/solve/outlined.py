@@ -22,6 +22,7 @@ from scenes.evidence.align import costs
 from scenes.evidence.modes import Mode
 from scenes.evidence.solver_kernels import eliminate
 from scenes.geometry import poses as se3
+from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
 from vision.contour.evidence import ContourEvidence, ContourSettings
 from vision.contour.lines import is_grey
@@ -47,21 +48,27 @@ class Outlined:
     beside: float = 0.0
 
 
-def asks_for(image: NDArray[np.uint8], settings: ContourSettings) -> bool:
+def shift_of(image: NDArray[np.uint8], beliefs: Beliefs) -> float:
+    """Standard deviation (px) of how far an image (h, w, 3) is believed to lie beside depth."""
+    return beliefs.image.sigma(is_grey(image[::4, ::4]))
+
+
+def asks_for(image: NDArray[np.uint8], beliefs: Beliefs, settings: ContourSettings) -> bool:
     """Whether an image (h, w, 3) is to say where the outline is."""
-    return settings.used or (settings.own and is_grey(image[::4, ::4]))
+    return settings.used or (settings.own and shift_of(image, beliefs) <= settings.as_own)
 
 
 def outlined(
-    frame: Frame, pool: Pool, solved: JointResult, mode: Mode, mesh_sigma: float, settings: EstimateSettings
+    frame: Frame, pool: Pool, solved: JointResult, mode: Mode, beliefs: Beliefs, settings: EstimateSettings
 ) -> Outlined:
     """The mode, and the joint solution it is from, with what the image says of the outline; as they were where it says
     nothing, is not registered with depth, or wants what everything else speaks against.
 
-    mesh_sigma (m): what the mesh leaves out of the object. The mode may be wider than its solution: as sampled.
+    beliefs: of how far the image lies beside depth, and of what the mesh leaves out of the object. The mode may be
+    wider than its solution: as sampled.
     """
     assert frame.rgb is not None
-    model, how = pool.model, settings.contour.of(is_grey(frame.rgb[::4, ::4]))
+    model, how, mesh_sigma = pool.model, settings.contour.of(shift_of(frame.rgb, beliefs)), beliefs.mesh_sigma
     wider = _positive(mode.covariance - solved.covariance)
     lateral = _across(mode.pose, model.centroid, how.distance_share)
     known = solved.independent + lateral @ solved.shared @ lateral.T + wider

@@ -100,13 +100,13 @@ def finished(found: Faced, trace: Trace) -> Finished | None:
             first, why = asked_picture(model, modes[0], seen_from, predictor, asked.seed, settings.picture_mean)
             modes = (first, *modes[1:])
             stage.note(len(rows), why)
-    coloured = viewed.rgb is not None and predictor.sees and asks_for(viewed.rgb, settings.contour)
-    no_image = "no image beside depth" if viewed.rgb is None else "a colour camera's image is not asked for"
+    coloured = viewed.rgb is not None and predictor.sees and asks_for(viewed.rgb, beliefs, settings.contour)
+    no_image = "no image beside depth" if viewed.rgb is None else "an image beside depth's own is not asked for"
     useless: tuple[str, ...] = ()
     beside = 0.0
     with trace.stage("outline", finish and coloured, why_not if coloured else no_image) as stage:
         if finish and coloured:
-            told = outlined(viewed, pool, best, modes[0], beliefs.mesh_sigma, settings)
+            told = outlined(viewed, pool, best, modes[0], beliefs, settings)
             modes, felt = (told.mode, *modes[1:]), felt.corrected(told.solved.correct())
             beside = told.beside
             useless = () if told.lines else (f"colours are not used: {told.why}",)

@@ -30,14 +30,14 @@ def with_outline(
     why_not = "no picture of it"
     if pool is not None and pool.predictor.sees:
         why_not = "no image beside depth" if viewed.rgb is None else ""
-        if viewed.rgb is not None and not asks_for(viewed.rgb, first.contour):
-            why_not = "a colour camera's image is not asked for"
+        if viewed.rgb is not None and not asks_for(viewed.rgb, beliefs, first.contour):
+            why_not = "an image beside depth's own is not asked for"
     with trace.stage("outline", not why_not, why_not) as stage:
         if why_not or pool is None:
             return solved
         # what the frame does not tell is as wide as the object without the prediction: with it, little of that leaks
         mode = Mode(solved.pose, 1.0, 0.0, solved.covariance)
-        told = outlined(part_with_colours(sensed), pool, solved, mode, beliefs.mesh_sigma, first)
+        told = outlined(part_with_colours(sensed), pool, solved, mode, beliefs, first)
         stage.note(told.lines, told.why)
         if not told.lines:
             return solved

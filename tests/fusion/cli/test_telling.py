@@ -1,4 +1,4 @@
-"""--camera, --calibration, --joints, --mesh: over --config, and that over what a capture says."""
+"""--camera, --calibration, --joints, --mesh, --image: over --config, and that over what a capture says."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fusion.cli.main import main
 from fusion.results.batch import Job
 from fusion.results.runs import frame_setter
 from scenes.files.merged import merged, read_toml
-from scenes.recordings.beliefs import Beliefs
+from scenes.recordings.beliefs import Beliefs, ImageModel
 from scenes.recordings.captures import read_capture, write_capture
 from scenes.recordings.depth_cameras import DEPTH_CAMERAS
 from scenes.recordings.telling import believed
@@ -52,13 +52,14 @@ def test_flags_are_stronger_than_a_file_and_that_than_the_capture(capsys, tmp_pa
     assert with_file.depth == DEPTH_CAMERAS["d455"]
     assert with_file.calibration.translation_sigma == 0.005
     assert with_file.mesh_sigma == SAID.mesh_sigma
-    flags = ("--camera", "d435", "--calibration", "1,0.2", "--joints", "0.6", "--mesh", "0.1")
+    flags = ("--camera", "d435", "--calibration", "1,0.2", "--joints", "0.6", "--mesh", "0.1", "--image", "0.3")
     told = shown(capsys, tmp_path, command, capture, "--config", config, *flags)
     assert told.depth == DEPTH_CAMERAS["d435"]
     assert told.calibration.translation_sigma == pytest.approx(0.001)
     assert told.calibration.rotation_sigma == pytest.approx(np.deg2rad(0.2))
     assert told.touch.fingertip_sigma == pytest.approx(0.15 * np.deg2rad(0.6))
     assert told.mesh_sigma == pytest.approx(0.0001)
+    assert told.image == ImageModel(0.3, 0.3)
 
 
 def test_a_camera_of_one_s_own(capsys, tmp_path):
@@ -81,6 +82,7 @@ def test_a_camera_of_one_s_own(capsys, tmp_path):
         (("--camera", "bad.toml"), "bad.toml: depth: expected a setting of .* did you mean bias_sigma"),
         (("--camera", "text.toml"), "expected TOML, got malformed text"),
         (("--mesh", "80"), "--mesh: expected a number above 0 and up to 50 mm, got '80'"),
+        (("--image", "80"), "--image: expected a number above 0 and up to 50 px, got '80'"),
         (("--calibration", "0,0.3"), "--calibration: expected a length and an angle above 0 and up to 500 mm and 45.8"),
         (
             ("--calibration", "2000,0.3"),

@@ -10,6 +10,7 @@ from fusion import estimate
 from fusion.estimation.settings import EstimateSettings
 from scenes.errors import InputError
 from scenes.geometry import poses
+from scenes.recordings.beliefs import Beliefs, ImageModel
 from scenes.synthesis import library
 from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
 
@@ -125,6 +126,20 @@ def test_another_outline_may_have_been_read_and_moves_nothing(held):
     assert sizes[0] < sizes[2]
 
 
+def test_an_image_that_is_told_to_lie_on_depth_moves_the_pose_farther(held):
+    """Shifted by two pixels: of a camera that may be, most of it is the camera's; of one that cannot, the object's."""
+    model = library.make("bottle")
+    shifted = replace(held, rgb=np.roll(held.rgb, 2, axis=1))
+    untouched = estimate(shifted, model, settings=PLAIN)
+    moved = []
+    for sigma in (1.5, 0.25):
+        told = replace(shifted, beliefs=Beliefs(image=ImageModel(colour_sigma=sigma)))
+        answer = estimate(told, model, settings=COLOUR)
+        assert stage_of(answer).rows > 20
+        moved.append(float(np.linalg.norm(answer.pose[:3, 3] - untouched.pose[:3, 3])))
+    assert moved[1] > moved[0]
+
+
 def test_the_hand_follows_the_pose(held):
     """hand_from_object: the calibration is corrected with the pose, so that contacts stay where they were felt."""
     model = library.make("bottle")
@@ -138,8 +153,13 @@ def test_both_kinds_of_images_are_asked_without_being_told_to(held):
     assert stage_of(estimate(held, model)).rows > 20
     grey = replace(held, rgb=np.repeat(held.rgb[..., :1], 3, axis=2))
     assert stage_of(estimate(grey, model)).rows > 20
-    only_grey = replace(USUAL, contour=replace(USUAL.contour, used=False))
-    assert "not asked for" in stage_of(estimate(held, model, settings=only_grey)).why
+    only_own = replace(USUAL, contour=replace(USUAL.contour, used=False))
+    assert "not asked for" in stage_of(estimate(held, model, settings=only_own)).why
+    # colours and depth of one sensor, and a grey camera beside depth
+    told = replace(held, beliefs=Beliefs(image=ImageModel(colour_sigma=0.25)))
+    assert stage_of(estimate(told, model, settings=only_own)).rows > 20
+    another = replace(grey, beliefs=Beliefs(image=ImageModel().of_another_camera()))
+    assert "not asked for" in stage_of(estimate(another, model, settings=only_own)).why
     assert not stage_of(estimate(replace(held, rgb=None), model)).ran
 
 

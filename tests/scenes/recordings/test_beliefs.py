@@ -12,7 +12,7 @@ from made_frames import plain_view
 from scenes.errors import CaptureError, InputError
 from scenes.files.schema import schema
 from scenes.recordings import beliefs as module
-from scenes.recordings.beliefs import Beliefs, CalibrationModel, DepthModel, TouchModel
+from scenes.recordings.beliefs import Beliefs, CalibrationModel, DepthModel, ImageModel, TouchModel
 from scenes.recordings.captures import read_capture, write_capture
 from scenes.recordings.depth_cameras import DEPTH_CAMERAS
 from scenes.recordings.frames import Frame
@@ -113,13 +113,16 @@ def test_the_later_table_is_laid_over_the_earlier():
     assert believed(None, [("", beliefs_json(made))]) == made
 
 
+KINDS = (("depth", DepthModel), ("calibration", CalibrationModel), ("touch", TouchModel), ("image", ImageModel))
+
+
 def test_the_schema_and_the_classes_are_one():
     table = schema("capture")["properties"]["beliefs"]["properties"]
     assert table["camera"]["enum"] == list(DEPTH_CAMERAS)
-    for name, kind in (("depth", DepthModel), ("calibration", CalibrationModel), ("touch", TouchModel)):
+    for name, kind in KINDS:
         assert set(table[name]["properties"]) == {one.name for one in fields(kind)}
     assert schema("topics")["properties"]["beliefs"] == schema("capture")["properties"]["beliefs"]
-    sizes = [value for part in (DepthModel(), CalibrationModel(), TouchModel()) for value in asdict(part)]
+    sizes = [value for _, kind in KINDS for value in asdict(kind())]
     assert set(module.LARGEST) == {*sizes, "mesh_sigma"}
 
 

@@ -10,6 +10,7 @@ from scenes.files import images
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.geometry.rendering import Renderer, shade
+from scenes.recordings.beliefs import ImageModel
 from scenes.recordings.captures import read_capture, write_capture
 from scenes.recordings.frames import Frame
 from scenes.recordings.registration import registered
@@ -76,8 +77,14 @@ def test_a_capture_says_where_its_colour_camera_is(views, tmp_path):
         "cam_R_d2c": MOVED[:3, :3].ravel().tolist(),
         "cam_t_d2c": (1e3 * MOVED[:3, 3]).tolist(),
     }
+    assert read_capture(tmp_path / "c").beliefs is None
     (tmp_path / "c" / "rgb_camera.json").write_text(json.dumps({"0": entry}))
-    read = read_capture(tmp_path / "c")[0].rgb
+    frame = read_capture(tmp_path / "c")[0]
+    read = frame.rgb
+    # has it colours or not, it is not the image that depth was computed from
+    assert frame.beliefs.image == ImageModel().of_another_camera()
+    write_capture(tmp_path / "copy", [frame], model)
+    assert read_capture(tmp_path / "copy").beliefs == frame.beliefs
     mask = here.mask("object")
     seen = read.any(axis=2)
     assert np.mean((read[..., 0] > read[..., 2])[seen] == mask[seen]) > 0.99

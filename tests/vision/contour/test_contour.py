@@ -9,7 +9,7 @@ from made_frames import plain_view
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.geometry.rendering import Renderer, shade
-from scenes.recordings.beliefs import DepthModel
+from scenes.recordings.beliefs import DepthModel, ImageModel
 from scenes.synthesis import library
 from vision.contour import kernels
 from vision.contour.evidence import ContourEvidence, ContourSettings
@@ -18,6 +18,7 @@ from vision.contour.outline import outline_near, outline_of
 from vision.picture.predictor import Predictor
 
 MESH = 1e-4
+COLOURED = ImageModel().colour_sigma
 
 
 def coloured(name, back=(138, 142, 146)):
@@ -32,6 +33,7 @@ def coloured(name, back=(138, 142, 146)):
 
 
 def evidence_at(frame, model, pose, settings=None):
+    settings = settings or ContourSettings(shift=COLOURED, learned=True)
     return ContourEvidence(frame, model, Predictor(frame, model, DepthModel()), pose, MESH, settings)
 
 
@@ -189,7 +191,7 @@ def test_descent_leads_back_across_the_ray(name):
     at = poses.perturb(truth, off, model.centroid)
     weak = np.diag(np.repeat([(1.0 / 0.05) ** 2, (1.0 / 0.003) ** 2], 3))
     for _ in range(3):
-        evidence, delta = evidence_at(frame, model, at, ContourSettings(shift_colour=0.1)), np.zeros(6)
+        evidence, delta = evidence_at(frame, model, at, ContourSettings(shift=0.1, learned=True)), np.zeros(6)
         for _ in range(4):
             gradient, hessian = evidence.terms(delta)
             delta = delta - np.linalg.solve(hessian + weak, gradient + weak @ delta)
@@ -323,8 +325,8 @@ def test_what_a_colour_image_is_shifted_by_is_learned_from_the_frame():
         for _ in range(3):  # lines are read where the shift that is found so far has them
             evidence.terms(np.zeros(6), (np.zeros(6), np.linalg.inv(sure)))
         moved.append(evidence.common_information[0, 0] ** -0.5)
-        assert believed == ContourSettings().shift_colour
-    assert moved[0] == ContourSettings().shift_colour
+        assert believed == COLOURED
+    assert moved[0] == COLOURED
     assert 2.0 < moved[1] < 4.0
 
 
