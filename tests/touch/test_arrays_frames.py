@@ -11,14 +11,16 @@ from fusion.benchmarks.arrays import angles
 from fusion.benchmarks.arrays.grasps import pad
 from fusion.benchmarks.contacts.trials import errors
 from scenes.errors import CaptureError, InputError
-from scenes.evidence.table import GATE_ABOVE
+from scenes.evidence.table import GATE_ABOVE, WEIGHT
 from scenes.geometry import poses as se3
 from scenes.recordings.frames import Contacts
 from scenes.synthesis import library
 from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
+from touch.arrays.costs import ArrayProblem
 from touch.arrays.descriptor import calibrate_alpha
 from touch.arrays.readings import alpha_of, readings_of
+from touch.arrays.rows import taxel_rows
 from touch.contacts import feel
 
 SMALL = SynthesisSettings(camera=SynthesisSettings().camera.scaled(0.25), rgb=False)
@@ -102,3 +104,47 @@ def test_alpha_is_found_on_known_presses():
     assert angles.tilt_error(angles.pressed(model, taxels, 2.0, 0.0011), 2.0, alpha, 2.0) < 0.3
     with pytest.raises(InputError, match="a normal for each"):
         calibrate_alpha(readings, normals[:1])
+
+
+def test_a_taxel_that_says_nothing_is_neither_touched_nor_empty():
+    frame = frames()[0]
+    name, pressure = next((n, p) for n, p in frame.tactile.items() if (p > 0.0).sum() > 3)
+    told = replace(frame, tactile={**frame.tactile, name: np.where(pressure > 0.0, pressure, np.nan)})
+    before, after = (next(r for r in readings_of(f) if r.sensor == name) for f in (frame, told))
+    np.testing.assert_array_equal(after.active, before.active)
+    assert before.silent.any()
+    assert not after.silent.any()
+    assert len(feel(frame).rows) - len(feel(told).rows) == before.silent.sum()
+    model = library.make("drill")
+    # nor do its pressures: pushed 1 mm farther into the finger, the object would be felt by more of them
+    inside = se3.perturb(
+        frame.camera_from_object_truth,
+        [0.0] * 3 + list(-0.001 * after.taxels[after.active, 3:].mean(axis=0)),
+        model.centroid,
+    )
+    costs = [ArrayProblem(model, [one]).forward(inside[None])[0] for one in (before, after)]
+    assert costs[1] < costs[0]
+
+
+def test_taxels_that_flicker_in_their_noise_say_nothing():
+    frame = frames()[0]
+    name = next(iter(frame.tactile))
+    pressure = np.zeros(len(frame.tactile[name]))
+    touched = len(feel(replace(frame, contacts=NONE, tactile={**frame.tactile, name: pressure})).contacts)
+    for strength, beside, felt in ((2e3, 0.0, 0), (2e3, 2e3, 1), (2e4, 0.0, 1)):
+        told = pressure.copy()
+        told[4], told[5] = strength, beside  # neighbours of one row of the pad
+        flicker = replace(frame, contacts=NONE, tactile={**frame.tactile, name: told})
+        assert len(feel(flicker).contacts) == touched + felt
+        one = next(r for r in readings_of(flicker) if r.sensor == name)
+        assert one.unknown.sum() == 1 - felt
+
+
+def test_one_taxel_is_one_contact_and_no_row_beside_it():
+    frame = frames()[0]
+    first = next(r for r in readings_of(frame) if r.active.sum() > 3)
+    most = np.argsort(first.pressure)[::-1]
+    for count, weight in ((1, 0.0), (2, 1.0), (4, 2.0)):
+        pressure = np.where(np.isin(np.arange(len(most)), most[:count]), first.pressure, 0.0)
+        rows = taxel_rows([replace(first, pressure=pressure)])
+        assert rows.rows[rows.on, WEIGHT].sum() == pytest.approx(weight)

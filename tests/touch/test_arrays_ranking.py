@@ -115,3 +115,20 @@ def test_random_holds_touch_the_object():
         assert abs(model.field.distance(pose[None, :3, 3])[0]) < 0.012
     readings = grasps.record(held, np.eye(4), np.random.default_rng(0))
     assert sum(r.active.any() for r in readings) >= 3
+
+
+def test_many_taxels_of_one_array_are_no_more_witnesses_and_one_array_may_be_wrong(held):
+    model, truth, readings = held
+    both, pressures = around(truth, model, 2), replace(RANKING, covariance=False)
+    problem = ArrayProblem(model, readings)
+    np.testing.assert_allclose(problem.forward_each(both).sum(axis=1), problem.forward(both), rtol=1e-12)
+    often = [
+        replace(r, taxels=np.tile(r.taxels, (10, 1)), pressure=np.tile(r.pressure, 10), unknown=[]) for r in readings
+    ]
+    few, many = (pattern_costs(model, told, both, pressures) for told in (readings, often))
+    assert (many < 1.5 * few).all()
+    # pressed by something else: all that it can cost any pose is what it takes to call it broken
+    first = readings[0]
+    hot = replace(often[0], pressure=np.full(len(often[0].pressure), 0.9 * first.layer.saturation))
+    wrong = pattern_costs(model, [hot, *readings[1:]], both, pressures)
+    assert (wrong < few + pressures.broken).all()

@@ -105,12 +105,25 @@ class ArrayProblem:
         """Negative log likelihood (b,) of the pressures, up to a constant."""
         return self.forward_terms(candidates, False)[0]
 
+    def forward_each(self, candidates: Array) -> Array:
+        """The same of each reading by itself (b, k), which sum to `forward`."""
+        *taxels, first, depths, blurs, levers, turn, move, gate = self._forward_arguments
+        out = np.zeros((len(self.readings), len(candidates)))
+        for k, costs in enumerate(out):
+            alone = first[k : k + 2], depths[k : k + 1], blurs[k : k + 1], levers[k : k + 1]
+            self._likelihood((*taxels, *alone, turn, move, gate), candidates, False, costs)
+        return out.T
+
     def forward_terms(self, candidates: Array, derivatives: bool = True) -> tuple[Array, Array, Array]:
         """The same with gradients (b, 6) and Gauss-Newton Hessians (b, 6, 6) in the chart of poses.perturb."""
+        out = np.zeros(len(candidates))
+        return out, *self._likelihood(self._forward_arguments, candidates, derivatives, out)
+
+    def _likelihood(self, arguments: tuple, candidates: Array, derivatives: bool, out: Array) -> tuple[Array, Array]:
+        """Fills out (b,) by the kernel's arguments; gradients (b, 6) and Hessians (b, 6, 6), zeros if not asked for."""
         count = len(candidates)
         gradients, hessians = np.zeros((count, 6)), np.zeros((count, 6, 6))
         rotations, translations = _split(candidates)
-        out = np.zeros(count)
         field = self.model.field
 
         def work(part: slice) -> None:
@@ -119,7 +132,7 @@ class ArrayProblem:
                 field.origin,
                 field.spacing,
                 self.model.centroid,
-                *self._forward_arguments,
+                *arguments,
                 rotations[part],
                 translations[part],
                 derivatives,
@@ -129,7 +142,7 @@ class ArrayProblem:
             )
 
         run_chunks(work, count, smallest=20)
-        return out, gradients, hessians
+        return gradients, hessians
 
     def cost(self, name: str) -> Callable[[Array], Array]:
         """One of COSTS: poses (b, 4, 4) to costs (b,)."""
@@ -281,6 +294,7 @@ def _indentations(reading: Reading, believed: ForwardSettings) -> tuple[Array, N
     layer, active = reading.layer, reading.active
     least = layer.threshold / layer.stiffness
     felt = np.where(active, np.minimum(reading.indentation, layer.saturation / layer.stiffness), least)
+    felt[reading.unknown] = DEEPEST * layer.thickness  # no object presses deeper
     status = np.where(active, np.where(reading.pressure >= 0.999 * layer.saturation, 2, 1), 0).astype(np.int64)
     sigma = np.sqrt((believed.gain * felt) ** 2 + (believed.noise / layer.stiffness) ** 2 + believed.model**2)
     return felt, status, sigma

@@ -31,6 +31,13 @@ class RankingSettings:
     # A covariance that differs by this much (m^2, Frobenius norm) in one contact is e times less likely: a tenth of a
     # pad's own, the variance of a step that is wrong by half a taxel.
     variance: float = 25e-6
+    # Pressures of one array count like this many independent taxels at most, a fingertip's twelve: finer ones share
+    # what the model leaves out of the layer, the layout and the mesh.
+    independent: float = 12.0
+    # An array is as likely one that tells nothing of this object (a hot taxel, what else it touches, a layout that is
+    # not as told) at this many nats: as much as its rows cost at most, two for what feels and two for what does not,
+    # each to its gate of five sigmas.
+    broken: float = 50.0
     # A mode lies on its contacts: what counts is in the layer, twice its thickness for errors of the finger. (A search,
     # which starts 10 mm away, looks farther.)
     matching: MatchingSettings = field(default_factory=lambda: MatchingSettings(height=0.004))
@@ -50,7 +57,10 @@ def pattern_costs(
     if settings.covariance:
         out += mismatch(model, readings, poses, settings.matching) / settings.variance
     if settings.pressures:
-        out += ArrayProblem(model, readings, forward=settings.forward).forward(poses)
+        each = ArrayProblem(model, readings, forward=settings.forward).forward_each(poses)
+        count = np.array([len(reading.taxels) for reading in readings])
+        each = each * np.minimum(1.0, settings.independent / count)
+        out += (each - np.logaddexp(0.0, each - settings.broken)).sum(axis=1)
     return out
 
 

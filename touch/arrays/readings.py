@@ -7,7 +7,7 @@ column of T1 eq. 5.1, for flat and curved layouts alike.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,8 @@ class Reading:
 
     sensor: its name. taxels (k, 6): places (m) and outward unit normals of the undeformed skin, in any frame that all
     readings of a grasp share. pressure (k,) Pa. layer: the material over the taxels. radius (m): of a spherical
-    fingertip with a cylinder behind it, centred on `frame_from_sensor`; None for any other skin.
+    fingertip with a cylinder behind it, centred on `frame_from_sensor`; None for any other skin. unknown (k,): taxels
+    that say nothing, neither that something is there nor that nothing is; their pressure is 0.
     """
 
     sensor: str
@@ -34,6 +35,7 @@ class Reading:
     layer: SoftLayer
     frame_from_sensor: Array
     radius: float | None = None
+    unknown: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
     def __post_init__(self) -> None:
         """Raises InputError for shapes that do not fit or numbers that are not finite."""
@@ -44,6 +46,13 @@ class Reading:
             )
         if not (np.isfinite(self.taxels).all() and np.isfinite(self.pressure).all()):
             raise InputError(f"array {self.sensor!r}: expected finite taxels and pressures")
+        if not len(self.unknown):
+            object.__setattr__(self, "unknown", np.zeros(len(self.pressure), dtype=np.bool_))
+
+    @property
+    def silent(self) -> NDArray[np.bool_]:
+        """(k,) taxels that feel that nothing is there."""
+        return ~self.active & ~self.unknown
 
     @property
     def active(self) -> NDArray[np.bool_]:
@@ -72,7 +81,32 @@ class Reading:
             [self.taxels[:, :3] @ rotation.T + translation, self.taxels[:, 3:] @ rotation.T], axis=1
         )
         pose = target_from_source @ self.frame_from_sensor
-        return Reading(self.sensor, taxels, self.pressure, self.layer, pose, self.radius)
+        return Reading(self.sensor, taxels, self.pressure, self.layer, pose, self.radius, self.unknown)
+
+
+# Neighbours are no farther than so many pitches: the eight around one on a square grid.
+AROUND = 1.5
+# Noise of a pressure (Pa), as `ForwardSettings.noise`, and the sigmas of it at which one of some hundred taxels is not
+# noise. By judgement.
+NOISE, CERTAIN = 1000.0, 4.0
+
+
+def flickers(taxels: Array, pressure: Array, threshold: float) -> NDArray[np.bool_]:
+    """(k,) which of taxels (k, 6) feel something as weak as noise (Pa) while none beside them does.
+
+    Of some hundred taxels some always read above a threshold that is near their noise; each would be a finger's
+    contact. What touches a skin lightly presses on its neighbours, too, or on a single one by more than that.
+    """
+    out = np.zeros(len(pressure), dtype=np.bool_)
+    active = np.flatnonzero(pressure >= max(threshold, 1e-9))
+    weak = pressure[active] < CERTAIN * NOISE
+    if len(pressure) < 2 or not weak.any():
+        return out
+    apart = np.linalg.norm(taxels[active[weak], None, :3] - taxels[None, :, :3], axis=2)
+    apart[np.arange(len(apart)), active[weak]] = np.inf
+    near = AROUND * max(float(np.median(apart.min(axis=1))), 1e-5)
+    out[active[weak]] = ~(apart[:, active] <= near).any(axis=1)
+    return out
 
 
 def pitch_of(taxels: Array) -> float:
@@ -110,7 +144,10 @@ def readings_of(frame: Frame) -> list[Reading]:
             count = np.size(pressure)
             raise CaptureError(f"{frame.where}: array {name}: expected {len(sensor.taxels)} pressures, got {count}")
         layer = SoftLayer.from_json(sensor.soft_layer, f"sensor {name!r}")
-        pressure = np.where(np.isfinite(pressure), pressure, 0.0)
-        here = Reading(name, sensor.taxels, pressure, layer, np.eye(4), sensor.radius)
+        told = np.isfinite(pressure)
+        pressure = np.where(told, pressure, 0.0)
+        unknown = ~told | flickers(sensor.taxels, pressure, layer.threshold)
+        pressure = np.where(unknown, 0.0, pressure)
+        here = Reading(name, sensor.taxels, pressure, layer, np.eye(4), sensor.radius, unknown)
         out.append(here.moved(camera_from_hand @ hand_from_sensor[name]))
     return out

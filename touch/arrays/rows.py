@@ -72,18 +72,19 @@ def taxel_rows(readings: Sequence[Reading], settings: ArrayRowSettings | None = 
     parts = [tables.empty()]
     for reading in readings:
         active = reading.active
-        if active.any():
+        # a single one is the array's contact, and says nothing beside it
+        if active.sum() > 1:
             parts.append(
                 tables.make(
                     reading.surface_points[active],
                     np.hypot(settings.place_sigma, settings.gain * reading.indentation[active]),
                     TOUCH,
-                    weight=min(1.0, settings.shared / int(active.sum())),
+                    weight=min(settings.shared, active.sum() - 1.0) / active.sum(),
                     gate_above=settings.gate,
                     gate_below=settings.gate,
                 )
             )
-        silent = ~active
+        silent = reading.silent
         if silent.any():
             rows = tables.outside(reading.taxels[silent, :3], settings.place_sigma, TOUCH, gate=settings.gate)
             parts.append(rows.reweighted(min(1.0, settings.silent / int(silent.sum()))))
