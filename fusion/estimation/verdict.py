@@ -266,10 +266,7 @@ def _contradicted(
         fingers = [r.of_finger for r in residuals]
         good = float(np.average([not r.outlier for r in residuals], weights=fingers))
         why = f"{good:.0%} of the contacts explained: they, or their normals, contradict the pose"
-        # a finger or two may have touched something else, where the image shows the object all the same
-        shown = seen and seeing.visible >= settings.least_visible
-        agrees = shown and pixel_share >= settings.least_pixels and not seeing.violated > settings.most_violated
-        excused = agrees and round(sum(fingers)) <= settings.few_fingers
+        excused = _excused(residuals, pixel_share, seeing, settings)
         if good < settings.least_contacts:
             return "ambiguous" if excused else "lost", why
     if np.isfinite(pixel_share) and pixel_share < settings.least_pixels and not residuals:
@@ -283,6 +280,17 @@ def _contradicted(
     if not residuals and seen and seeing.visible < settings.least_visible:
         return "ambiguous", f"only {seeing.visible:.0%} of the object is seen and nothing touches it"
     return None
+
+
+def _excused(
+    residuals: tuple[ContactResidual, ...], pixel_share: float, seeing: Visibility, settings: VerdictSettings
+) -> bool:
+    """Whether contacts are of a finger or two, which may have touched something else, or be badly placed, where the
+    image shows the object all the same.
+    """
+    shown = np.isfinite(seeing.visible) and seeing.visible >= settings.least_visible
+    agrees = shown and pixel_share >= settings.least_pixels and not seeing.violated > settings.most_violated
+    return bool(agrees and round(sum(r.of_finger for r in residuals)) <= settings.few_fingers)
 
 
 def way_round(same: Alike, word: str, tolerance: float, settings: VerdictSettings | None = None) -> tuple[str, ...]:
@@ -332,7 +340,8 @@ def judged(
     against = contact_nats if contradicted is None else contradicted
     doubted = _contradicted(residuals, pixel_share, seeing, settings) is not None
     if word == "ok" and against > settings.most_contradicted * max(len(residuals), 1):
-        word, why, doubted = "lost", "the contacts, or their normals, contradict every pose", True
+        word = "ambiguous" if _excused(residuals, pixel_share, seeing, settings) else "lost"
+        why, doubted = "the contacts, or their normals, contradict every pose", True
     agreeing = float(picture.agree[0] * picture.area[0]) if picture is not None else np.inf
     if word == "ok" and not residuals and agreeing < settings.least_agreeing:
         word, why, doubted = "ambiguous", f"only {agreeing:.0f} pixels agree and nothing touches it", True

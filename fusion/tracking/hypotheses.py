@@ -117,11 +117,17 @@ class Hypothesis:
 Hypotheses = tuple[Hypothesis, ...]
 
 
-def of_modes(modes: Sequence[Mode], votes: float, settings: HypothesisSettings, odds: float = 0.0) -> Hypotheses:
-    """Hypotheses of an estimate's modes, first one first; it has the votes."""
+def of_modes(
+    model: ObjectModel, modes: Sequence[Mode], votes: float, settings: HypothesisSettings, odds: float = 0.0
+) -> Hypotheses:
+    """Hypotheses of an estimate's modes, first one first; it has the votes, and so has every other that puts the
+    surface where it does: a frame is sure of that, and says by the modes' weights which way round it is.
+    """
+    kept = modes[: settings.most]
+    near = [k == 0 or surface_apart(model, m.pose, kept[0].pose) < settings.surface for k, m in enumerate(kept)]
     return tuple(
-        Hypothesis(m.pose, m.covariance, float(np.log(max(m.weight, 1e-9))), votes if i == 0 else 0.0, odds=odds)
-        for i, m in enumerate(modes[: settings.most])
+        Hypothesis(m.pose, m.covariance, float(np.log(max(m.weight, 1e-9))), votes if same else 0.0, odds=odds)
+        for m, same in zip(kept, near)
     )
 
 
@@ -223,6 +229,14 @@ def surface_apart(model: ObjectModel, one: Array, other: Array) -> float:
     """Mean distance (m) of the surface at pose `one` (4, 4) from the surface at `other`: ADD-S, by the lattice."""
     points = se3.apply(se3.inverse(other) @ one, model.sample_surface(SURFACE_POINTS)[0])
     return float(np.abs(model.field.distance(points)).mean())
+
+
+def may_both_be(model: ObjectModel, one: Array, other: Array) -> bool:
+    """Whether an object at pose `one` (4, 4) and another like it at `other` leave each other room: what the image shows
+    there it may show of both. Poses that overlap exclude each other.
+    """
+    points = se3.apply(se3.inverse(other) @ one, model.sample_surface(SURFACE_POINTS)[0])
+    return bool(model.field.distance(points).min() > 0.0)
 
 
 def voted(

@@ -175,7 +175,7 @@ class Tracker:
         self._anchor(answer)
         sure, how = several.sure_of(answer), s.hypotheses
         votes, odds = several.vote_of(answer.verdict, sure, how), several.log_odds(sure, how)
-        state.hypotheses, felt = several.of_modes(answer.modes, votes, how, odds), self._feel(frame)
+        state.hypotheses, felt = several.of_modes(self.model, answer.modes, votes, how, odds), self._feel(frame)
         state.hand, state.seen_at = self._holding(frame, felt, answer.pose), None
         state.index, state.unseen, state.lost_for, state.usual, state.known = frame.index, 0, 0, None, None
         state.forget(s.sizes)

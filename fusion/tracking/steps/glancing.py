@@ -95,7 +95,7 @@ def may_glance(frame: Frame, state: TrackState, carried: Hypotheses, settings: T
     if known is None or frame.depth is None or frame.camera is None:
         return False
     share = float(weights(carried, settings.hypotheses)[0])
-    every = s.every if share >= s.alone else s.every_open
+    every = s.every if share >= s.alone else min(s.every, s.every_open)
     if not 0 < frame.index - state.index <= s.gap or frame.index - known.index >= every:
         return False
     if frame.index >= state.renewal.due or carried[0].age < s.settled:
@@ -119,6 +119,8 @@ def glance(
     to move in the hand, so that a surprise is none.
     """
     found = _glanced_at(model, frame, felt_frame, looker, predicted.pose, predicted, known, things, beliefs, settings)
+    if not found.otherwise and not found.sensed.told_apart:
+        return _followed(model, frame, felt_frame, looker, found, predicted, known, things, beliefs, settings)
     if not (found.surprised and moving):
         return found
     # it goes on moving otherwise than predicted, and all else is as it was: pixels are chosen anew where it is now
@@ -131,6 +133,37 @@ def glance(
     way = se3.difference(again.measured.pose, predicted.pose, model.centroid)
     known_again = still <= settings.glance.surprise and not settings.leaps(way)
     return replace(again, otherwise="") if known_again else again
+
+
+def _followed(
+    model: ObjectModel,
+    frame: Frame,
+    felt_frame: Frame,
+    looker: Looker,
+    found: Glanced,
+    predicted: Belief,
+    known: Known,
+    things: Occluders,
+    beliefs: Beliefs,
+    settings: TrackSettings,
+) -> Glanced:
+    """A glance after which the object is where its pixels were chosen: those inside the outline where it was expected
+    hold it there. Where it goes on from the place that they have led to, it is looked at in full.
+    """
+    how = settings.glance
+
+    def moved(there: Array, here: Array) -> bool:
+        step = se3.difference(there, here, model.centroid)
+        turn, move = np.linalg.norm(step[:3]), np.linalg.norm(step[3:])
+        return bool(turn > how.anew_angle or move > how.anew_distance)
+
+    there = found.measured.pose
+    if not moved(there, predicted.pose):
+        return found
+    again = _glanced_at(model, frame, felt_frame, looker, there, predicted, known, things, beliefs, settings)
+    if not again.otherwise and moved(again.measured.pose, there):
+        return replace(again, otherwise="it goes on from where pixels were chosen anew")
+    return again
 
 
 def _glanced_at(

@@ -21,7 +21,7 @@ from fusion.estimation.solve.settings import JointSettings, Level, Rig
 from fusion.estimation.verdict import contact_residuals, nats_of_contacts
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Measurement
-from fusion.tracking.hypotheses import Hypotheses, weighed
+from fusion.tracking.hypotheses import Hypotheses, surface_apart, weighed
 from fusion.tracking.state import TrackState
 from fusion.tracking.steps.by_picture import meant, walked
 from fusion.tracking.steps.sensing import Sensed
@@ -76,10 +76,25 @@ def refine(
     nats = np.zeros(len(poses))
     if len(poses) > 1:
         nats = np.array(by_rows) if sensed.pool is None else frame_nats(poses, widths, sensed, settings)
+    if len(poses) > 1 and sensed.pool is not None:
+        for k, pose in _led(model, hypotheses, found[0], settings).items():
+            likelier = frame_nats(pose[None], [widths[k]], sensed, settings)[0]
+            if likelier < nats[k]:
+                found[k], nats[k], shown[k] = pose, likelier, sensed.rows_at(pose, settings.side)
     wide = tuple(h if k == 0 else replace(h, covariance=widths[k]) for k, h in enumerate(hypotheses))
     after = weighed(wide, found, nats, settings.hypotheses, sensed.told_apart)
     first = next(k for k, pose in enumerate(found) if pose is after[0].pose)
     return Refined(after, shown[first], first != 0)
+
+
+def _led(model: ObjectModel, hypotheses: Hypotheses, leader: Array, settings: TrackSettings) -> dict[int, Array]:
+    """Poses (4, 4) by the numbers of hypotheses that have the surface where the first has it, another way round: moved
+    as that has moved, whose new pose is `leader` (4, 4). What of a frame does not tell them apart moves both alike; the
+    leader alone is looked for with care, which is no reason to have it likelier.
+    """
+    first, near = hypotheses[0].pose, settings.hypotheses.surface
+    moved = leader @ se3.inverse(first)
+    return {k: moved @ h.pose for k, h in enumerate(hypotheses) if k and surface_apart(model, h.pose, first) < near}
 
 
 def frame_nats(poses: Array, widths: Sequence[Array], sensed: Sensed, settings: TrackSettings) -> Array:

@@ -158,6 +158,14 @@ def renew(
     better = prefers(answer, alone, sensed, s)
     if better > s.hypotheses.missed:  # it has not even found the best that is near it
         vote = 0.0
+    told_apart = sensed is None or sensed.told_apart
+    as_clear = not told_apart and answer.verdict == "ok" and better >= -s.hypotheses.missed
+    if as_clear and several.may_both_be(model, leader.pose, modes[0].pose):
+        # one that looks like it, elsewhere in the image: nothing says that it is the one that was followed until now
+        state.renewal.found(frame.index, None, s.renewal)
+        why = f"another beside it, {several.sure_of(alone):.0%} sure; {better:+.0f} nats for the track"
+        stage = replace(alone.trace[-1], name="search anew", ms=alone.time_ms, why=why)
+        return replace(answer, trace=(*answer.trace, stage))
     carried = (leader, *state.hypotheses[1:])
     # what a frame is not sure of undoes nothing that fingers have felt before it
     sure_of_first = alone.verdict == "ok"
@@ -173,7 +181,6 @@ def renew(
         state.hypotheses, vote = carried, 0.0
     as_gladly = better <= (s.hypotheses.missed if not vote else -s.hypotheses.missed)
     doubtful = not agrees and as_gladly  # of two that look alike the one that is not found is none the worse for it
-    told_apart = sensed is None or sensed.told_apart
     if doubtful:
         sure = 1.0 if told_apart else several.sure_of(alone)
         state.hypotheses = several.doubted(state.hypotheses, s.hypotheses, sure)

@@ -259,6 +259,18 @@ def test_one_normal_the_wrong_way_round_does_not_lose_what_a_camera_sees():
     assert max(answer.confidence for answer in turned) <= posterior.VerdictSettings().most_doubted
 
 
+@pytest.mark.parametrize(("fingers", "word"), [(1, "ambiguous"), (2, "ambiguous"), (3, "lost")])
+def test_a_badly_placed_finger_or_two_do_not_lose_what_a_camera_sees(fingers, word):
+    """Each explained, and 6.6 nats against it: a joint off by a few degrees does that."""
+    model, seeing = library.make("drill"), Visibility(0.9, 0.1, 0.0, 0.0)
+    felt = tuple(residual(False) for _ in range(fingers))
+    rules = posterior.VerdictSettings(), EstimateSettings().confidence
+    against = 6.6 * fingers
+    said = posterior.judged(model, (mode(),), felt, against, 0.9, seeing, None, *rules, contradicted=against)
+    assert said[2] == word
+    assert said[1] <= rules[0].most_doubted
+
+
 def test_what_contradicts_counts_no_more_than_false_contacts():
     model = library.make("drill")
     points, normals = model.sample_surface(5, 0)

@@ -126,7 +126,7 @@ def test_where_nothing_is_told_apart_a_leader_gives_way_to_what_searches_speak_f
 
 def test_how_sure_a_search_was_stays_with_what_it_has_found(mug):
     block = library.make("l_block")
-    lead = several.of_modes([Mode(np.eye(4), 1.0, 0.0, NARROW)], 0.0, S, several.log_odds(0.9, S))
+    lead = several.of_modes(block, [Mode(np.eye(4), 1.0, 0.0, NARROW)], 0.0, S, several.log_odds(0.9, S))
     found, _ = several.voted(
         block, lead, [Mode(turned(1.5), 1.0, 0.0, NARROW)], 0.0, False, S, several.log_odds(0.05, S)
     )
@@ -138,6 +138,23 @@ def test_how_sure_a_search_was_stays_with_what_it_has_found(mug):
     assert several.strengths(found, S)[1] == pytest.approx(-np.log(19.0) - np.log(9.0), abs=0.01)
     assert several.log_odds(0.0, S) == S.least_odds
     assert several.log_odds(1.0, S) == S.most_odds
+
+
+def test_a_start_speaks_for_the_surface_whichever_way_round(mug):
+    """What looks alike has its votes, so that a track does not know better than its first frame."""
+    modes = [Mode(np.eye(4), 0.5, 0.0, NARROW), Mode(turned(1.5), 0.5, 0.0, NARROW)]
+    begun = several.of_modes(mug, modes, 1.0, S)
+    assert [h.votes for h in begun] == [1.0, 1.0]
+    np.testing.assert_allclose(several.weights(begun, S), [0.5, 0.5])
+    # of what has its surface elsewhere the first alone
+    assert [h.votes for h in several.of_modes(library.make("l_block"), modes, 1.0, S)] == [1.0, 0.0]
+
+
+def test_bodies_that_leave_each_other_room_may_both_be_there(mug):
+    beside = poses.make_pose(None, [0.2, 0.0, 0.0])
+    assert several.may_both_be(mug, np.eye(4), beside)
+    assert not several.may_both_be(mug, np.eye(4), poses.make_pose(None, [0.05, 0.0, 0.0]))
+    assert not several.may_both_be(mug, np.eye(4), np.eye(4))
 
 
 def test_an_unsure_search_elsewhere_is_a_small_doubt():

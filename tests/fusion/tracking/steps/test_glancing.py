@@ -1,15 +1,17 @@
 """What looks in full have in common is averaged over them: it is the same from look to look, and each tells it anew."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from made_frames import recording
 
+import fusion.tracking.steps.glancing as glancing
 from fusion.tracking.answer import TrackSettings
-from fusion.tracking.filter import Measurement
+from fusion.tracking.filter import Belief, Measurement
 from fusion.tracking.state import GlanceSettings
-from fusion.tracking.steps.glancing import fitted, freed, part_counted, steadied
+from fusion.tracking.steps.glancing import Glanced, fitted, freed, part_counted, steadied
 from fusion.tracking.steps.refining import loose
 from fusion.tracking.tracker import Tracker
 from scenes.evidence.align import Prior
@@ -86,3 +88,31 @@ def test_what_a_glance_measures_is_not_what_was_predicted(looked):
     assert left["freed"] < 0.001 < 0.002 < left["held"]
     unseen = fitted(model, none, none, beside, freed(predicted, part), 20)
     np.testing.assert_allclose(unseen, beside, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("told_apart", "steps", "glances", "otherwise"),
+    [
+        (False, [0.001], 1, False),
+        (False, [0.003, 0.004], 2, False),
+        (False, [0.003, 0.006], 2, True),
+        (True, [0.003], 1, False),
+    ],
+)
+def test_pixels_are_chosen_anew_where_a_glance_has_led(looked, monkeypatch, told_apart, steps, glances, otherwise):
+    """Where they are chosen by where the object was expected they hold it there; what still goes on is looked at."""
+    model, settings, sensed, known = looked
+    begun = []
+
+    def glanced(model, frame, felt, looker, start, *rest):
+        begun.append(start[0, 3])
+        measured = Measurement(poses.make_pose(None, [steps[len(begun) - 1], 0.0, 0.0]), known.own, known.shared)
+        return Glanced(SimpleNamespace(told_apart=told_apart), measured, (), 1.0, 0.0, "")
+
+    monkeypatch.setattr(glancing, "_glanced_at", glanced)
+    predicted = Belief(np.eye(4), known.own, known.shared)
+    rest = known, sensed.things, False, sensed, settings
+    found = glancing.glance(model, None, None, None, predicted, *rest)
+    assert begun == [0.0, *steps[:-1]][:glances]
+    assert found.measured.pose[0, 3] == steps[-1]
+    assert bool(found.otherwise) is otherwise

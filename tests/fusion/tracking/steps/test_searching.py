@@ -72,3 +72,21 @@ def test_searches_around_a_track_never_make_it_believed(block, unknown_fingers):
     for _ in range(3):
         searching.search_around(block, frame, answer, seen, state, lambda *_: found, TrackSettings())
         assert [h.votes for h in state.hypotheses] == [0.0, S.most_repeated]
+
+
+@pytest.mark.parametrize(
+    ("away", "word", "nats", "followed"),
+    [(0.3, "ok", -2.0, 1), (0.02, "ok", -2.0, 2), (0.3, "ambiguous", -2.0, 2), (0.3, "ok", -20.0, 2)],
+)
+def test_another_like_it_beside_a_sure_track_is_not_it(block, unknown_fingers, monkeypatch, away, word, nats, followed):
+    """Both may be there, and one was followed until now; unless the track is not sure, or the frame likes it less."""
+    frame, seen = unknown_fingers
+    monkeypatch.setattr(searching, "prefers", lambda *_: nats)
+    monkeypatch.setattr(searching, "search_around", lambda *_: "")
+    answer, state = tracked(KNOWN, votes=1.0)
+    answer = replace(answer, verdict=word, confidence=0.99)
+    found = said(poses.make_pose(None, [away, 0.0, 0.0]), KNOWN, 0.99, "ok")
+    after = searching.renew(block, frame, answer, seen, state, lambda *_: found, lambda *_: None, TrackSettings())
+    assert len(state.hypotheses) == followed
+    assert (state.hypotheses[0].votes == 1.0) == (followed == 1)
+    assert after.trace[-1].name == "search anew"
