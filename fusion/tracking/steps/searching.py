@@ -159,7 +159,7 @@ def renew(
     if better > s.hypotheses.missed:  # it has not even found the best that is near it
         vote = 0.0
     told_apart = sensed is None or sensed.told_apart
-    as_clear = not told_apart and answer.verdict == "ok" and better >= -s.hypotheses.missed
+    as_clear = answer.verdict == "ok" and better >= -s.hypotheses.missed and not told_apart and state.touched is None
     if as_clear and several.may_both_be(model, leader.pose, modes[0].pose):
         # one that looks like it, elsewhere in the image: nothing says that it is the one that was followed until now
         state.renewal.found(frame.index, None, s.renewal)
