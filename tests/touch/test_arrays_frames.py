@@ -20,7 +20,7 @@ from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
 from touch.arrays.costs import ArrayProblem
 from touch.arrays.descriptor import calibrate_alpha
 from touch.arrays.readings import alpha_of, readings_of
-from touch.arrays.rows import taxel_rows
+from touch.arrays.rows import array_contacts, taxel_rows
 from touch.contacts import feel
 
 SMALL = SynthesisSettings(camera=SynthesisSettings().camera.scaled(0.25), rgb=False)
@@ -148,3 +148,10 @@ def test_one_taxel_is_one_contact_and_no_row_beside_it():
         pressure = np.where(np.isin(np.arange(len(most)), most[:count]), first.pressure, 0.0)
         rows = taxel_rows([replace(first, pressure=pressure)])
         assert rows.rows[rows.on, WEIGHT].sum() == pytest.approx(weight)
+
+
+def test_the_normal_of_one_taxel_may_be_an_edge():
+    first = next(r for r in readings_of(frames()[0]) if r.active.sum() > 3)
+    alone = np.where(np.arange(len(first.pressure)) == np.argmax(first.pressure), first.pressure, 0.0)
+    whole, one = array_contacts([first, replace(first, pressure=alone)]).sigma_normal
+    assert whole < np.deg2rad(5.0) < one

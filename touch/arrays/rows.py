@@ -26,6 +26,8 @@ class ArrayRowSettings:
     gain: float = 0.15
     # Sigmas of the normal (rad): the finger's joints, and half a pitch of the pattern's middle over a fingertip's bend.
     normal_sigma: float = float(np.deg2rad(4.0))
+    # The same where a single taxel feels something: an edge of the object may press it as well as a face.
+    lone_sigma: float = float(np.deg2rad(20.0))
     # All taxels of one array that feel something count like this many independent contacts: they share the finger's
     # error, but each lies elsewhere on the surface. Those that feel nothing count like so many, too.
     shared: float = 2.0
@@ -39,7 +41,7 @@ def array_contacts(readings: Sequence[Reading], settings: ArrayRowSettings | Non
     pressure-weighted normal, out of the object. Readings' frame.
     """
     settings = settings or ArrayRowSettings()
-    points, normals, names, forces = [], [], [], []
+    points, normals, names, forces, turns = [], [], [], [], []
     for reading in readings:
         if not reading.active.any():
             continue
@@ -52,11 +54,11 @@ def array_contacts(readings: Sequence[Reading], settings: ArrayRowSettings | Non
         normals.append(normal / length if length > 1e-9 * weight.sum() else np.full(3, np.nan))
         forces.append(normal * reading.pitch**2)
         names.append(reading.sensor)
+        turns.append(settings.normal_sigma if reading.active.sum() > 1 else settings.lone_sigma)
     if not points:
         return Contacts.none()
-    count = len(points)
-    sigmas = np.full(count, settings.place_sigma), np.full(count, settings.normal_sigma)
-    return Contacts(points, np.array(normals), *sigmas, names, np.array(forces))
+    places = np.full(len(points), settings.place_sigma)
+    return Contacts(points, np.array(normals), places, np.array(turns), names, np.array(forces))
 
 
 def array_rows(readings: Sequence[Reading], settings: ArrayRowSettings | None = None) -> Evidence:

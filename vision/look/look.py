@@ -130,7 +130,8 @@ def look(
         return among_others(frame, model, hand, beliefs, settings)
     region = find_region(frame, model, None, settings.slack, mask)
     found = _sorted(frame, region, mask, hand, settings)
-    return replace(found, how="; table, hand and clutter taken away", at_hand=not len(frame.contacts))
+    felt = len(frame.contacts) > 0
+    return replace(found, how="; table, hand and clutter taken away", at_hand=not felt, at_touch=felt)
 
 
 def among_others(

@@ -44,7 +44,7 @@ class Looked:
     space). region: where the object is looked for. hand: the aligned hand. dropped: counts by reason. is_cloud: the
     points come from a cloud, not from pixels of a camera. told_apart: a mask or the hand's model removed what hides the
     object. how: a word on what was taken away first. planes (k, 6): table and walls, see `find_plane`. at_hand: pixels
-    are the object's only because they are at the hand.
+    are the object's only because they are at the hand; at_touch: because they are there, and at what is felt.
     """
 
     pixels: Pixels
@@ -59,6 +59,7 @@ class Looked:
     planes: Array = field(default_factory=lambda: np.zeros((0, 6)))
     pieces: tuple[Pixels, ...] = ()
     at_hand: bool = False
+    at_touch: bool = False
     # rows by what they were made with: several steps ask for them
     _made: dict[tuple[DepthModel | None, RowSettings], Evidence] = field(
         default_factory=dict, init=False, repr=False, compare=False

@@ -84,7 +84,8 @@ def look_again(model: ObjectModel, asked: Asked, trace: Trace, looked: Looked, a
     else is at the hand, and nobody says what hides the object. None where nothing speaks for that.
     """
     settings, hand = asked.settings.look, looked.hand
-    why_not = "what is the object's is not told by the hand" if not looked.at_hand or hand is None else ""
+    told = looked.at_hand or looked.at_touch
+    why_not = "what is the object's is not told by the hand" if not told or hand is None else ""
     if not why_not and answer.verdict == "ok":
         why_not = "the answer is ok"
     left = 0.0 if why_not else _unexplained(model, looked, answer, settings)

@@ -181,3 +181,8 @@ def test_an_arm_that_nobody_models_is_not_taken_for_what_the_hand_holds(hand):
     assert not any(stage.ran for stage in again(hurried))
     started = estimate(with_arm(replace(bare, prior=frame.prior), 0.1), hammer, use=("vision",))
     assert not any(stage.ran for stage in again(started))
+    # nor do two senses take it for that: one finger says where the object is, not where it ends
+    touched = estimate(with_arm(replace(bare, contacts=frame.contacts.take([0])), 0.1), hammer)
+    assert [stage.ran for stage in again(touched)] == [True]
+    assert touched.verdict == "ok"
+    assert judge.errors(touched.pose, frame.camera_from_object_truth).add_s < 0.004
