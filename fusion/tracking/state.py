@@ -60,10 +60,10 @@ class GlanceSettings:
     # Squared innovation (chi-square, 6 degrees of freedom), one in a thousand by chance; of an object that slips, two
     # glances must differ by as much.
     surprise: float = 22.5
-    # A step from the prediction (rad, m) from which pixels are chosen anew where it has led, if nothing tells what
+    # How far (m) a fit goes from the prediction before pixels are chosen anew where it has led, if nothing tells what
     # hides the object: those that lie inside the outline where it was expected hold it there, and what starts to move
-    # was followed half of the way and `ok` 10 mm behind. Twice what is usual from frame to frame of a steady hand.
-    anew_angle: float = float(np.deg2rad(2.0))
+    # was followed half of the way and `ok` 10 mm behind. By judgement; turns do not count: those that little tells of
+    # wander.
     anew_distance: float = 0.002
 
 

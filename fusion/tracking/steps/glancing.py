@@ -147,23 +147,21 @@ def _followed(
     beliefs: Beliefs,
     settings: TrackSettings,
 ) -> Glanced:
-    """A glance after which the object is where its pixels were chosen: those inside the outline where it was expected
-    hold it there. Where it goes on from the place that they have led to, it is looked at in full.
+    """The glance, unless the object goes on from where it has led to: pixels inside the outline where it was expected
+    hold it there, and those chosen anew tell. Then the frame is looked at in full.
     """
-    how = settings.glance
 
     def moved(there: Array, here: Array) -> bool:
         step = se3.difference(there, here, model.centroid)
-        turn, move = np.linalg.norm(step[:3]), np.linalg.norm(step[3:])
-        return bool(turn > how.anew_angle or move > how.anew_distance)
+        return bool(np.linalg.norm(step[3:]) > settings.glance.anew_distance)
 
     there = found.measured.pose
     if not moved(there, predicted.pose):
         return found
     again = _glanced_at(model, frame, felt_frame, looker, there, predicted, known, things, beliefs, settings)
-    if not again.otherwise and moved(again.measured.pose, there):
-        return replace(again, otherwise="it goes on from where pixels were chosen anew")
-    return again
+    if again.otherwise or not moved(again.measured.pose, there):
+        return again if again.otherwise else found
+    return replace(again, otherwise="it goes on from where pixels were chosen anew")
 
 
 def _glanced_at(

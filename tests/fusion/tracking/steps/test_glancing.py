@@ -114,5 +114,5 @@ def test_pixels_are_chosen_anew_where_a_glance_has_led(looked, monkeypatch, told
     rest = known, sensed.things, False, sensed, settings
     found = glancing.glance(model, None, None, None, predicted, *rest)
     assert begun == [0.0, *steps[:-1]][:glances]
-    assert found.measured.pose[0, 3] == steps[-1]
+    assert found.measured.pose[0, 3] == (steps[-1] if otherwise else steps[0])
     assert bool(found.otherwise) is otherwise
