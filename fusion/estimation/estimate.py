@@ -93,7 +93,9 @@ def estimate(
         if again is not None:
             other = _estimate(frame, model, asked, trace, again)
             assert other is not None
-            answer = max(answer, other, key=lambda one: (one.verdict == "ok", one.confidence))
+            # where what is felt contradicts every pose, a look at more of the image has to be sure of one
+            if other.verdict == "ok" or not (looked.at_touch and answer.verdict == "lost"):
+                answer = max(answer, other, key=lambda one: (one.verdict == "ok", one.confidence))
         answer = replace(answer, trace=trace.stages)
     return trace.noting_budget(answer)
 
