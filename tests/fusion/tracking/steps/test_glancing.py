@@ -93,10 +93,10 @@ def test_what_a_glance_measures_is_not_what_was_predicted(looked):
 @pytest.mark.parametrize(
     ("told_apart", "steps", "glances", "otherwise"),
     [
-        (False, [0.001], 1, False),
-        (False, [0.003, 0.004], 2, False),
-        (False, [0.003, 0.006], 2, True),
-        (True, [0.003], 1, False),
+        (False, [0.003], 1, False),
+        (False, [0.005, 0.006], 2, False),
+        (False, [0.005, 0.010], 2, True),
+        (True, [0.005], 1, False),
     ],
 )
 def test_pixels_are_chosen_anew_where_a_glance_has_led(looked, monkeypatch, told_apart, steps, glances, otherwise):
