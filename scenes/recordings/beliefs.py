@@ -190,9 +190,9 @@ class Beliefs:
     depth: DepthModel = field(default_factory=DepthModel)
     calibration: CalibrationModel = field(default_factory=CalibrationModel)
     touch: TouchModel = field(default_factory=TouchModel)
-    image: ImageModel = field(default_factory=ImageModel)
     # What a mesh and its lattice leave out of a real object, metres: scans of products agree to half a millimetre.
     mesh_sigma: float = 0.0006
+    image: ImageModel = field(default_factory=ImageModel)
 
     def __post_init__(self) -> None:
         """Refuse what is no size."""

@@ -88,7 +88,7 @@ class Capture:
         """What the world frame is: "camera" or "robot base"."""
         return self.manifest.world
 
-    @property
+    @cached_property
     def beliefs(self) -> Beliefs | None:
         """What capture.json says its sensors are worth, None where it says nothing; every frame has the same. An image
         that rgb_camera.json says another camera took is that camera's, has it colours or not.

@@ -19,7 +19,7 @@ from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
 from touch.arrays.costs import ArrayProblem
 from touch.arrays.descriptor import calibrate_alpha
-from touch.arrays.readings import alpha_of, readings_of
+from touch.arrays.readings import alpha_of, flickers, readings_of
 from touch.arrays.rows import array_contacts, taxel_rows
 from touch.contacts import feel
 
@@ -138,6 +138,12 @@ def test_taxels_that_flicker_in_their_noise_say_nothing():
         assert len(feel(flicker).contacts) == touched + felt
         one = next(r for r in readings_of(flicker) if r.sensor == name)
         assert one.unknown.sum() == 1 - felt
+
+
+def test_a_skin_of_a_low_threshold_has_little_noise():
+    taxels = next(r for r in readings_of(frames()[0])).taxels
+    lone = np.where(np.arange(len(taxels)) == 4, 2e3, 0.0)
+    assert [flickers(taxels, lone, threshold).sum() for threshold in (1.5e3, 200.0, 0.0)] == [1, 0, 1]
 
 
 def test_one_taxel_is_one_contact_and_no_row_beside_it():

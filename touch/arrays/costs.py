@@ -25,7 +25,7 @@ from scenes.threads import run_chunks
 from touch.arrays import kernels, pressure_kernels
 from touch.arrays.cloud import CloudSettings, surface_cloud
 from touch.arrays.descriptor import Descriptor, describe, tangent_frame
-from touch.arrays.readings import Reading
+from touch.arrays.readings import NOISE, Reading
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ class ForwardSettings:
     # Error of an indentation: a share of it (gain of a taxel), noise of the pressure (Pa), and what the elastic
     # foundation and the lattice leave out (m).
     gain: float = 0.2
-    noise: float = 1000.0
+    noise: float = NOISE
     model: float = 2e-4
     # Pose error of each array per axis (rad, m): three joints of half a degree, and where it sits on its link.
     turn: float = float(np.deg2rad(1.0))

@@ -18,6 +18,11 @@ from scenes.robot.tactile import SoftLayer
 
 Array = NDArray[np.float64]
 
+# Noise of a pressure (Pa), and the sigmas of it at which one of some hundred taxels is not noise. By judgement.
+NOISE, CERTAIN = 1000.0, 4.0
+# Neighbours are no farther than so many pitches: the eight around one on a square grid.
+AROUND = 1.5
+
 
 @dataclass(frozen=True)
 class Reading:
@@ -46,6 +51,8 @@ class Reading:
             )
         if not (np.isfinite(self.taxels).all() and np.isfinite(self.pressure).all()):
             raise InputError(f"array {self.sensor!r}: expected finite taxels and pressures")
+        if len(self.unknown) not in (0, len(self.pressure)):
+            raise InputError(f"array {self.sensor!r}: expected {pressure[0]} of `unknown`, got {len(self.unknown)}")
         if not len(self.unknown):
             object.__setattr__(self, "unknown", np.zeros(len(self.pressure), dtype=np.bool_))
 
@@ -84,22 +91,17 @@ class Reading:
         return Reading(self.sensor, taxels, self.pressure, self.layer, pose, self.radius, self.unknown)
 
 
-# Neighbours are no farther than so many pitches: the eight around one on a square grid.
-AROUND = 1.5
-# Noise of a pressure (Pa), as `ForwardSettings.noise`, and the sigmas of it at which one of some hundred taxels is not
-# noise. By judgement.
-NOISE, CERTAIN = 1000.0, 4.0
-
-
 def flickers(taxels: Array, pressure: Array, threshold: float) -> NDArray[np.bool_]:
     """(k,) which of taxels (k, 6) feel something as weak as noise (Pa) while none beside them does.
 
     Of some hundred taxels some always read above a threshold that is near their noise; each would be a finger's
     contact. What touches a skin lightly presses on its neighbours, too, or on a single one by more than that.
+    Electronics of a lower threshold (Pa) have less noise.
     """
+    noise = min(NOISE, threshold) if threshold > 0.0 else NOISE
     out = np.zeros(len(pressure), dtype=np.bool_)
     active = np.flatnonzero(pressure >= max(threshold, 1e-9))
-    weak = pressure[active] < CERTAIN * NOISE
+    weak = pressure[active] < CERTAIN * noise
     if len(pressure) < 2 or not weak.any():
         return out
     apart = np.linalg.norm(taxels[active[weak], None, :3] - taxels[None, :, :3], axis=2)

@@ -26,7 +26,8 @@ class ArrayRowSettings:
     gain: float = 0.15
     # Sigmas of the normal (rad): the finger's joints, and half a pitch of the pattern's middle over a fingertip's bend.
     normal_sigma: float = float(np.deg2rad(4.0))
-    # The same (rad) where a single taxel feels something: an edge of the object may press it as well as a face. Tuned.
+    # The same (rad) where a single taxel feels something: an edge of the object may press it as well as a face. By
+    # judgement, as two frames of another generator have it.
     lone_sigma: float = float(np.deg2rad(20.0))
     # All taxels of one array that feel something count like this many independent contacts: they share the finger's
     # error, but each lies elsewhere on the surface. Those that feel nothing count like so many, too.

@@ -42,9 +42,9 @@ def beliefs_of(family: Family) -> Beliefs:
         _depth(preset.depth),
         CalibrationModel(max(robot.camera_translation, LEAST), max(robot.camera_rotation, LEAST)),
         replace(TouchModel(), fingertip_sigma=max(tips, LEAST)),
+        float(np.hypot(LATTICE, MESHES.get(family.mesh_error or "", 0.0))),
         # colours that the depth camera itself sees lie where its depth does, as grey does
         ImageModel() if preset.colour is not None else replace(ImageModel(), colour_sigma=ImageModel().grey_sigma),
-        float(np.hypot(LATTICE, MESHES.get(family.mesh_error or "", 0.0))),
     )
 
 

@@ -11,7 +11,7 @@ glance at where it seems to be will do. Camera frame, metres, radians.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -118,14 +118,18 @@ def glance(
     """Look at a frame near the prediction; felt_frame: the same as far as touch may tell; moving: the object is known
     to move in the hand, so that a surprise is none.
     """
-    found = _glanced_at(model, frame, felt_frame, looker, predicted.pose, predicted, known, things, beliefs, settings)
+
+    def at(start: Array) -> Glanced:
+        return _glanced_at(model, frame, felt_frame, looker, start, predicted, known, things, beliefs, settings)
+
+    found = at(predicted.pose)
     if not found.otherwise and not found.sensed.told_apart:
-        return _followed(model, frame, felt_frame, looker, found, predicted, known, things, beliefs, settings)
+        return _followed(model, found, at, predicted.pose, settings)
     if not (found.surprised and moving):
         return found
     # it goes on moving otherwise than predicted, and all else is as it was: pixels are chosen anew where it is now
     here = found.measured.pose
-    again = _glanced_at(model, frame, felt_frame, looker, here, predicted, known, things, beliefs, settings)
+    again = at(here)
     if again.otherwise and not again.surprised:
         return again
     step = se3.difference(again.measured.pose, here, model.centroid)
@@ -136,19 +140,12 @@ def glance(
 
 
 def _followed(
-    model: ObjectModel,
-    frame: Frame,
-    felt_frame: Frame,
-    looker: Looker,
-    found: Glanced,
-    predicted: Belief,
-    known: Known,
-    things: Occluders,
-    beliefs: Beliefs,
-    settings: TrackSettings,
+    model: ObjectModel, found: Glanced, at: Callable[[Array], Glanced], expected: Array, settings: TrackSettings
 ) -> Glanced:
-    """The glance, unless the object goes on from where it has led to: pixels inside the outline where it was expected
-    hold it there, and those chosen anew tell. Then the frame is looked at in full.
+    """A glance from the pose `expected` (4, 4), unless the object goes on from where it has led to: pixels inside the
+    outline where it was expected hold it there, and those chosen anew tell. Then the frame is looked at in full.
+
+    at: glances with the pixels near a pose (4, 4).
     """
 
     def moved(there: Array, here: Array) -> bool:
@@ -156,12 +153,14 @@ def _followed(
         return bool(np.linalg.norm(step[3:]) > settings.glance.anew_distance)
 
     there = found.measured.pose
-    if not moved(there, predicted.pose):
+    if not moved(there, expected):
         return found
-    again = _glanced_at(model, frame, felt_frame, looker, there, predicted, known, things, beliefs, settings)
-    if again.otherwise or not moved(again.measured.pose, there):
-        return again if again.otherwise else found
-    return replace(again, otherwise="it goes on from where pixels were chosen anew")
+    again = at(there)
+    if again.otherwise:
+        return again
+    if moved(again.measured.pose, there):
+        return replace(again, otherwise="it goes on from where pixels were chosen anew")
+    return found
 
 
 def _glanced_at(

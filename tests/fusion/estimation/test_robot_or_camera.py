@@ -1,10 +1,12 @@
 """Depth that is off and a robot that is off show the same picture: an answer must say that it does not know which."""
 
 from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 import pytest
 import trimesh
+from made_frames import plain_view
 
 from fusion.estimation.estimate import estimate
 from fusion.estimation.settings import EstimateSettings
@@ -186,3 +188,26 @@ def test_an_arm_that_nobody_models_is_not_taken_for_what_the_hand_holds(hand):
     assert [stage.ran for stage in again(touched)] == [True]
     assert touched.verdict == "ok"
     assert judge.errors(touched.pose, frame.camera_from_object_truth).add_s < 0.004
+
+
+@pytest.mark.parametrize(
+    ("touched", "words", "told"),
+    [
+        (True, ("lost", "ambiguous"), 0),
+        (True, ("lost", "ok"), 1),
+        (True, ("ambiguous", "ambiguous"), 1),
+        (False, ("lost", "ambiguous"), 1),
+    ],
+)
+def test_what_contacts_contradict_stays_lost_unless_another_look_is_sure(monkeypatch, touched, words, told):
+    """Parts of what else is in view look like an object that is not held, and nothing touches them."""
+    module = import_module("fusion.estimation.estimate")
+    model, frame = library.make("box"), plain_view("box")
+    one = estimate(frame, model)
+    answers = [replace(one, verdict=word, confidence=sure) for word, sure in zip(words, (0.1, 0.6))]
+    left, look = iter(answers), module.look_once
+    monkeypatch.setattr(module, "_estimate", lambda *_: next(left))
+    monkeypatch.setattr(module, "look_once", lambda *asked: replace(look(*asked), at_touch=touched))
+    monkeypatch.setattr(module, "look_again", lambda model, asked, trace, looked, answer: looked)
+    answer = estimate(frame, model)
+    assert (answer.verdict, answer.confidence) == (words[told], answers[told].confidence)
