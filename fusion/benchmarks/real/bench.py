@@ -1,7 +1,8 @@
 """Recorded frames: ours against what others make of the same depth images, judged by truth, mask and outline.
 
 `palpate bench real [--data DIR] [--bop DIR]`: captures in DIR or its part `real`, recorded grasps in DIR or its part
-`icub-handover`, and the scenes of any BOP data set. No number here comes from a simulator of ours.
+`icub-handover`, and the scenes of any BOP data set. No depth here comes from a simulator of ours, but for the fingers
+that are drawn before the object in one table.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from fusion.benchmarks.real import frames as recordings
 from fusion.benchmarks.real import grasps
 from fusion.benchmarks.real.diagnosis import diagnose
 from fusion.benchmarks.real.frames import Recorded
+from fusion.benchmarks.real.hidden import look_behind
 from fusion.benchmarks.real.sheet import contact_sheet
 from fusion.benchmarks.real.trials import METHODS, OURS, STARTS, Start, Trial, trials, warm_up
 from scenes.errors import InputError
@@ -99,6 +101,7 @@ def _look(report: Report, ones: list[Recorded], left: list[str], settings: Bench
         rows.append((one, answers))
     title = f"palpate on recorded frames, the worst of {count} tries, seed {settings.seed}"
     report.pictures["sheet"] = contact_sheet(rows, title)
+    look_behind(report, ones, settings)
 
 
 def _word(start: Start) -> str:

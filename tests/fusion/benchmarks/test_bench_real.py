@@ -14,6 +14,7 @@ from shared_data import DATA
 from fusion.benchmarks.printing.tables import BenchSettings
 from fusion.benchmarks.real import bench, frames
 from fusion.benchmarks.real.diagnosis import diagnose
+from fusion.benchmarks.real.hidden import FROM, behind_fingers, hidden_trials
 from fusion.benchmarks.real.sheet import HIGH, TEXT, WIDE, tile
 from fusion.benchmarks.real.trials import AT_REFERENCE, METHODS, NO_START, OURS, STARTS, methods_of, trial, trials
 from fusion.cli.main import main
@@ -125,6 +126,35 @@ def test_without_a_start_local_methods_begin_in_the_mask():
     assert methods_of(AT_REFERENCE, False) == (OURS, "icp")
 
 
+def test_fingers_hide_what_is_asked_and_touch_what_they_hide(one):
+    before = one.frame
+    for share in (0.3, 0.8):
+        behind = behind_fingers(one, share, np.random.default_rng(5))
+        assert share <= behind.share < share + 0.25
+        after = behind.frame
+        changed = after.depth != before.depth
+        assert not (after.mask & changed & (after.depth > 0)).any()
+        # fingers are before the object, and nothing of what is left is touched
+        covered = before.mask & ~after.mask & (after.depth > 0)
+        assert (after.depth[covered] < before.depth[covered]).all()
+        off = one.model.field.distance(poses.apply(poses.inverse(one.reference), behind.felt))
+        assert np.abs(off).max() < 0.005
+        again = behind_fingers(one, share, np.random.default_rng(5))
+        assert np.array_equal(after.depth, again.frame.depth)
+        assert np.array_equal(behind.felt, again.felt)
+
+
+def test_methods_behind_fingers_start_alike_and_only_two_are_told_of_contacts(one):
+    found = list(hidden_trials(one, (0.3,), 1, seed=3))
+    assert {(t.start, t.mask) for t in found} == {(start, mask) for start in FROM for mask in (True, False)}
+    assert {t.method for t in found if t.start.angle is None and not t.mask} == {"vision", "fused"}
+    for t in found:
+        told = t.row.estimate
+        if told is not None:
+            assert bool(told.contacts) == (t.method == "fused")
+    assert not list(hidden_trials(replace(one, reference=None), (0.3,), 1, seed=3))
+
+
 def test_a_wrong_answer_is_looked_at_again(one):
     t = trial(one, one.frame, NO_START, "icp")
     far = replace(t, method=OURS, pose=poses.make_pose(translation=[0.0, 0.0, 0.05]) @ one.truth)
@@ -150,14 +180,19 @@ def test_a_whole_run(folder, tmp_path, capsys):
     assert main([*words, "--json", str(tmp_path / "real.json")]) == 0
     assert "bare: no mask" in " ".join(capsys.readouterr().out.split())
     report = json.loads((tmp_path / "real.json").read_text())
-    told, cases, each, _, grasps = report["tables"]
+    told, cases, each, _, behind, grasps = report["tables"]
     assert [(row["frame"], row["it is the truth"]) for row in told["rows"]] == [("shifted", False), ("true", True)]
     assert {row["method"] for row in cases["rows"]} <= set(METHODS)
     near = [row for row in cases["rows"] if row["start"] == NEAR.name and row["mask"] == "mask"]
     assert all(row["right"]["share"] == 1.0 and row["true: tries"] == 1 for row in near if row["method"] == OURS)
     assert len(each["rows"]) == 2 * 2 * len(STARTS)
     assert {row["grasp"] for row in grasps["rows"]} == {"box"}
-    assert all(claim["what"].startswith(("mask", "no mask")) for claim in report["claims"])
+    assert {row["hidden"] for row in behind["rows"]} == {"30%", "60%", "80%"}
+    fused = [row for row in behind["rows"] if row["method"] == "fused" and row["start"] != "none"]
+    assert all(row["tries"] == 2 and row["wrong but ok"] == 0 for row in fused)
+    assert sum(row["right"]["share"] for row in fused) >= 5.0
+    cases = {claim["what"].split(":")[0] for claim in report["claims"]}
+    assert all(case.startswith(("mask", "no mask", "30%", "60%", "80%", "behind fingers")) for case in cases)
     assert (out / "real_sheet.png").is_file()
 
 
