@@ -85,7 +85,9 @@ def terms(system, pose, unknown):
     normal, gradient = np.diag(np.concatenate([np.zeros(6), np.ones(size - 6)])), unknown.copy()
     gradient[:6] = 0.0
     cost = 0.5 * unknown[6:] @ unknown[6:]
-    parts = [(slice(None), vision(system, pose, unknown)), (slice(0, 12), touch(system, pose, unknown))]
+    seen = vision(system, pose, unknown)
+    seen = seen if problem.pixels_tell else explained_by_a_pose(*seen)
+    parts = [(slice(None), seen), (slice(0, 12), touch(system, pose, unknown))]
     if problem.hand is not None:
         parts.append((slice(6, None), hand(system, unknown)))
     if problem.prior is not None:
@@ -97,7 +99,15 @@ def terms(system, pose, unknown):
     return cost, gradient, normal
 
 
-def made_problem(drill, rng, camera=CAMERA, prior=True, hand=None, noise=0.001):
+def explained_by_a_pose(cost, gradient, normal):
+    """What pixels tell of scale and bias, their residuals projected on what the pose makes of them."""
+    known, cross = np.linalg.pinv(normal[:6, :6], rcond=1e-13), normal[12:, :6]
+    gradient, normal = gradient.copy(), normal.copy()
+    gradient[12:], normal[12:, 12:] = cross @ known @ gradient[:6], cross @ known @ cross.T
+    return cost, gradient, normal
+
+
+def made_problem(drill, rng, camera=CAMERA, prior=True, hand=None, noise=0.001, pixels_tell=True):
     """A drill before a camera: pixels of its near side, contacts with normals around it."""
     pose = se3.make_pose(se3.random_rotations(1, rng)[0], [0.02, -0.03, 0.5])
     points, normals = drill.sample_surface(400, seed=int(rng.integers(2**31)))
@@ -121,9 +131,9 @@ def made_problem(drill, rng, camera=CAMERA, prior=True, hand=None, noise=0.001):
     believed = Prior.isotropic(se3.perturb(pose, 0.01 * rng.normal(size=6), drill.centroid), 0.2, 0.02)
     # the widening of normals at bent places is a weight that is not differentiated: off, derivatives are exact
     exact = JointSettings(bend=0.0)
-    problem = JointProblem(
-        drill, seen, felt, int(felt.on.sum()), believed if prior else None, hand, Beliefs(), camera, settings=exact
-    )
+    prior = believed if prior else None
+    fingers, told = int(felt.on.sum()), {"settings": exact, "pixels_tell": pixels_tell}
+    problem = JointProblem(drill, seen, felt, fingers, prior, hand, Beliefs(), camera, **told)
     return problem, pose
 
 

@@ -11,6 +11,7 @@ import math
 import numba
 import numpy as np
 
+from fusion.estimation.solve.considered_kernels import add_of_pose, confounded
 from fusion.estimation.solve.kernels import prior_row, touch_rows, vision_rows
 from scenes._numba import FUSED, LENT
 from scenes.geometry.rotation_kernels import exp_times
@@ -142,13 +143,14 @@ def terms(scene, seen, touch, hand, room, rotation, middle, unknown, normal, gra
     """Cost of a system, what of it the vision rows say, and how many of these count; fills normal (m, m) and gradient
     (m,).
 
-    scene: lattice, prior, a prior that says nothing, least cosine, whether there is a camera, bend of contacts.
+    scene: lattice, prior, a prior that says nothing, least cosine, whether there is a camera, bend of contacts, whether
+    pixels tell of scale and bias no more than a pose explains (`confounded`): the gradient is then not the cost's.
     seen: rows, floors, is_pixel, sigma, weight, normals, slope as of vision_rows, the whitened bias (n, k) of every row
     and the whitening of the scale. touch: prepared rows, whitening (6, 6) of the calibration and its centre (3,). hand:
     constant, gradient and normal matrix of its pixels in the whitened (calibration, scale, bias), of no length for
     none. room: what vision_rows fills, and design (n, 7 + k).
     """
-    lattice, prior, no_prior, least_cosine, has_camera, bend = scene
+    lattice, prior, no_prior, least_cosine, has_camera, bend, considered = scene
     rows, floors, is_pixel, sigma, weight, normals, slope, seen_white, scale = seen
     felt, white_xi, centre = touch
     index, jac, along, residuals, information, design = room
@@ -191,7 +193,11 @@ def terms(scene, seen, touch, hand, room, rotation, middle, unknown, normal, gra
         total += seen_cost
         design_of(index, jac, along, seen_white, scale, count, design)
         part, pull = np.zeros((design.shape[1], design.shape[1])), np.zeros(design.shape[1])
-        add_products(design, information, residuals, count, part, pull)
+        if considered:
+            add_of_pose(design, information, residuals, count, part[:POSE], pull[:POSE])
+            confounded(part, pull)
+        else:
+            add_products(design, information, residuals, count, part, pull)
         for i in range(design.shape[1]):
             a = i if i < POSE else i + POSE
             gradient[a] += pull[i]
@@ -263,7 +269,9 @@ def descend(scene, seen, touch, hand, room, limits, width, rotation, middle, unk
     stay zero; fills normal and gradient there. Returns (cost, log determinant of what is solved for).
 
     limits: how many unknowns are solved for, steps, gain (nats) below which none is taken, how many may be refused, and
-    the object's radius (m). width (m,): information believed of the pose beside the prior.
+    the object's radius (m). width (m,): information believed of the pose beside the prior. Where pixels do not tell of
+    scale and bias by their cost (see `terms`) these are solved for after pose and calibration, by as many steps more,
+    none of which the cost refuses.
     """
     free, steps, worth, most_refused, radius = limits
     m = unknown.shape[0]
@@ -272,45 +280,48 @@ def descend(scene, seen, touch, hand, room, limits, width, rotation, middle, unk
     damped, step = np.zeros((m, m)), np.zeros(m)
     new_normal, new_gradient = np.zeros((m, m)), np.zeros(m)
     new_rotation, new_middle, new_unknown = np.zeros((3, 3)), np.zeros(3), np.zeros(m)
-    for _ in range(steps):
-        for i in range(free):
-            step[i] = -gradient[i]
-            for j in range(i, free):
-                damped[i, j] = normal[i, j]
-            damped[i, i] += damping * normal[i, i] + width[i]
-        if not factorize(damped, free):
-            break
-        solved(damped, free, step)
-        turn = max(abs(step[0]), abs(step[1]), abs(step[2]))
-        move = max(abs(step[3]), abs(step[4]), abs(step[5]))
-        shorten = min(1.0, LONGEST / max(turn, 1e-12))
-        shorten = min(shorten, LONGEST * radius / max(move, 1e-12))
-        gain = 0.0
-        for i in range(m):
-            step[i] *= shorten
-            gain -= step[i] * gradient[i]
-        if gain < 2.0 * worth:
-            break
-        exp_times(step, rotation, new_rotation)
-        for i in range(3):
-            new_middle[i] = middle[i] + step[3 + i]
-        for i in range(POSE, m):
-            new_unknown[i] = unknown[i] + step[i]
-        trial, _, _ = terms(
-            scene, seen, touch, hand, room, new_rotation, new_middle, new_unknown, new_normal, new_gradient
-        )
-        if trial <= cost:
-            cost = trial
-            rotation[:], middle[:], unknown[:] = new_rotation, new_middle, new_unknown
-            normal[:], gradient[:] = new_normal, new_gradient
-            damping = max(damping * 0.1, 1e-9)
-            if shorten * turn < SHORTEST_TURN and shorten * move < SHORTEST_MOVE:
+    considered = scene[6] and free > BEFORE
+    for whole in range(2 if considered else 1):
+        now = BEFORE if considered and not whole else free
+        for _ in range(steps):
+            for i in range(now):
+                step[i] = -gradient[i]
+                for j in range(i, now):
+                    damped[i, j] = normal[i, j]
+                damped[i, i] += (0.0 if whole else damping) * normal[i, i] + width[i]
+            if not factorize(damped, now):
                 break
-        else:
-            refused += 1
-            if refused > most_refused:
+            solved(damped, now, step)
+            turn = max(abs(step[0]), abs(step[1]), abs(step[2]))
+            move = max(abs(step[3]), abs(step[4]), abs(step[5]))
+            shorten = min(1.0, LONGEST / max(turn, 1e-12))
+            shorten = min(shorten, LONGEST * radius / max(move, 1e-12))
+            gain = 0.0
+            for i in range(now):
+                step[i] *= shorten
+                gain -= step[i] * gradient[i]
+            if gain < 2.0 * worth:
                 break
-            damping = max(damping, 1e-5) * 100.0
+            exp_times(step, rotation, new_rotation)
+            for i in range(3):
+                new_middle[i] = middle[i] + step[3 + i]
+            for i in range(POSE, m):
+                new_unknown[i] = unknown[i] + (step[i] if i < now else 0.0)
+            trial, _, _ = terms(
+                scene, seen, touch, hand, room, new_rotation, new_middle, new_unknown, new_normal, new_gradient
+            )
+            if whole or trial <= cost:
+                cost = trial
+                rotation[:], middle[:], unknown[:] = new_rotation, new_middle, new_unknown
+                normal[:], gradient[:] = new_normal, new_gradient
+                damping = max(damping * 0.1, 1e-9)
+                if shorten * turn < SHORTEST_TURN and shorten * move < SHORTEST_MOVE:
+                    break
+            else:
+                refused += 1
+                if refused > most_refused:
+                    break
+                damping = max(damping, 1e-5) * 100.0
     # of a system of unit diagonal
     log_scales = 0.0
     for i in range(free):

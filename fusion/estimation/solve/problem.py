@@ -32,7 +32,9 @@ class JointProblem:
 
     seen: vision rows as measured; felt: touch rows as the robot reports them, of so many fingers. camera None: the
     rows are a cloud without pixels, its bias stays in the rows' sigmas. has_robot False: touch and vision were recorded
-    in one frame.
+    in one frame. pixels_tell: the object's pixels tell of depth's scale and bias by all that they are off, and not only
+    by what a pose explains as well; None: where a hand in view says more of it than they do. Contacts alone tie depth
+    as well as the calibration is known: an outline that is fattened would be explained by a scale.
     """
 
     model: ObjectModel
@@ -45,6 +47,7 @@ class JointProblem:
     camera: Camera | None
     has_robot: bool = True
     settings: JointSettings = field(default_factory=JointSettings)
+    pixels_tell: bool | None = None
 
     @staticmethod
     def of(
@@ -81,6 +84,8 @@ class JointProblem:
         # without touch, too: the hand's pixels have the object's depth errors, and its shape is known
         self.hand = self.hand if self.has_robot and self.hand is not None and len(self.hand.points) else None
         hand_points = self.hand.points if self.hand is not None else np.zeros((0, 3))
+        if self.pixels_tell is None:
+            self.pixels_tell = self.hand is not None or self.camera is None
         depth = self.beliefs.depth
         seen = self.seen.points if self.camera is not None and len(self.seen) else np.zeros((0, 3))
         reach = np.concatenate([seen, hand_points]) if len(seen) else seen

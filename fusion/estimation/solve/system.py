@@ -79,7 +79,8 @@ class System:
     def _arguments(self) -> tuple:
         """The system as the kernels take it: see newton_kernels.terms."""
         p, nothing = self.problem, (0.0, np.zeros(0), np.zeros((0, 0)))
-        scene = p.lattice, p.prior_parts, p.no_prior, p.settings.least_cosine, p.camera is not None, p.settings.bend
+        sees, considered = p.camera is not None, not p.pixels_tell
+        scene = p.lattice, p.prior_parts, p.no_prior, p.settings.least_cosine, sees, p.settings.bend, considered
         rows = p.seen.rows, p.floors, p.is_pixel, p.sigma, p.weight, self.normals, self.slope
         touch = p.felt_rows, self.white_xi, self.centre
         hand = nothing if self._hand_white is None else self._hand_white
@@ -177,7 +178,7 @@ class System:
 
     def mesh_or_bias(self, pose: Array, unknown: Array) -> float:
         """`mesh_variance` at pose (4, 4) and unknowns (size,), if the smooth bias of depth there is the mesh's, too."""
-        (lattice, _, _, least_cosine, sees, _), (*rows, _, scale), *_ = self._arguments
+        (lattice, _, _, least_cosine, sees, *_), (*rows, _, scale), *_ = self._arguments
         unbiased, room = np.zeros(len(self.problem.seen)), self.problem.rows_room()
         held = least_cosine, sees, *self._place(pose), scale * unknown[SCALE], unbiased
         _, k = vision_rows(lattice, *rows, *held, *room)

@@ -82,10 +82,10 @@ def test_the_gradient_is_that_of_the_cost(drill, seed, camera):
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("camera", [CAMERA, None])
-def test_the_kernels_agree_with_their_twins(drill, seed, camera):
+@pytest.mark.parametrize(("camera", "pixels_tell"), [(CAMERA, True), (CAMERA, False), (None, True)])
+def test_the_kernels_agree_with_their_twins(drill, seed, camera, pixels_tell):
     rng = np.random.default_rng(seed)
-    problem, pose = made_problem(drill, rng, camera)
+    problem, pose = made_problem(drill, rng, camera, pixels_tell=pixels_tell)
     system = System(problem, pose, Level())
     unknown = np.zeros(FIXED + len(problem.bias))
     unknown[SCALE], unknown[FIXED:], unknown[XI] = 0.01, 0.3 * rng.normal(size=len(unknown) - FIXED), 0.2
@@ -215,11 +215,12 @@ def test_the_level_of_shared_errors_follows_the_data(drill):
     problem, pose = made_problem(drill, np.random.default_rng(0), prior=False, noise=1e-5)
     # these pixels share nothing
     own = replace(problem.settings, pixel_weight=1.0)
+    told = {"settings": own, "pixels_tell": True}
     seen, felt = problem.seen, problem.felt
-    together = JointProblem(drill, seen, felt, int(felt.on.sum()), None, None, Beliefs(), CAMERA, settings=own)
+    together = JointProblem(drill, seen, felt, int(felt.on.sum()), None, None, Beliefs(), CAMERA, **told)
     agree = solve_modes([together], [pose])[0]
     off = problem.seen.moved(poses.make_pose(None, [0.0, 0.0, 0.006]))
-    apart = JointProblem(drill, off, felt, int(felt.on.sum()), None, None, Beliefs(), CAMERA, settings=own)
+    apart = JointProblem(drill, off, felt, int(felt.on.sum()), None, None, Beliefs(), CAMERA, **told)
     disagree = solve_modes([apart], [pose])[0]
     usual = [np.dot(one.shares, [rig.level for rig in own.rigs]) for one in (agree, disagree)]
     assert usual[0] < usual[1]

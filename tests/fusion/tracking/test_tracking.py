@@ -224,7 +224,7 @@ def test_what_the_robot_is_off_by_is_learned_where_no_hand_is_seen(mug, carried)
     tracker = Tracker(mug)
     answers = [tracker.step(replace(frame, contacts=frame.contacts.moved(off))) for frame in carried]
     assert [a.how for a in answers[1:]] == ["tracked"] * (len(carried) - 1)
-    assert all(off_by(a, f, mug)[1] < 2.0 for a, f in zip(answers, carried))
+    assert all(off_by(a, f, mug)[1] < 2.5 for a, f in zip(answers, carried))
     correction = tracker._state.correction
     assert correction is not None
     reported = carried[-1].contacts.moved(off).moved(poses.inverse(carried[-1].camera_from_object_truth))
