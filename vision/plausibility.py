@@ -55,8 +55,20 @@ def doubts(
             found.append("the mask holds no reading of depth: nothing that the camera sees is taken for the object")
         elif pixels == 0:
             found.append(f"none of the mask's {counted(masked, 'reading')} may be the object's: vision is not used")
-    if hand is None:
-        return tuple(found)
+    return (*found, *hand_doubts(frame, hand, calibration, settings))
+
+
+def hand_doubts(
+    frame: Frame,
+    hand: HandView | None,
+    calibration: CalibrationModel | None = None,
+    settings: PlausibilitySettings | None = None,
+) -> tuple[str, ...]:
+    """In words, why a hand that the robot tells of may not be as it says; see `doubts`."""
+    settings, calibration = settings or PlausibilitySettings(), calibration or usual_beliefs().calibration
+    if frame.depth is None or frame.camera is None or hand is None:
+        return ()
+    found = []
     if len(hand.points):
         off = float(np.sqrt(max(float(hand.xi @ prior_information(calibration, hand.centre) @ hand.xi), 0.0)))
         if off > settings.most_sigmas:
