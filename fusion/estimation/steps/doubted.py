@@ -19,11 +19,15 @@ from fusion.estimation.steps.doubt_settings import DoubtSettings
 from fusion.estimation.trace import Trace
 from scenes.evidence.align import Prior
 from scenes.geometry import poses as se3
+from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings.beliefs import CalibrationModel, usual_beliefs
 from scenes.recordings.frames import Contacts, Frame
+from scenes.recordings.validation import FARTHEST_HELD
 from scenes.words import counted
+from vision.look.hand.hand import HandView
 from vision.look.looked import Looked
-from vision.plausibility import hand_doubts
+from vision.plausibility import hand_doubts, is_displaced, share_seen_past
 from vision.visibility import visibility
 
 Array = NDArray[np.float64]
@@ -58,7 +62,7 @@ def doubted(model: ObjectModel, first: Question, looked: Looked, answer: Estimat
                 question = change(question)
                 said.append(question.said)
             other = ask(question)
-            if other.verdict == "ok" and _may_stand(model, first, question, answer, other):
+            if other.verdict == "ok" and _may_stand(model, first, looked, question, answer, other):
                 stage.note(0, f"without {' and '.join(n for n, c in changes.items() if c in among)}")
                 return replace(other, notes=(*other.notes, *(words(other) for words in said)))
         stage.note(0, f"no surer without {', '.join(changes)}")
@@ -109,10 +113,11 @@ def _doubts(model: ObjectModel, question: Question, looked: Looked, answer: Esti
         yield "the normals' sign", _with_normals_turned
     if frame.mask is not None and "vision" in asked.senses and _beside_mask(model, question, looked, answer):
         yield "the mask", _without_mask(model)
-    doubts = hand_doubts(asked.viewed, looked.hand, asked.beliefs.calibration, asked.settings.plausibility)
-    if doubts and frame.hand is not None:
+    if looked.hand is not None and "vision" in asked.senses and _elsewhere(asked, looked.hand):
         yield "the hand", _without_hand
-    if start is not None and (contradicted or answer.verdict == "lost"):
+    if answer.verdict == "lost" and "touch" in asked.senses and _with_usual_calibration(question) != question:
+        yield "so sure a calibration", _with_usual_calibration
+    if start is not None and (contradicted or answer.verdict == "lost") and _in_view(model, frame, start):
         yield "the start", _without_start(model)
 
 
@@ -121,6 +126,12 @@ def _off(model: ObjectModel, pose: Array, start: Prior) -> float:
     ways = pose @ model.symmetries.poses()
     delta = se3.difference(ways, start.pose, model.centroid)
     return float(np.einsum("ni,ij,nj->n", delta, start.information, delta).min())
+
+
+def _in_view(model: ObjectModel, frame: Frame, start: Prior) -> bool:
+    """Whether a start is where a camera can see the object: behind it, or at its lens, it is no place but a mistake."""
+    depth = float(se3.apply(start.pose, model.centroid[None])[0, 2])
+    return frame.camera is None or model.radius < depth < FARTHEST_HELD
 
 
 def _usual(start: Prior, asked: Asked) -> Prior:
@@ -226,21 +237,63 @@ def _without_hand(question: Question) -> Question:
     )
 
 
-def _may_stand(model: ObjectModel, first: Question, question: Question, answer: Estimate, other: Estimate) -> bool:
-    """Whether another question's answer may stand for the first: of the thing that was meant, for it is felt, near a
-    start, or in the mask; and likelier than a sure one, where it is the start alone that speaks for that.
+def _elsewhere(asked: Asked, hand: HandView) -> bool:
+    """Whether a hand is not what is seen, or is seen beside where it is told. Where it is nearer or farther, its depth
+    may be right and the camera's wrong: it is believed, unless contacts have to agree with what the camera says then.
+    """
+    beliefs, rules = asked.beliefs, asked.settings.plausibility
+    if share_seen_past(asked.viewed, hand, rules) > rules.most_past:
+        return True
+    away = float(np.linalg.norm(hand.centre))
+    along = abs(float(hand.xi[3:] @ hand.centre)) / max(away, 1e-9)
+    depth = np.hypot(beliefs.depth.scale_sigma * away, beliefs.depth.bias_sigma)
+    felt = "touch" in asked.senses and len(set(asked.viewed.contacts.sensors)) > 1
+    return is_displaced(hand, beliefs.calibration, rules) and (felt or along < asked.settings.doubt.along * depth)
+
+
+def _with_usual_calibration(question: Question) -> Question:
+    beliefs, usual = question.asked.beliefs, usual_beliefs()
+    told, known = beliefs.calibration, usual.calibration
+    calibration = CalibrationModel(
+        max(told.translation_sigma, known.translation_sigma), max(told.rotation_sigma, known.rotation_sigma)
+    )
+    if calibration == told:
+        return question
+    asked = replace(question.asked, beliefs=replace(beliefs, calibration=calibration))
+    said = "the calibration is not as good as told"
+    return Question(question.frame, asked, lambda answer: said)
+
+
+def _may_stand(
+    model: ObjectModel, first: Question, looked: Looked, question: Question, answer: Estimate, other: Estimate
+) -> bool:
+    """Whether another question's answer may stand for the first: likelier than a sure one, where it is the start alone
+    that speaks for that; and of the thing that was meant: felt, near a start, in the mask, or in the hand.
     """
     start, settings = _start(first.asked), first.asked.settings.doubt
     if answer.verdict == "ok" and start is not None and question.asked.prior is None:
         sensed = answer.modes[0].cost - 0.5 * _off(model, answer.pose, start)
         if other.modes[0].cost > sensed - settings.likelier:
             return False
-    mask, camera = first.frame.mask, first.asked.viewed.camera
-    if mask is None or camera is None or not mask.any() or question.asked.prior is not None or other.contacts:
+    mask = first.asked.viewed.mask
+    if mask is not None and not mask.any():
+        mask = None
+    said_by_mask, said_by_start = mask is not question.asked.viewed.mask, question.asked.prior is not first.asked.prior
+    if other.contacts or question.asked.prior is not None or not (said_by_mask or said_by_start):
         return True
     seen_at = other.pose if other.as_seen is None else other.as_seen
     points = se3.apply(seen_at, model.vertices[:: max(1, len(model.vertices) // 500)])
+    if mask is not None:
+        return _share_within(mask, first.asked.viewed.camera, points) >= settings.within_mask
+    hand = looked.seen_hand
+    return hand is not None and hand.gap(points) < settings.in_hand
+
+
+def _share_within(mask: NDArray[np.bool_], camera: Camera | None, points: Array) -> float:
+    """Share of camera-frame points (n, 3) before the camera and in the image that are in a mask."""
+    if camera is None:
+        return 0.0
     pixels, depth = camera.project(points)
     u, v = np.round(pixels[depth > 0]).astype(int).T
     inside = (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
-    return bool(inside.any() and mask[v[inside], u[inside]].mean() >= settings.within_mask)
+    return float(mask[v[inside], u[inside]].mean()) if inside.any() else 0.0

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_frames import plain_view
 
 from fusion import estimate
 from fusion.estimation.asked import believing
@@ -12,6 +13,7 @@ from fusion.truth import metrics
 from scenes import Contacts
 from scenes.evidence.align import Prior
 from scenes.geometry import poses as se3
+from scenes.synthesis import library
 
 BOTH = ("vision", "touch")
 
@@ -95,6 +97,15 @@ def test_a_start_of_another_place(bare_frame, drill):
     for degrees, distance in ((180.0, 0.15), (120.0, 0.25)):
         found = estimate(bare_frame, drill, turned(bare_frame, drill, degrees, distance))
         is_right(drill, bare_frame, found, "the start is not believed: the object is found ")
+
+
+def test_no_start_is_left_for_what_nothing_says_is_meant(bare_frame, drill):
+    """Another block may lie there: only the hand, a mask or what is felt say that it is this one."""
+    seen, block = replace(plain_view("l_block"), contacts=Contacts.none()), library.make("l_block")
+    assert estimate(replace(seen, prior=None), block).verdict == "ok"
+    assert estimate(seen, block, turned(seen, block, 60.0, 0.25)).verdict == "lost"
+    # nor is a start doubted where no camera can see anything
+    assert estimate(bare_frame, drill, se3.make_pose(translation=[0.0, 0.0, -0.5])).verdict == "lost"
 
 
 def test_contacts_in_another_frame_are_left_out_where_the_hand_is_seen(bare_frame, drill):
