@@ -74,7 +74,8 @@ def believed_of(frame: Frame, beliefs: Beliefs, settings: NoiseSettings | None =
     if not ratio > 1.0:  # not true of NaN either
         return beliefs
     known = beliefs.depth
-    finer = float(usual_beliefs().depth.independent_sigma(np.float64(s.at)) / known.independent_sigma(np.float64(s.at)))
+    there = np.array(s.at)
+    finer = float(usual_beliefs().depth.independent_sigma(there) / known.independent_sigma(there))
     times = min(ratio, s.most * max(finer, 1.0))
     # no more than a belief may say: of noise alone, a ratio is anything
     larger = {name: min(times * getattr(known, name), LARGEST[name]) for name in NOISY}

@@ -115,7 +115,7 @@ def _doubts(model: ObjectModel, question: Question, looked: Looked, answer: Esti
         yield "the mask", _without_mask(model)
     if looked.hand is not None and "vision" in asked.senses and _elsewhere(asked, looked.hand):
         yield "the hand", _without_hand
-    if answer.verdict == "lost" and "touch" in asked.senses and _with_usual_calibration(question) != question:
+    if answer.verdict == "lost" and "touch" in asked.senses and _with_usual_calibration(question) is not question:
         yield "so sure a calibration", _with_usual_calibration
     if start is not None and (contradicted or answer.verdict == "lost") and _in_view(model, frame, start):
         yield "the start", _without_start(model)
@@ -123,9 +123,16 @@ def _doubts(model: ObjectModel, question: Question, looked: Looked, answer: Esti
 
 def _off(model: ObjectModel, pose: Array, start: Prior) -> float:
     """Squared distance of a pose from a start, in its standard deviations; the nearest of the object's symmetries."""
-    ways = pose @ model.symmetries.poses()
-    delta = se3.difference(ways, start.pose, model.centroid)
-    return float(np.einsum("ni,ij,nj->n", delta, start.information, delta).min())
+    delta = _from_start(model, pose, start)
+    return float(delta @ start.information @ delta)
+
+
+def _from_start(model: ObjectModel, pose: Array, start: Prior) -> Array:
+    """(6,) how far, by turn and move, a pose is from a start; the nearest of the object's symmetries."""
+    if model.symmetries.is_spherical:  # turns tell nothing of a ball
+        return np.asarray(se3.difference(pose, start.pose, model.centroid)) * np.repeat([0.0, 1.0], 3)
+    delta = se3.difference(pose @ model.symmetries.poses(), start.pose, model.centroid)
+    return np.asarray(delta[np.argmin(np.einsum("ni,ij,nj->n", delta, start.information, delta))])
 
 
 def _in_view(model: ObjectModel, frame: Frame, start: Prior) -> bool:
@@ -171,9 +178,8 @@ def _without_start(model: ObjectModel) -> Change:
 
 
 def _far(model: ObjectModel, answer: Estimate, start: Prior) -> str:
-    delta = se3.difference(answer.pose @ model.symmetries.poses(), start.pose, model.centroid)
-    nearest = delta[np.argmin(np.einsum("ni,ij,nj->n", delta, start.information, delta))]
-    turn, move = np.rad2deg(np.linalg.norm(nearest[:3])), 1e3 * np.linalg.norm(nearest[3:])
+    delta = _from_start(model, answer.pose, start)
+    turn, move = np.rad2deg(np.linalg.norm(delta[:3])), 1e3 * np.linalg.norm(delta[3:])
     return f"the object is found {move:.0f} mm and {turn:.0f} degrees from it"
 
 
