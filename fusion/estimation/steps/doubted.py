@@ -25,6 +25,7 @@ from scenes.recordings.beliefs import CalibrationModel, usual_beliefs
 from scenes.recordings.frames import Contacts, Frame
 from scenes.recordings.validation import FARTHEST_HELD
 from scenes.words import counted
+from vision.contour.evidence import UNREGISTERED
 from vision.look.hand.hand import HandView
 from vision.look.looked import Looked
 from vision.plausibility import hand_doubts, is_displaced, share_seen_past
@@ -282,14 +283,14 @@ def _may_stand(
         if other.modes[0].cost > sensed - settings.likelier:
             return False
     mask = first.asked.viewed.mask
-    if mask is not None and not mask.any():
-        mask = None
     said_by_mask, said_by_start = mask is not question.asked.viewed.mask, question.asked.prior is not first.asked.prior
+    if said_by_mask and any(UNREGISTERED in note for note in other.notes):
+        return False  # image and mask together say that it is depth that lies beside
     if other.contacts or question.asked.prior is not None or not (said_by_mask or said_by_start):
         return True
     seen_at = other.pose if other.as_seen is None else other.as_seen
     points = se3.apply(seen_at, model.vertices[:: max(1, len(model.vertices) // 500)])
-    if mask is not None:
+    if mask is not None and mask.any():
         return _share_within(mask, first.asked.viewed.camera, points) >= settings.within_mask
     hand = looked.seen_hand
     return hand is not None and hand.gap(points) < settings.in_hand

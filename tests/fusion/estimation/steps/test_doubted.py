@@ -7,13 +7,17 @@ import pytest
 from made_frames import plain_view
 
 from fusion import estimate
-from fusion.estimation.asked import believing
+from fusion.estimation.asked import Asked, believing
 from fusion.estimation.settings import EstimateSettings
+from fusion.estimation.steps.doubted import Question, _may_stand
+from fusion.estimation.steps.sense import look_once
+from fusion.estimation.trace import Trace
 from fusion.truth import metrics
 from scenes import Contacts
 from scenes.evidence.align import Prior
 from scenes.geometry import poses as se3
 from scenes.synthesis import library
+from vision.contour.evidence import UNREGISTERED
 
 BOTH = ("vision", "touch")
 
@@ -67,6 +71,22 @@ def test_a_mask_of_another_thing_only_where_something_tells_which_is_meant(lab_f
     # by vision alone nothing but the mask says which thing it is
     alone = replace(lab_frame, mask=mask, prior=None, contacts=Contacts.none(), tactile={}, wrenches=())
     assert estimate(alone, drill, use=("vision",)).verdict != "ok"
+
+
+def test_an_empty_mask_says_of_no_other_thing_that_it_is_meant(lab_frame, drill):
+    """Nor is a mask left that lies beside depth as the image does: depth may be what is not in its place."""
+    empty = np.zeros_like(lab_frame.mask)
+    frame = replace(lab_frame, mask=empty, prior=None, contacts=Contacts.none(), tactile={}, wrenches=())
+    first = Question(frame, Asked.of(frame, use=("vision",)))
+    bare = Question(replace(frame, mask=None), replace(first.asked, viewed=replace(first.asked.viewed, mask=None)))
+    held = look_once(drill, bare.asked, Trace())
+    there = replace(estimate(frame, drill, lab_frame.prior, ("vision",)), verdict="ok", contacts=())
+    true = replace(there, pose=frame.camera_from_object_truth, as_seen=None)
+    away = replace(true, pose=se3.make_pose(translation=[0.2, 0.1, 0.0]) @ true.pose)
+    lost = replace(there, verdict="lost")
+    assert _may_stand(drill, first, held, bare, lost, true)
+    assert not _may_stand(drill, first, held, bare, lost, away)
+    assert not _may_stand(drill, first, held, bare, lost, replace(true, notes=(f"colours: {UNREGISTERED}",)))
 
 
 def test_normals_that_point_into_the_object(bare_frame, drill):
