@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scenes.recordings.beliefs import LARGEST, Beliefs, DepthModel
+from scenes.recordings.beliefs import LARGEST, Beliefs, DepthModel, usual_beliefs
 from scenes.recordings.frames import Frame
 from vision import noise_kernels
 from vision.look.pixels import quantile
@@ -40,8 +40,11 @@ class NoiseSettings:
     # show under the usual belief. Of 1 and this, 1 has nearly twice as many wrong answers that are `ok` (16 and 9 of
     # 2504), as nothing was fitted to what pictures are then worth.
     usual: float = 1.6
-    # Most by which noise is taken to be larger than that (a factor); never smaller: what is smooth may be smoothed.
+    # Most by which noise is taken to be larger than that (a factor), where no less is believed than of a usual camera
+    # at this depth (m): of one that is said to be finer it is as much more. Never smaller: what is smooth may be
+    # smoothed.
     most: float = 2.5
+    at: float = 0.6
 
 
 def noise_ratio(depth: ArrayLike, believed: DepthModel, settings: NoiseSettings | None = None) -> float:
@@ -70,7 +73,10 @@ def believed_of(frame: Frame, beliefs: Beliefs, settings: NoiseSettings | None =
     ratio = noise_ratio(frame.depth, beliefs.depth, s) / s.usual
     if not ratio > 1.0:  # not true of NaN either
         return beliefs
-    times, known = min(ratio, s.most), beliefs.depth
+    known = beliefs.depth
+    there = np.array(s.at)
+    finer = float(usual_beliefs().depth.independent_sigma(there) / known.independent_sigma(there))
+    times = min(ratio, s.most * max(finer, 1.0))
     # no more than a belief may say: of noise alone, a ratio is anything
     larger = {name: min(times * getattr(known, name), LARGEST[name]) for name in NOISY}
     return replace(beliefs, depth=replace(known, **larger))

@@ -55,17 +55,41 @@ def doubts(
             found.append("the mask holds no reading of depth: nothing that the camera sees is taken for the object")
         elif pixels == 0:
             found.append(f"none of the mask's {counted(masked, 'reading')} may be the object's: vision is not used")
-    if hand is None:
-        return tuple(found)
-    if len(hand.points):
-        off = float(np.sqrt(max(float(hand.xi @ prior_information(calibration, hand.centre) @ hand.xi), 0.0)))
-        if off > settings.most_sigmas:
-            millimetres = 1e3 * float(np.linalg.norm(hand.xi[3:]))
-            found.append(f"the hand is seen {millimetres:.0f} mm from where the robot says: check the calibration")
-    past, count = _seen_past(frame, hand, settings)
-    if count >= settings.fewest and past > settings.most_past:
+    return (*found, *hand_doubts(frame, hand, calibration, settings))
+
+
+def hand_doubts(
+    frame: Frame,
+    hand: HandView | None,
+    calibration: CalibrationModel | None = None,
+    settings: PlausibilitySettings | None = None,
+) -> tuple[str, ...]:
+    """In words, why a hand that the robot tells of may not be as it says; see `doubts`."""
+    settings, calibration = settings or PlausibilitySettings(), calibration or usual_beliefs().calibration
+    if frame.depth is None or frame.camera is None or hand is None:
+        return ()
+    found = []
+    if is_displaced(hand, calibration, settings):
+        millimetres = 1e3 * float(np.linalg.norm(hand.xi[3:]))
+        found.append(f"the hand is seen {millimetres:.0f} mm from where the robot says: check the calibration")
+    past = share_seen_past(frame, hand, settings)
+    if past > settings.most_past:
         found.append(f"the camera sees past {past:.0%} of the hand: check intrinsics, depth unit and calibration")
     return tuple(found)
+
+
+def is_displaced(hand: HandView, calibration: CalibrationModel, settings: PlausibilitySettings) -> bool:
+    """Whether a hand is seen farther from where the robot says than its calibration may be off."""
+    if not len(hand.points):
+        return False
+    off = float(np.sqrt(max(float(hand.xi @ prior_information(calibration, hand.centre) @ hand.xi), 0.0)))
+    return off > settings.most_sigmas
+
+
+def share_seen_past(frame: Frame, hand: HandView, settings: PlausibilitySettings) -> float:
+    """Share of the hand's points in the image behind which the camera reads something; 0 where few are in it."""
+    past, count = _seen_past(frame, hand, settings)
+    return past if count >= settings.fewest else 0.0
 
 
 def no_depth(frame: Frame) -> tuple[str, ...]:

@@ -119,6 +119,11 @@ def sure_to_be_within(settings: EstimateSettings, sure_within: float | None) -> 
     return replace(settings, confidence=replace(settings.confidence, tolerance=float(sure_within)))
 
 
+def believing(settings: EstimateSettings) -> EstimateSettings:
+    """The settings of one who knows the start: it is not doubted."""
+    return replace(settings, doubt=replace(settings.doubt, start=np.inf))
+
+
 def _is_number(value: object) -> bool:
     return isinstance(value, Real) and not isinstance(value, bool)
 

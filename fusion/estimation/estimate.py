@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import Asked, check_kinds, check_limits, sure_to_be_within
 from fusion.estimation.settings import EstimateSettings, usual_settings
+from fusion.estimation.steps.doubted import Question, doubted, on_the_hand
 from fusion.estimation.steps.facing import check_print
 from fusion.estimation.steps.finished import finished
 from fusion.estimation.steps.searched import search_on, searched
@@ -87,17 +88,33 @@ def estimate(
             alone = _estimate(frame, model, by_vision, trace, looked)
             if alone is not None and good_enough(model, alone, tolerance, settings):
                 return trace.noting_budget(trace.skipping(alone, "feel", "vision alone is within the tolerance"))
-        answer = _estimate(frame, model, asked, trace, looked)
-        assert answer is not None
-        again = look_again(model, asked, trace, looked, answer)
-        if again is not None:
-            other = _estimate(frame, model, asked, trace, again)
-            assert other is not None
-            # where what is felt contradicts every pose, a look at more of the image has to be sure of one
-            if other.verdict == "ok" or not (looked.at_touch and answer.verdict == "lost"):
-                answer = max(answer, other, key=lambda one: (one.verdict == "ok", one.confidence))
-        answer = replace(answer, trace=trace.stages)
+        question, astray = on_the_hand(Question(frame, asked), looked)
+        if astray:
+            looked = look_once(model, question.asked, trace)
+        answer = _answer(model, question, trace, looked)
+
+        def ask(other: Question) -> Estimate:
+            return _answer(model, other, trace, look_once(model, other.asked, trace))
+
+        answer = doubted(model, question, looked, answer, ask, trace)
+        answer = replace(answer, trace=trace.stages, notes=(*answer.notes, *astray))
     return trace.noting_budget(answer)
+
+
+def _answer(model: ObjectModel, question: Question, trace: Trace, looked: Looked) -> Estimate:
+    """One question's answer, looked for again where it leaves much of what was looked at unexplained."""
+    frame, asked = question.frame, question.asked
+    answer = _estimate(frame, model, asked, trace, looked)
+    assert answer is not None
+    again = look_again(model, asked, trace, looked, answer)
+    if again is None:
+        return answer
+    other = _estimate(frame, model, asked, trace, again)
+    assert other is not None
+    # where what is felt contradicts every pose, a look at more of the image has to be sure of one
+    if other.verdict == "ok" or not (looked.at_touch and answer.verdict == "lost"):
+        answer = max(answer, other, key=lambda one: (one.verdict == "ok", one.confidence))
+    return answer
 
 
 def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: Looked) -> Estimate | None:

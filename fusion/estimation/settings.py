@@ -17,6 +17,7 @@ from fusion.estimation.search.pool_settings import PoolSettings
 from fusion.estimation.search.proposals import ProposalSettings
 from fusion.estimation.solve.settings import JointSettings
 from fusion.estimation.steps.another import AnotherSettings
+from fusion.estimation.steps.doubt_settings import DoubtSettings
 from fusion.estimation.steps.picture import PictureMeanSettings
 from fusion.estimation.verdict import VerdictSettings
 from scenes.evidence.modes import ModeSettings
@@ -77,6 +78,7 @@ class EstimateSettings:
     verdict: VerdictSettings = field(default_factory=VerdictSettings)
     another: AnotherSettings = field(default_factory=AnotherSettings)
     confidence: ConfidenceSettings = field(default_factory=ConfidenceSettings)
+    doubt: DoubtSettings = field(default_factory=DoubtSettings)
     plausibility: PlausibilitySettings = field(default_factory=PlausibilitySettings)
     # How the patterns of taxel arrays tell several modes apart; None leaves it to their rows.
     patterns: RankingSettings | None = field(default_factory=RankingSettings)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate
-from fusion.estimation.asked import as_prior, check_kinds, check_senses, each_frame, sure_to_be_within
+from fusion.estimation.asked import as_prior, believing, check_kinds, check_senses, each_frame, sure_to_be_within
 from fusion.estimation.confidence import near_enough
 from fusion.estimation.estimate import estimate
 from fusion.estimation.trace import Trace
@@ -251,8 +251,8 @@ class Tracker:
         return as_believed(self.model, answer, self._state.hypotheses, self.settings)
 
     def estimated(self, frame: Frame, prior: Prior | None) -> Estimate:
-        """The frame by itself, by the settings and beliefs of this track."""
-        how = self.settings.first  # and beliefs as they were told: each frame widens them by its camera's noise
+        """The frame by itself, by the settings and beliefs of this track; what it knows of a pose is not doubted."""
+        how = self.settings.first if prior is None or prior is self._prior else believing(self.settings.first)
         return estimate(frame, self.model, prior, self._senses, seed=self._seed, settings=how, beliefs=self._asked)
 
     def _follow(self, frame: Frame, belief: Belief, briefly: bool, there: Array | None = None) -> TrackedEstimate:

@@ -27,6 +27,8 @@ CORNER = 0.02
 DEPTHS = (0.05, 20.0)
 # Share of the pixels that may have the largest count of 16 bits by themselves.
 MOST_LARGEST = 0.01
+# Share of an image that the object may fill: one that is nearer than that hides its own hand.
+LARGEST_MASK = 0.95
 # No fingertip has a larger radius, and no place that was found empty (m).
 LARGEST_RADIUS = 0.2
 # Between these (m) is where a contact is known, and up to this (rad) how it faces.
@@ -75,15 +77,18 @@ def frame_problems(folder: Path, frame: Frame) -> list[Problem]:
 
 
 def frame_doubts(folder: Path, frame: Frame) -> dict[str, Problem]:
-    """What may be right and seldom is, by its kind: a principal point of another image than the frame's, holes that are
-    written as the largest count, depths where no hand is, contacts of no sensor or far from all others, sizes that no
-    fingertip and no noise has. folder: of the capture.
+    """What may be right and seldom is, by its kind: a mask of nothing or of everything, a principal point of another
+    image than the frame's, holes that are written as the largest count, depths where no hand is, contacts of no sensor
+    or far from all others, sizes that no fingertip and no noise has. folder: of the capture.
     """
     found = {}
     if frame.camera is not None and any(image is not None for image in (frame.depth, frame.rgb, frame.mask)):
         message = _centre_doubt(frame.camera)
         if message:
             found["centre"] = Problem(str(folder / "scene_camera.json"), frame.index, message)
+    message = _mask_doubt(frame)
+    if message:
+        found["mask"] = Problem(str(folder / "mask_visib"), frame.index, message)
     for kind, (file, message) in _touch_doubts(frame).items():
         found[kind] = Problem(str(folder / file), frame.index, message)
     path = folder / f"depth/{frame.index:06d}.png"
@@ -146,6 +151,13 @@ def _touch_doubts(frame: Frame) -> dict[str, tuple[str, str]]:
 def _too_large(what: str, got: float, most: float, unit: str) -> str:
     asked = {"m": "is it in metres?", "rad": "is it in radians?"}[unit]
     return f"expected {what} up to {most:g} {unit}, got {got:.4g}: {asked}"
+
+
+def _mask_doubt(frame: Frame) -> str:
+    """In words, a mask that is no outline of anything, else ""."""
+    if frame.mask is None or 0.0 < (share := float(frame.mask.mean())) <= LARGEST_MASK:
+        return ""
+    return f"expected a mask of the object's own pixels, got {'none' if not share else f'{share:.0%} of the image'}"
 
 
 def _centre_doubt(camera: Camera) -> str:

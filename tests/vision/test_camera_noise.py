@@ -111,3 +111,11 @@ def test_sizes_in_pixels_that_nobody_told_are_those_of_the_scene(times):
     lens = replace(CAMERA, fx=times * USUAL_FOCAL)
     frame = Frame(0, camera=lens, depth=np.zeros((CAMERA.height, CAMERA.width), np.float32))
     assert believed_of(frame, Beliefs()).depth == known
+
+
+def test_who_says_less_noise_than_any_camera_has_is_not_believed(rng):
+    usual, finer = DepthModel(), DepthModel(axial_floor=6e-5, axial_growth=9.5e-5, bias_sigma=1.25e-4)
+    frame = Frame(0, camera=CAMERA, depth=wall(rng, 1.6))
+    believed = believed_of(frame, Beliefs(depth=finer)).depth
+    assert believed.axial_floor == pytest.approx(usual.axial_floor, rel=0.15)
+    assert believed.bias_sigma == pytest.approx(usual.bias_sigma, rel=0.15)

@@ -24,6 +24,8 @@ from vision.look.pixels import median
 from vision.picture.predictor import Predictor
 
 Array = NDArray[np.float64]
+# What an outline far beside depth's says, in words.
+UNREGISTERED = "image and depth may not be registered"
 
 # Of a squared standard normal, one over its median.
 BY_MEDIAN = 2.198
@@ -400,7 +402,7 @@ class ContourEvidence:
         spread = fit @ covariance @ fit.T + s.shift**2 * np.eye(2)
         if float(shift @ np.linalg.solve(spread, shift)) <= s.most_sigmas**2:
             return ""
-        return f"the image's outline is {size:.0f} px beside where depth has it: image and depth may not be registered"
+        return f"the image's outline is {size:.0f} px beside where depth has it: {UNREGISTERED}"
 
 
 def _hidden(outline: Outline, inner: Array, predictor: Predictor, settings: ContourSettings) -> NDArray[np.bool_]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -43,6 +44,15 @@ def test_a_principal_point_in_a_corner_or_beside_the_image(capture, cx, cy):
     expected = f"expected a principal point about the middle, got {cx:g}, {cy:g} for 64x48 pixels"
     said = f"{expected}: was the image cut out of a larger one? (2 more frames alike)"
     assert told(capture) == [f"{capture / 'scene_camera.json'}, frame 0: {said}"]
+
+
+@pytest.mark.parametrize(("filled", "what"), [(False, "none"), (True, "100% of the image")])
+def test_a_mask_that_is_no_outline(tmp_path, filled, what):
+    frames = [some_frame(index) for index in range(2)]
+    masked = [replace(frame, mask=np.full_like(frame.mask, filled)) for frame in frames]
+    folder = write_capture(tmp_path / "masked", masked, make("box"))
+    said = f"expected a mask of the object's own pixels, got {what} (1 more frame alike)"
+    assert told(folder) == [f"{folder / 'mask_visib'}, frame 0: {said}"]
 
 
 @pytest.mark.parametrize(("cx", "cy"), [(0.0, 23.5), (50.0, 5.0)])
