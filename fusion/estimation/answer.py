@@ -127,7 +127,10 @@ class Estimate:
             "camera_from_object": rows(self.pose),
             "hand_from_object": rows(self.hand_from_object),
             "covariance": rows(self.covariance),
-            "modes": [{"pose": rows(m.pose), "weight": m.weight, "cost": number(m.cost)} for m in self.modes],
+            "modes": [
+                {"pose": rows(m.pose), "weight": m.weight, "cost": number(m.cost), "covariance": rows(m.covariance)}
+                for m in self.modes
+            ],
             "unobservable": list(self.unobservable),
             "confidence": number(self.confidence),
             "sure_within_mm": number(1e3 * self.sure_within),
