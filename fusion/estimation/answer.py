@@ -107,6 +107,13 @@ class Estimate:
     searched: Array | None = None
     as_seen: Array | None = None
 
+    def __repr__(self) -> str:
+        """In one line; the fields have the rest."""
+        place, sure = np.array2string(self.pose[:3, 3], precision=3, suppress_small=True), ""
+        if np.isfinite(self.confidence):
+            sure = f", {100 * self.confidence:.0f} % sure to {1e3 * self.sure_within:.3g} mm"
+        return f"{type(self).__name__}(frame {self.frame}: {self.verdict}{sure}, at {place} m, {len(self.modes)} modes)"
+
     @property
     def time_ms(self) -> float:
         """Milliseconds spent in all stages."""
