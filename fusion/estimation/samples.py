@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate
+from scenes.errors import InputError
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings.validation import check_is_model
 from touch.answers import Localization
 
 Array = NDArray[np.float64]
@@ -20,6 +22,9 @@ def sample_poses(model: ObjectModel, answer: Estimate | Localization, count: int
     Drawn from Gaussians, whose tails are shorter than those of errors (see `Estimate`). A mode whose covariance is not
     finite is left out; none left, the result has no row. That no mode is right is not drawn: see `confidence`.
     """
+    check_is_model(model)
+    if not isinstance(count, int | np.integer) or count < 0:
+        raise InputError(f"count: expected a whole number from 0, got {count!r}")
     rng = np.random.default_rng([seed, getattr(answer, "frame", 0)])
     modes = [mode for mode in answer.modes if np.isfinite(mode.covariance).all() and mode.weight > 0]
     if not modes or not count:

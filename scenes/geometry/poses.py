@@ -236,8 +236,12 @@ def _one_quaternion(r: list[list[float]]) -> Array:
 
 
 def from_quaternion(quaternion: ArrayLike) -> Array:
-    """Rotations (..., 3, 3) of quaternions (..., 4), scalar first; any non-zero length."""
+    """Rotations (..., 3, 3) of quaternions (..., 4), scalar first (ROS and SciPy have it last: np.roll(q, 1, axis=-1));
+    any non-zero length. Raises InputError for other shapes.
+    """
     q = np.asarray(quaternion, dtype=np.float64)
+    if q.shape[-1:] != (4,):
+        raise InputError(f"quaternion: expected four numbers w, x, y, z, got shape {q.shape}")
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     w, v = q[..., 0, None, None], q[..., 1:]
     k = skew(v)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from made_frames import plain_view
 
-from fusion import Tracker, estimate, track
+from fusion import Tracker, estimate, sample_poses, track
 from fusion.tracking.checkpoint import restore_tracker
 from fusion.tracking.rehearsal import rehearse
 from scenes.errors import CaptureError, InputError
@@ -17,8 +17,10 @@ from scenes.formats.bop.scene import Choice, convert
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
+from scenes.geometry.symmetries import Symmetries
 from scenes.recordings.captures import read_capture, write_capture
 from scenes.recordings.frames import Contacts, Frame
+from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.library import make
 from touch import localize
 
@@ -224,3 +226,20 @@ def test_frames_and_answers_print_in_a_line():
     said = repr(Tracker(model).step(frame))
     assert said.startswith(f"TrackedEstimate(frame {frame.index}: ")
     assert "\n" not in said
+
+
+def test_arguments_of_helpers(tmp_path):
+    frame, model, hand = plain_view("drill"), make("drill"), five_finger_hand()
+    for call, told in (
+        (lambda: write_capture(tmp_path / "a", [frame], "drill.ply"), "model: expected ObjectModel .*, got str"),
+        (lambda: write_capture(tmp_path / "a", frame, model), r"frames: expected several \(\[frame\]\), got Frame"),
+        (lambda: hand.mesh([0.1]), r"joints: expected positions by joint name, got list: dict\(zip\("),
+        (lambda: Symmetries.about_axis("z"), "direction: expected three numbers, not all 0, .*, got 'z'"),
+        (lambda: Symmetries.about_axis([0, 0, 0]), "direction: expected three numbers, not all 0"),
+        (lambda: poses.from_quaternion([0, 0, 1]), r"quaternion: expected four numbers w, x, y, z, got shape \(3,\)"),
+        (lambda: sample_poses("drill", None, 3), "model: expected ObjectModel .*, got str"),
+        (lambda: sample_poses(model, None, -1), "count: expected a whole number from 0, got -1"),
+    ):
+        with pytest.raises(InputError, match=told):
+            call()
+    assert not (tmp_path / "a").exists()
