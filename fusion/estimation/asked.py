@@ -13,10 +13,9 @@ from fusion.estimation.settings import EstimateSettings
 from scenes.errors import InputError
 from scenes.evidence.align import Prior, check_prior
 from scenes.geometry import poses as se3
-from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs, usual_beliefs
 from scenes.recordings.frames import Frame
-from scenes.recordings.validation import FARTHEST_HELD, check_is_model, check_seed
+from scenes.recordings.validation import MILLIMETRES, check_is_model, check_seed
 from vision.filling import as_measured
 from vision.noise import believed_of
 
@@ -100,15 +99,12 @@ def each_frame(frames: Iterable[Frame]) -> Iterator[Frame]:
     return iter(frames)
 
 
-def check_limits(model: ObjectModel, tolerance: tuple[float, float] | None, budget_ms: float | None) -> None:
-    """Raises InputError for a tolerance that is not two positive numbers (m, rad) or larger than the object, or a
-    budget below 0 ms.
-    """
+def check_limits(tolerance: tuple[float, float] | None, budget_ms: float | None) -> None:
+    """Raises InputError for a tolerance that is not two positive numbers (m, rad) or a budget below 0 ms."""
     if tolerance is not None:
         two = tuple(tolerance) if isinstance(tolerance, Iterable) else ()
         if len(two) != 2 or not all(_is_number(t) and np.isfinite(t) and t > 0 for t in two):
             raise InputError(f"tolerance: expected metres and radians above 0, got {tolerance!r}")
-        _check_is_smaller("tolerance", two[0], model)
     if budget_ms is not None and not (_is_number(budget_ms) and budget_ms >= 0):
         raise InputError(f"budget: expected milliseconds from 0, got {budget_ms!r}")
 
@@ -120,29 +116,19 @@ def check_start(frame: Frame, prior: Array | Prior | None) -> None:
     if prior is None or isinstance(prior, Prior) or frame.camera is None:
         return
     away = float(np.linalg.norm(se3.check_pose(prior, "prior")[..., :3, 3].ravel()[:3]))
-    if away > FARTHEST_HELD:
+    if away > MILLIMETRES[0]:
         raise InputError(f"prior: expected an object that the camera can see, got one {away:.4g} m away: mm read as m?")
 
 
-def sure_to_be_within(
-    settings: EstimateSettings, sure_within: float | None, model: ObjectModel | None = None
-) -> EstimateSettings:
+def sure_to_be_within(settings: EstimateSettings, sure_within: float | None) -> EstimateSettings:
     """The settings with another tolerance (ADD-S, m) of the confidence; None leaves theirs. Raises InputError for none
-    above 0, or one that is larger than the object, where that is told.
+    above 0.
     """
     if sure_within is None:
         return settings
     if not (_is_number(sure_within) and np.isfinite(sure_within) and sure_within > 0):
         raise InputError(f"sure_within: expected metres above 0, got {sure_within!r}")
-    if model is not None:
-        _check_is_smaller("sure_within", sure_within, model)
     return replace(settings, confidence=replace(settings.confidence, tolerance=float(sure_within)))
-
-
-def _check_is_smaller(name: str, size: float, model: ObjectModel) -> None:
-    if size > model.diameter:
-        hint = f"below the object's {model.diameter:.3g}, got {size:g}: mm read as m?"
-        raise InputError(f"{name}: expected metres, {hint}")
 
 
 def _is_number(value: object) -> bool:

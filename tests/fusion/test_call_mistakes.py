@@ -190,9 +190,6 @@ def test_sizes_that_are_millimetres():
             lambda: estimate(frame, model, far),
             "prior: expected an object that the camera can see, .* 600.8 m away",
         ),
-        (lambda: estimate(frame, model, sure_within=5), "sure_within: expected metres, below .*, got 5: mm read as m"),
-        (lambda: Tracker(model, sure_within=5), "sure_within: expected metres, below .*, got 5: mm read as m"),
-        (lambda: estimate(frame, model, tolerance=(1, 2)), "tolerance: expected metres, below .*, got 1: mm read as m"),
         (lambda: localize(model, Contacts(points)), "contacts: expected sizes that agree, .*: mm read as m"),
     ):
         with pytest.raises((InputError, CaptureError), match=told):
