@@ -27,7 +27,7 @@ ROOMS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
         "One answer from both senses, frame by frame or tracked; how good it is; what to touch next.",
         {
             "fusion.estimation.answer": ("Stage", "ContactResidual", "Contribution"),
-            "fusion.results.files": ("read_result", "write_results", "result_json"),
+            "fusion.results.files": ("read_result", "answer_of", "write_results", "result_json"),
             "fusion.results.report.page": ("write_report",),
             "fusion.results.report.stills": ("still",),
             "fusion.truth.errors": ("Judge", "Errors"),
@@ -80,6 +80,7 @@ ROOMS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
             "scenes.geometry.poses": (
                 *("check_pose", "project_to_rotation", "make_pose", "inverse", "apply", "exp_rotation", "log_rotation"),
                 *("rotation_angle", "to_quaternion", "from_quaternion", "exp", "log", "perturb", "difference"),
+                *("turned_covariance", "shifted_covariance"),
             ),
             "scenes.geometry.rendering": ("Renderer", "Rendering"),
             "scenes.synthesis.library": ("names", "make"),

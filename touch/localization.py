@@ -13,8 +13,8 @@ from scenes.evidence.align import Prior, check_prior
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
-from scenes.recordings.frames import Contacts
-from scenes.recordings.validation import check_are_contacts, check_is_model, check_seed
+from scenes.recordings.frames import Contacts, Frame
+from scenes.recordings.validation import check_are_contacts, check_is_model, check_scale, check_seed
 from touch.answers import Localization, LocalizeSettings
 from touch.confidence import DRAWING, asked, judged, posterior_about, worth_a_look
 from touch.multistart import multistart
@@ -55,7 +55,8 @@ def localize(
     frame (regions felt to be empty, links). prior: a Gaussian on the pose; local methods start at its mean.
     method: one of METHODS; settings are those of the default. sure_within (m): the answer's confidence is the
     probability that its ADD-S is below; default 5 mm. Whatever the method, what is drawn from the posterior tells.
-    Raises InputError for no contacts, a prior that is no Gaussian, or a sure_within that is not above 0.
+    Raises InputError for no contacts, a prior that is no Gaussian, or a sure_within that is not above 0, CaptureError
+    for contacts of another unit than the model.
     """
     if method not in METHODS:
         raise unknown("method", method, METHODS)
@@ -66,6 +67,7 @@ def localize(
         check_prior(prior)
     if len(contacts) == 0:
         raise InputError("localize: expected at least one contact, got none")
+    check_scale(Frame(0, where="contacts", contacts=contacts), model)
     if settings is not None and method != "multistart":
         raise InputError(f"settings: expected none with method {method!r}, they are the default method's")
     how = asked(settings or LocalizeSettings(), sure_within)

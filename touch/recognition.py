@@ -109,7 +109,8 @@ class Identification:
     """candidates, the likeliest first; best, its name; none: likelihood that it is none of them, with theirs 1 in all.
 
     verdict: ok, ambiguous, or lost when nothing fits to within any noise; margin: log of the best's likelihood over the
-    next one's; sigma, inferred noise of a contact (m); independent: how many contacts count.
+    next one's; sigma, inferred noise of a contact (m); independent: how many contacts count. notes: in words, why a
+    verdict is ambiguous.
     """
 
     best: str
@@ -120,6 +121,7 @@ class Identification:
     sigma: float
     independent: float
     time_s: float
+    notes: tuple[str, ...] = ()
 
 
 def identify(
@@ -183,11 +185,20 @@ def identify(
     prior = np.log(settings.strangers) - np.log1p(-settings.strangers)
     none = float(0.5 * (1.0 + np.tanh(0.5 * (another + prior))))
     share, likelihood = float(likelihood[best]), likelihood * (1.0 - none)
-    sure = share >= settings.sure and likelihood[best] >= settings.sure_of_all
-    # when nearly half of the contacts are elsewhere, they may as well be the true ones
-    sure = sure and independent >= settings.least_independent and plainly <= -settings.decisive
-    sure = sure and _elsewhere(models[best], contacts, poses[best], settings) <= settings.most_elsewhere
-    verdict = "ok" if sure else "ambiguous"
+    elsewhere = _elsewhere(models[best], contacts, poses[best], settings)
+    asked = (
+        (share >= settings.sure, f"another candidate fits, too: {names[best]} has {share:.0%} among them"),
+        (likelihood[best] >= settings.sure_of_all, f"{names[best]} has {likelihood[best]:.0%} with none of them"),
+        (
+            independent >= settings.least_independent,
+            f"{independent:.1f} independent contacts, of {settings.least_independent:g} that a name takes: touch more",
+        ),
+        (plainly <= -settings.decisive, "plainly another object is not ruled out: touch more, or more exactly"),
+        # when nearly half of the contacts are elsewhere, they may as well be the true ones
+        (elsewhere <= settings.most_elsewhere, f"{elsewhere:.0%} of the contacts lie elsewhere"),
+    )
+    notes = tuple(doubt for fine, doubt in asked if not fine)
+    verdict = "ambiguous" if notes else "ok"
     if index.min() > settings.evidence.noise.largest:
         verdict = "lost"
     logs = np.sort(logs)[::-1]
@@ -204,7 +215,7 @@ def identify(
     )
     margin = float(logs[0] - logs[1]) if len(logs) > 1 else np.inf
     return Identification(
-        names[best], verdict, candidates, none, margin, sigma, independent, time.perf_counter() - begin
+        names[best], verdict, candidates, none, margin, sigma, independent, time.perf_counter() - begin, notes
     )
 
 

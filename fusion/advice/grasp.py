@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from fusion.advice.next_touch import best_apart, gains, hand_around, nearest_finger
 from fusion.estimation.answer import Estimate
+from fusion.estimation.samples import sample_poses
 from scenes.errors import InputError
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -240,24 +241,6 @@ def _touched(model: ObjectModel, contacts: Contacts, pose: Array, settings: Gras
     if settings.normals == "sensed" and len(local):
         outward = np.where(local.has_normal[:, None], np.nan_to_num(local.normals), outward)
     return foot, outward
-
-
-def sample_poses(model: ObjectModel, answer: Estimate, count: int, seed: int) -> Array:
-    """(count, 4, 4) poses drawn from the answer's modes, each as wide as its covariance; none for a covariance that is
-    not finite.
-    """
-    rng = np.random.default_rng([seed, answer.frame])
-    modes = [mode for mode in answer.modes if np.isfinite(mode.covariance).all() and mode.weight > 0]
-    if not modes or not count:
-        return np.zeros((0, 4, 4))
-    weights = np.array([mode.weight for mode in modes])
-    which = rng.choice(len(modes), size=count, p=weights / weights.sum())
-    roots = []
-    for mode in modes:
-        values, axes = np.linalg.eigh(0.5 * (mode.covariance + mode.covariance.T))
-        roots.append(axes * np.sqrt(np.maximum(values, 0.0)))
-    deltas = np.einsum("nij,nj->ni", np.array(roots)[which], rng.normal(size=(count, 6)))
-    return np.array([se3.perturb(modes[k].pose, delta, model.centroid) for k, delta in zip(which, deltas)])
 
 
 def _where_next(

@@ -107,6 +107,13 @@ class Estimate:
     searched: Array | None = None
     as_seen: Array | None = None
 
+    def __repr__(self) -> str:
+        """In one line; the fields have the rest."""
+        place, sure = np.array2string(self.pose[:3, 3], precision=3, suppress_small=True), ""
+        if np.isfinite(self.confidence):
+            sure = f", {100 * self.confidence:.0f} % sure to {1e3 * self.sure_within:.3g} mm"
+        return f"{type(self).__name__}(frame {self.frame}: {self.verdict}{sure}, at {place} m, {len(self.modes)} modes)"
+
     @property
     def time_ms(self) -> float:
         """Milliseconds spent in all stages."""
@@ -127,7 +134,10 @@ class Estimate:
             "camera_from_object": rows(self.pose),
             "hand_from_object": rows(self.hand_from_object),
             "covariance": rows(self.covariance),
-            "modes": [{"pose": rows(m.pose), "weight": m.weight, "cost": number(m.cost)} for m in self.modes],
+            "modes": [
+                {"pose": rows(m.pose), "weight": m.weight, "cost": number(m.cost), "covariance": rows(m.covariance)}
+                for m in self.modes
+            ],
             "unobservable": list(self.unobservable),
             "confidence": number(self.confidence),
             "sure_within_mm": number(1e3 * self.sure_within),

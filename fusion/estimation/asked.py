@@ -15,7 +15,7 @@ from scenes.evidence.align import Prior, check_prior
 from scenes.geometry import poses as se3
 from scenes.recordings.beliefs import Beliefs, usual_beliefs
 from scenes.recordings.frames import Frame
-from scenes.recordings.validation import check_is_model, check_seed
+from scenes.recordings.validation import MILLIMETRES, check_is_model, check_seed
 from vision.filling import as_measured
 from vision.noise import believed_of
 
@@ -85,9 +85,10 @@ def check_kinds(
         raise InputError(f"live: expected True or False, got {live!r}")
     check_is_model(model)
     check_seed(seed)
-    for name, given, expected in (("settings", settings, kind), ("beliefs", beliefs, Beliefs)):
+    how = ', like Beliefs(depth=depth_camera("d435"))'
+    for name, given, expected, hint in (("settings", settings, kind, ""), ("beliefs", beliefs, Beliefs, how)):
         if given is not None and not isinstance(given, expected):
-            raise InputError(f"{name}: expected {expected.__name__}, got {type(given).__name__}")
+            raise InputError(f"{name}: expected {expected.__name__}{hint}, got {type(given).__name__}")
 
 
 def each_frame(frames: Iterable[Frame]) -> Iterator[Frame]:
@@ -106,6 +107,17 @@ def check_limits(tolerance: tuple[float, float] | None, budget_ms: float | None)
             raise InputError(f"tolerance: expected metres and radians above 0, got {tolerance!r}")
     if budget_ms is not None and not (_is_number(budget_ms) and budget_ms >= 0):
         raise InputError(f"budget: expected milliseconds from 0, got {budget_ms!r}")
+
+
+def check_start(frame: Frame, prior: Array | Prior | None) -> None:
+    """Raises InputError for a start, given as a pose (4, 4), that is where no camera sees what a hand holds. What is
+    a Gaussian was computed, and says itself how far off it may be.
+    """
+    if prior is None or isinstance(prior, Prior) or frame.camera is None:
+        return
+    away = float(np.linalg.norm(se3.check_pose(prior, "prior")[..., :3, 3].ravel()[:3]))
+    if away > MILLIMETRES[0]:
+        raise InputError(f"prior: expected an object that the camera can see, got one {away:.4g} m away: mm read as m?")
 
 
 def sure_to_be_within(settings: EstimateSettings, sure_within: float | None) -> EstimateSettings:

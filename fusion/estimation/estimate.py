@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate
-from fusion.estimation.asked import Asked, check_kinds, check_limits, sure_to_be_within
+from fusion.estimation.asked import Asked, check_kinds, check_limits, check_start, sure_to_be_within
 from fusion.estimation.settings import EstimateSettings, usual_settings
 from fusion.estimation.steps.doubted import Question, doubted, on_the_hand
 from fusion.estimation.steps.facing import check_print
@@ -66,6 +66,7 @@ def estimate(
     check_kinds(model, seed, settings, beliefs)
     settings = sure_to_be_within(settings or usual_settings(), sure_within)
     check_limits(tolerance, budget_ms)
+    check_start(frame, prior)
     check_print(model, settings.texture)
     asked = Asked.of(frame, prior, use, tolerance, seed, settings, beliefs)
     # built or read once per object, not part of a frame's time

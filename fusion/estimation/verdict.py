@@ -390,9 +390,17 @@ def no_answer(
         frame.hand_from_object(pose, np.eye(4)),
         0.0,
         trace,
-        notes=(f"no evidence: no pixel of the object{_near(frame, model, prior)} and no contact",),
+        notes=(_nothing(frame, model, prior),),
         start=prior.pose if prior is not None else None,
     )
+
+
+def _nothing(frame: Frame, model: ObjectModel, prior: Prior | None) -> str:
+    """Why there is no row, in words: an image that could not be read is as good as none was taken."""
+    felt = len(frame.contacts) or frame.no_contact is not None or frame.wrenches or frame.tactile or frame.gels
+    if frame.depth is None and frame.cloud is None and not felt:
+        return "no evidence: the frame has no depth image, no cloud and no touch"
+    return f"no evidence: no pixel of the object{_near(frame, model, prior)} and no contact"
 
 
 def _near(frame: Frame, model: ObjectModel, prior: Prior | None) -> str:

@@ -88,7 +88,8 @@ def find_result(path: str | Path) -> Path | None:
 def read_result(path: str | Path) -> tuple[dict[str, Any], list[Estimate]]:
     """The content of a result.json and its answers; raises InputError for a file that is none.
 
-    Modes have the covariance of the whole: the file has no other. Of a long track the frames are in a file beside it.
+    Modes of a file that does not say their covariances have that of the whole. Of a long track the frames are in a
+    file beside it.
     """
     try:
         content = parsed(Path(path).read_text(encoding="utf-8-sig"))
@@ -155,7 +156,12 @@ def answer_of(entry: dict[str, Any]) -> Estimate:
         for c in entry.get("contacts", [])
     )
     modes = tuple(
-        Mode(_pose(m["pose"], "mode"), float(m["weight"]), _number(m.get("cost")), covariance)
+        Mode(
+            _pose(m["pose"], "mode"),
+            float(m["weight"]),
+            _number(m.get("cost")),
+            covariance if m.get("covariance") is None else _covariance(m["covariance"]),
+        )
         for m in entry.get("modes", [])
     )
     return Estimate(

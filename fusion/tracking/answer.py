@@ -149,7 +149,7 @@ class TrackSettings:
         return bool(turn > self.leap * self.loose_angle or move > self.leap * self.loose_distance)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class TrackedEstimate(Estimate):
     """An estimate that remembers. how: "started", "tracked", "carried" (nothing sensed: moved with the hand),
     "re-initialised" or "lost"; slip: the object moves in the hand otherwise than its fingers; slip_statistic: the test

@@ -87,13 +87,23 @@ def straightened(rotations: Array) -> Array:
 
 
 def make_pose(rotation: ArrayLike | None = None, translation: ArrayLike | None = None) -> Array:
-    """4x4 transform from a (3, 3) rotation (default identity) and a (3,) translation (default zero)."""
+    """4x4 transform from a (3, 3) rotation (default identity) and a (3,) translation (default zero).
+
+    Raises InputError for other shapes: NumPy would take three angles for three equal rows.
+    """
     pose = np.eye(4)
     if rotation is not None:
-        pose[:3, :3] = rotation
+        pose[:3, :3] = _of_shape(rotation, (3, 3), "rotation", " (from_quaternion, exp_rotation)")
     if translation is not None:
-        pose[:3, 3] = translation
+        pose[:3, 3] = _of_shape(translation, (3,), "translation", "")
     return pose
+
+
+def _of_shape(values: ArrayLike, shape: tuple[int, ...], name: str, how: str) -> Array:
+    array = np.asarray(values)
+    if array.shape != shape:
+        raise InputError(f"{name}: expected an array of shape {shape}{how}, got shape {array.shape}")
+    return array
 
 
 def make_poses(rotations: Array, translations: Array) -> Array:
@@ -226,8 +236,12 @@ def _one_quaternion(r: list[list[float]]) -> Array:
 
 
 def from_quaternion(quaternion: ArrayLike) -> Array:
-    """Rotations (..., 3, 3) of quaternions (..., 4), scalar first; any non-zero length."""
+    """Rotations (..., 3, 3) of quaternions (..., 4), scalar first (ROS and SciPy have it last: np.roll(q, 1, axis=-1));
+    any non-zero length. Raises InputError for other shapes.
+    """
     q = np.asarray(quaternion, dtype=np.float64)
+    if q.shape[-1:] != (4,):
+        raise InputError(f"quaternion: expected four numbers w, x, y, z, got shape {q.shape}")
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     w, v = q[..., 0, None, None], q[..., 1:]
     k = skew(v)
@@ -287,6 +301,28 @@ def adjoint(pose: Array) -> Array:
     out[..., 3:, 3:] = rotation
     out[..., 3:, :3] = skew(translation) @ rotation
     return out
+
+
+def turned_covariance(covariance: Array, target_from_source: Array) -> Array:
+    """The covariance (..., 6, 6) of a pose, rotation (rad) then translation (m), in the axes of another frame.
+
+    Of source_from_object, in the source's axes: then of target_from_source @ source_from_object, in the target's. It
+    stays about the same point of the object, and target_from_source (4, 4) counts as exactly known.
+    """
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = check_pose(target_from_source, "target_from_source")[:3, :3]
+    return turn @ np.asarray(covariance) @ turn.T
+
+
+def shifted_covariance(covariance: Array, offset: ArrayLike) -> Array:
+    """The covariance (..., 6, 6) of a pose, rotation (rad) then translation (m), about another point of the object,
+    which lies at `offset` (3,), metres in the covariance's axes, from the point that it was about.
+
+    From the centroid to the object's origin, as most programs have it: offset = -pose[:3, :3] @ model.centroid.
+    """
+    lever = np.eye(6)
+    lever[3:, :3] = -skew(_of_shape(offset, (3,), "offset", ""))
+    return lever @ np.asarray(covariance) @ lever.T
 
 
 def perturb(pose: Array, delta: ArrayLike, centre: ArrayLike) -> Array:

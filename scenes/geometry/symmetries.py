@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scenes.errors import InputError
 from scenes.geometry import poses
 
 Array = NDArray[np.float64]
@@ -40,7 +41,12 @@ class Symmetries:
 
     @staticmethod
     def about_axis(direction: ArrayLike, point: ArrayLike = (0.0, 0.0, 0.0), flip: bool = False) -> Symmetries:
-        """A body of revolution; `flip` when turning it upside down changes nothing (a plain cylinder)."""
+        """A body of revolution; `flip` when turning it upside down changes nothing (a plain cylinder).
+
+        Raises InputError for a direction that is none.
+        """
+        if np.shape(direction) != (3,) or not 0.0 < np.linalg.norm(np.asarray(direction, dtype=np.float64)) < np.inf:
+            raise InputError(f"direction: expected three numbers, not all 0, like [0, 0, 1], got {direction!r}")
         axis = np.asarray(direction, dtype=np.float64)
         axis = axis / np.linalg.norm(axis)
         centre = np.asarray(point, dtype=np.float64)

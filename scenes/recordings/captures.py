@@ -93,10 +93,9 @@ class Capture:
         """What capture.json says its sensors are worth, None where it says nothing; every frame has the same. An image
         that rgb_camera.json says another camera took is that camera's, has it colours or not.
         """
-        said = self.manifest.beliefs
         if not self._rgb_cameras:
-            return said
-        said = said or usual_beliefs()
+            return self.manifest.beliefs
+        said = self.manifest.beliefs or usual_beliefs()
         return replace(said, image=said.image.of_another_camera())
 
     def __len__(self) -> int:
@@ -106,6 +105,8 @@ class Capture:
         return (self.frame(number) for number in self.frame_ids)
 
     def __getitem__(self, position: int) -> Frame:
+        if position not in range(-len(self), len(self)):
+            raise IndexError(f"{self.path}: expected a place from 0 to {len(self) - 1}, got {position!r}: frame(N)?")
         return self.frame(self.frame_ids[position])
 
     @cached_property

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from numbers import Integral
 from typing import TYPE_CHECKING, Any
@@ -361,6 +361,14 @@ class Frame:
             object.__setattr__(self, "wrenches", tuple(self.wrenches))
         for wrench in self.wrenches:
             checks.instance(wrench, Wrench, where, "wrenches", "sensor, force, torque")
+
+    def __repr__(self) -> str:
+        """What there is, without its numbers."""
+        parts = {f.name: getattr(self, f.name) for f in fields(self)}
+        empty = [name for name, part in parts.items() if part is None or (isinstance(part, tuple | dict) and not part)]
+        there = [name for name in parts if name not in ("index", "where", "camera_from_world", "contacts", *empty)]
+        felt = [f"{len(self.contacts)} contacts"] if len(self.contacts) else []
+        return f"Frame({self.index}: {', '.join((*there, *felt)) or 'nothing'})"
 
     @property
     def hand_lacks(self) -> str:

@@ -64,6 +64,10 @@ def write_capture(
     raises CaptureError for a folder that holds any other file, InputError for frames that do not fit.
     """
     folder = Path(folder)
+    if not isinstance(model, ObjectModel):
+        raise InputError(f"model: expected ObjectModel (ObjectModel.load(path)), got {type(model).__name__}")
+    if not isinstance(frames, Iterable):
+        raise InputError(f"frames: expected several ([frame]), got {type(frames).__name__}")
     if world not in WORLDS:
         raise unknown("world", world, WORLDS)
     _check_scales(depth_scale)

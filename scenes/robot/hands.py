@@ -6,7 +6,7 @@ Forward kinematics runs on arrays of configurations: all joints of one depth of 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
 
@@ -238,6 +238,9 @@ class Hand:
 
     def _poses_at(self, joints: dict[str, float]) -> Array:
         """hand_from_link (l, 4, 4); the last ones are kept, for one frame's joints are asked about several times."""
+        if not isinstance(joints, Mapping):
+            how = "dict(zip(hand.joint_names, values))"
+            raise InputError(f"joints: expected positions by joint name, got {type(joints).__name__}: {how}?")
         key = tuple(joints.items())
         last = self._last
         if last is None or last[0] != key:

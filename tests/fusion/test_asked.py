@@ -68,7 +68,7 @@ def test_any_integer_type_is_a_seed(mug, frame):
         ({"use": ()}, "use: expected vision, touch or both, got nothing"),
         ({"prior": "there"}, "prior: expected a 4x4 transform of numbers"),
         ({"settings": {}}, "settings: expected EstimateSettings, got dict"),
-        ({"beliefs": {}}, "beliefs: expected Beliefs, got dict"),
+        ({"beliefs": {}}, "beliefs: expected Beliefs, like .*, got dict"),
     ],
 )
 def test_what_was_expected_and_what_came(mug, frame, said, expected):

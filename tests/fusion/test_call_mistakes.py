@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from made_frames import plain_view
 
-from fusion import Tracker, estimate, track
+from fusion import Tracker, estimate, sample_poses, track
 from fusion.tracking.checkpoint import restore_tracker
 from fusion.tracking.rehearsal import rehearse
 from scenes.errors import CaptureError, InputError
@@ -17,8 +17,10 @@ from scenes.formats.bop.scene import Choice, convert
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
+from scenes.geometry.symmetries import Symmetries
 from scenes.recordings.captures import read_capture, write_capture
 from scenes.recordings.frames import Contacts, Frame
+from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.library import make
 from touch import localize
 
@@ -176,3 +178,65 @@ def test_a_cloud_of_no_extent_is_an_answer_that_knows_nothing(drill, cloud):
     assert answer.verdict != "ok"
     assert np.isfinite(answer.pose).all()
     assert np.isfinite(answer.covariance).all()
+
+
+def test_sizes_that_are_millimetres():
+    """Where a pose or a size would be taken for metres, and answered."""
+    frame, model = plain_view("drill"), make("drill")
+    points = 1000 * model.sample_surface(12, seed=0)[0]
+    far = poses.make_pose(translation=[30.0, 10.0, 600.0])
+    for call, told in (
+        (
+            lambda: estimate(frame, model, far),
+            "prior: expected an object that the camera can see, .* 600.8 m away",
+        ),
+        (lambda: localize(model, Contacts(points)), "contacts: expected sizes that agree, .*: mm read as m"),
+    ):
+        with pytest.raises((InputError, CaptureError), match=told):
+            call()
+
+
+def test_beliefs_by_a_camera_s_name():
+    with pytest.raises(InputError, match=r'like Beliefs\(depth=depth_camera\("d435"\)\), got str'):
+        estimate(plain_view("drill"), make("drill"), beliefs="d435")
+
+
+def test_an_image_that_could_not_be_read():
+    """OpenCV answers None for a file that is not there."""
+    answer = estimate(Frame(0, camera=plain_view("drill").camera, depth=None), make("drill"))
+    assert answer.verdict == "lost"
+    assert answer.notes[0] == "no evidence: the frame has no depth image, no cloud and no touch"
+
+
+def test_frames_beyond_a_capture_s_end(tmp_path):
+    capture = read_capture(write_capture(tmp_path / "one", [plain_view("drill")], make("drill")))
+    assert capture[-1].index == capture[0].index
+    for place in (1, -2, slice(0, 1)):
+        with pytest.raises(IndexError, match=r"one: expected a place from 0 to 0, got .*: frame"):
+            capture[place]
+
+
+def test_frames_and_answers_print_in_a_line():
+    frame, model = plain_view("drill"), make("drill")
+    assert repr(Frame(3)) == "Frame(3: nothing)"
+    assert repr(replace(frame, contacts=[[0, 0, 1]])).endswith("1 contacts)")
+    said = repr(Tracker(model).step(frame))
+    assert said.startswith(f"TrackedEstimate(frame {frame.index}: ")
+    assert "\n" not in said
+
+
+def test_arguments_of_helpers(tmp_path):
+    frame, model, hand = plain_view("drill"), make("drill"), five_finger_hand()
+    for call, told in (
+        (lambda: write_capture(tmp_path / "a", [frame], "drill.ply"), "model: expected ObjectModel .*, got str"),
+        (lambda: write_capture(tmp_path / "a", frame, model), r"frames: expected several \(\[frame\]\), got Frame"),
+        (lambda: hand.mesh([0.1]), r"joints: expected positions by joint name, got list: dict\(zip\("),
+        (lambda: Symmetries.about_axis("z"), "direction: expected three numbers, not all 0, .*, got 'z'"),
+        (lambda: Symmetries.about_axis([0, 0, 0]), "direction: expected three numbers, not all 0"),
+        (lambda: poses.from_quaternion([0, 0, 1]), r"quaternion: expected four numbers w, x, y, z, got shape \(3,\)"),
+        (lambda: sample_poses("drill", None, 3), "model: expected ObjectModel .*, got str"),
+        (lambda: sample_poses(model, None, -1), "count: expected a whole number from 0, got -1"),
+    ):
+        with pytest.raises(InputError, match=told):
+            call()
+    assert not (tmp_path / "a").exists()

@@ -41,7 +41,7 @@ def touched(model, count, noise, seed, outliers=0.0, normals=False):
 def test_clean_contacts_are_named(models, name):
     contacts, _ = touched(library.make(name), 40, 0.0, seed=3)
     found = identify(models, contacts, seed=0)
-    assert (found.best, found.verdict) == (name, "ok")
+    assert (found.best, found.verdict, found.notes) == (name, "ok", ())
     assert found.candidates[0].index < 5e-4
     assert found.margin > 3
     # what a lattice leaves over of exact contacts is alike among neighbours, and no misfit
@@ -145,7 +145,9 @@ def test_a_fifth_of_false_contacts_hides_no_tool(contact_data):
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_a_few_contacts_cannot_tell(models, count):
     contacts, _ = touched(models[1], count, 0.0, seed=count)
-    assert identify(models, contacts).verdict == "ambiguous"
+    found = identify(models, contacts)
+    assert found.verdict == "ambiguous"
+    assert any("independent contacts, of 12 that a name takes" in note for note in found.notes)
 
 
 def test_a_plane_cannot_tell_blocks_apart(models):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 
 from fusion.cli.compiling import announce_compiling
 from fusion.cli.config import add_config, estimate_settings, told
@@ -45,6 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--tolerance", metavar="MM,DEG", type=tolerance, help="good enough, like 1,2: work beyond is skipped"
     )
+    parser.add_argument(
+        "--frames", metavar="N,A-B", type=frame_numbers, help="these frames only, like 0,10-20 (default all)"
+    )
     parser.add_argument("--budget-ms", metavar="N", type=positive_number, help="milliseconds a frame may take")
 
 
@@ -65,7 +69,8 @@ def run(args: argparse.Namespace) -> int:
     judge = Judge.of(model)
     frames, answers, errors, rows = [], [], [], []
     announce_compiling()
-    shown = progress(capture.frame_ids, len(capture), "estimating")
+    numbers = chosen(capture.frame_ids, args.frames)
+    shown = progress(numbers, len(numbers), "estimating")
     limits = args.tolerance, args.budget_ms
     left_out: dict[int, str] = {}
     told_of = left_out.__setitem__
@@ -81,6 +86,32 @@ def run(args: argparse.Namespace) -> int:
     say(written)
     warn_of(left_out)
     return 1 if left_out or any(answer.verdict == "lost" for answer in answers) else 0
+
+
+def frame_numbers(text: str) -> tuple[range, ...]:
+    """A value of --frames: numbers and spans that hold both their ends. Raises InputError."""
+    from scenes.errors import InputError
+
+    spans = []
+    for part in text.split(","):
+        first, dash, last = part.strip().partition("-")
+        if not (first.isdecimal() and (last.isdecimal() if dash else not last)):
+            raise InputError(f"frames: expected numbers and spans like 0,10-20, got {text!r}")
+        spans.append(range(int(first), int(last or first) + 1))
+    return tuple(spans)
+
+
+def chosen(known: Sequence[int], spans: tuple[range, ...] | None) -> list[int]:
+    """The frames that --frames asks for, in their order. Raises InputError for a part that has none of them."""
+    from scenes.errors import InputError
+
+    for span in spans or ():
+        if not any(number in span for number in known):
+            asked = str(span.start) if len(span) == 1 else f"{span.start}-{span.stop - 1}"
+            raise InputError(
+                f"frames: expected some of the capture's {len(known)} ({known[0]} to {known[-1]}), got {asked}"
+            )
+    return [number for number in known if spans is None or any(number in span for span in spans)]
 
 
 def _poses(answers) -> list[str]:  # type: ignore[no-untyped-def]  # naming the type would import it

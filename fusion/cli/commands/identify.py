@@ -54,9 +54,12 @@ def run(args: argparse.Namespace) -> int:
         f"{named}: {found.verdict}, noise of a contact {1e3 * found.sigma:.1f} mm,"
         f" {found.independent:.0f} of {len(contacts)} contacts independent; {found.time_s:.3f} s"
     )
+    for note in found.notes:
+        say(f"why not ok: {note}")
     content = {
         "best": found.best,
         "verdict": found.verdict,
+        "notes": list(found.notes),
         "candidates": [
             {
                 "object": one.name,

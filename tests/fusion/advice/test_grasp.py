@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fusion.advice.grasp import GraspAdviceSettings, GraspMap, Place, assess, sample_poses
+from fusion.advice.grasp import GraspAdviceSettings, GraspMap, Place, assess
 from fusion.cli.main import main
 from fusion.estimation.answer import ContactResidual, Estimate, Mode
 from fusion.results.files import capture_of, find_result, read_result
@@ -63,20 +63,6 @@ def test_uncertainty_is_carried(box):
     assert wide.epsilon.low <= wide.epsilon.median <= wide.epsilon.high
     again = assess(box, wide_answer, frame, settings=soft)
     assert again.to_json() == wide.to_json()
-
-
-def test_samples_follow_modes_and_covariance(box):
-    turned = POSE @ poses.make_pose(poses.exp_rotation([0, 0, np.pi / 2]))
-    covariance = np.diag([0.02**2] * 3 + [0.003**2] * 3)
-    modes = (Mode(POSE, 0.75, 0.0, covariance), Mode(turned, 0.25, 1.0, covariance))
-    answer = Estimate(3, POSE, covariance, modes, "ambiguous")
-    drawn = sample_poses(box, answer, 4000, seed=1)
-    first = np.linalg.norm(poses.difference(drawn, POSE, box.centroid)[:, :3], axis=1) < 0.5
-    assert first.mean() == pytest.approx(0.75, abs=0.03)
-    spread = np.cov(poses.difference(drawn[first], POSE, box.centroid).T)
-    np.testing.assert_allclose(np.sqrt(np.diag(spread)), np.sqrt(np.diag(covariance)), rtol=0.08)
-    unknown = replace(answer, modes=(Mode(POSE, 1.0, 0.0, np.full((6, 6), np.nan)),))
-    assert len(sample_poses(box, unknown, 10, seed=0)) == 0
 
 
 def test_a_finger_where_the_map_says_has_that_effect(box):

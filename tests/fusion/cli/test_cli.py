@@ -72,6 +72,15 @@ def test_estimate_then_evaluate(capture, tmp_path, capsys):
     assert found["frames"][0]["nees"] == pytest.approx(first["errors"]["nees"], rel=1e-3)
 
 
+def test_some_frames_only(capture, tmp_path, capsys):
+    ask = ["estimate", str(capture), "--out", str(tmp_path), "--no-report", "--frames"]
+    assert main([*ask, "1-7"]) == 0
+    assert [row.im_id for row in read_poses(tmp_path / "poses.csv")] == [1]
+    capsys.readouterr()
+    assert "frames: expected some of the capture's 2 (0 to 1), got 4-7" in refused(capsys, *ask, "0,4-7")
+    assert "frames: expected numbers and spans like 0,10-20, got '5-'" in refused(capsys, *ask, "5-")
+
+
 def test_the_same_seed_gives_the_same_pose_in_another_process(capture, tmp_path):
     for name in ("a", "b"):
         command = [sys.executable, "-m", "fusion.cli.main", "estimate", str(capture), "--no-report", "--seed", "5"]

@@ -275,3 +275,38 @@ def test_poses_taken_apart_and_put_together_for_kernels():
     assert np.array_equal(out[:, 3], np.tile([0.0, 0.0, 0.0, 1.0], (6, 1)))
     stack[3, 1, 2] = np.nan
     assert not rotation_kernels.split(stack, centroid, rotations, middles)
+
+
+def test_covariances_in_other_axes_and_about_other_points():
+    """Against perturbed poses themselves, which are moved and measured there."""
+    rng = np.random.default_rng(5)
+    root = 1e-3 * rng.normal(size=(6, 6))
+    pose, move = poses.exp(rng.normal(size=6)), poses.exp(rng.normal(size=6))
+    centroid = np.array([0.03, -0.02, 0.05])
+    deltas = rng.normal(size=(40000, 6)) @ root.T
+    drawn = poses.perturb(pose, deltas, centroid)
+    covariance = np.cov(deltas.T)
+    moved = np.cov(poses.difference(move @ drawn, move @ pose, centroid).T)
+    np.testing.assert_allclose(poses.turned_covariance(covariance, move), moved, rtol=1e-6, atol=1e-12)
+    about_origin = np.cov(poses.difference(drawn, pose, np.zeros(3)).T)
+    shifted = poses.shifted_covariance(covariance, -pose[:3, :3] @ centroid)
+    np.testing.assert_allclose(shifted, about_origin, atol=3e-3 * np.abs(about_origin).max())
+    several = poses.turned_covariance(np.stack([covariance, covariance]), move)
+    np.testing.assert_allclose(several[1], poses.turned_covariance(covariance, move))
+    with pytest.raises(InputError, match=r"offset: expected an array of shape \(3,\), got shape \(4,\)"):
+        poses.shifted_covariance(covariance, np.zeros(4))
+
+
+@pytest.mark.parametrize(
+    ("rotation", "translation", "told"),
+    [
+        ([0.1, 0.2, 0.3], None, r"rotation: expected an array of shape \(3, 3\) \(from_quat.* got shape \(3,\)"),
+        ([1.0, 0, 0, 0], None, r"rotation: expected .*, got shape \(4,\)"),
+        (None, np.eye(3), r"translation: expected an array of shape \(3,\), got shape \(3, 3\)"),
+        (None, 0.3, r"translation: expected .*, got shape \(\)"),
+    ],
+)
+def test_a_pose_is_made_of_a_matrix_and_a_place(rotation, translation, told):
+    """Three angles were taken for three equal rows."""
+    with pytest.raises(InputError, match=told):
+        poses.make_pose(rotation, translation)
