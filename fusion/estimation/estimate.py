@@ -90,7 +90,7 @@ def estimate(
                 return trace.noting_budget(trace.skipping(alone, "feel", "vision alone is within the tolerance"))
         answer = _estimate(frame, model, asked, trace, looked)
         assert answer is not None
-        left = without_copy(model, asked, answer, trace)
+        left = without_copy(model, asked, looked, answer, trace)
         if left is not None:
             rest = look_once(model, left, trace)
             other = _estimate(frame, model, left, trace, rest)

@@ -52,7 +52,7 @@ def search_on(found: Found, asked: Asked, answer: Estimate, trace: Trace) -> Ask
         why_not = "no source was left out"
     elif answer.verdict == "ok":
         why_not = "the answer is ok"
-    elif another_meant(answer.modes, asked.settings.another):
+    elif asked.viewed.hand is not None and another_meant(answer.modes, asked.settings.another):
         why_not = "another like it is meant"
     elif asked.or_none:
         why_not = "what is felt is asked next"

@@ -103,10 +103,18 @@ def look_again(model: ObjectModel, asked: Asked, trace: Trace, looked: Looked, a
     return found
 
 
-def without_copy(model: ObjectModel, asked: Asked, answer: Estimate, trace: Trace) -> Asked | None:
-    """The question without readings of what is at an answer, where another like it is surely meant; None elsewhere."""
+def without_copy(model: ObjectModel, asked: Asked, looked: Looked, answer: Estimate, trace: Trace) -> Asked | None:
+    """The question without readings of what is at an answer, where a hand that is known holds another like it and not
+    that; None elsewhere: what is likelier by its picture alone is not what is meant.
+    """
     frame, settings = asked.viewed, asked.settings.another
     if trace.over_budget or frame.depth is None or frame.camera is None or not another_meant(answer.modes, settings):
+        return None
+    held = _held(asked.viewed, looked.seen_hand)
+    if held is None:
+        return None
+    here, there = (held.gap(model, mode.pose) for mode in answer.modes[:2])
+    if there >= settings.held or here - there <= settings.held:
         return None
     inverse, own = se3.inverse(_seen_at(answer)), max(settings.own, settings.own_share * model.radius)
     points = frame.camera.rays().reshape(-1, 3) * frame.depth.reshape(-1, 1)
