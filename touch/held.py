@@ -20,6 +20,8 @@ from scenes.robot.tips import tip_of
 
 Array = NDArray[np.float64]
 
+GAP_POINTS = 2000  # of the hand, a few millimetres apart: what is held is asked for to a centimetre
+
 
 @dataclass(frozen=True)
 class HeldSettings:
@@ -70,6 +72,12 @@ class Held:
         where = middles[grip] + rng.normal(size=(len(grip), 3)) * s.slack
         out = se3.make_poses(rotations, where - np.einsum("nij,nj->ni", rotations, places[place]))
         return np.asarray(self.camera_from_hand @ out)
+
+    def gap(self, model: ObjectModel, pose: Array) -> float:
+        """Metres between the hand's surface and the object's at pose (4, 4), where they are nearest; 0: they meet."""
+        points = self.hand.points_on_surface(self.joints, most=GAP_POINTS)
+        local = se3.apply(se3.inverse(pose) @ self.camera_from_hand, points)
+        return max(0.0, float(model.field.distance(local).min(initial=np.inf)))
 
 
 def grips(hand: Hand, joints: dict[str, float], narrowest: float) -> tuple[Array, Array, Array]:

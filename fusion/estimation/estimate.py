@@ -19,13 +19,14 @@ from fusion.estimation.steps.doubted import Question, doubted, on_the_hand
 from fusion.estimation.steps.facing import check_print
 from fusion.estimation.steps.finished import finished
 from fusion.estimation.steps.searched import search_on, searched
-from fusion.estimation.steps.sense import look_again, look_once, sense
+from fusion.estimation.steps.sense import look_again, look_once, sense, without_copy
 from fusion.estimation.steps.told import nothing_told, told
 from fusion.estimation.tolerance import good_enough
 from fusion.estimation.trace import Trace
 from scenes.evidence.align import Prior
 from scenes.evidence.near_symmetries import near_symmetries
 from scenes.evidence.point_pairs import built_pair_table
+from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
@@ -107,6 +108,14 @@ def _answer(model: ObjectModel, question: Question, trace: Trace, looked: Looked
     frame, asked = question.frame, question.asked
     answer = _estimate(frame, model, asked, trace, looked)
     assert answer is not None
+    left = without_copy(model, asked, looked, answer, trace)
+    if left is not None:
+        rest = look_once(model, left, trace)
+        other = _estimate(frame, model, left, trace, rest)
+        assert other is not None
+        apart = se3.apply(other.pose, model.centroid[None]) - se3.apply(answer.pose, model.centroid[None])
+        if other.verdict != "lost" and np.linalg.norm(apart) > model.radius:
+            asked, looked, answer = left, rest, other
     again = look_again(model, asked, trace, looked, answer)
     if again is None:
         return answer

@@ -15,6 +15,7 @@ from fusion.estimation.asked import Asked
 from fusion.estimation.search.modes import Found, find_modes
 from fusion.estimation.search.proposals import search_stages, starts_of
 from fusion.estimation.search.sources import modes_anywhere, modes_near
+from fusion.estimation.steps.another import another_meant
 from fusion.estimation.steps.facing import Faced, Facing, faced, why_no_print
 from fusion.estimation.steps.sense import Sensed
 from fusion.estimation.trace import Trace
@@ -51,6 +52,8 @@ def search_on(found: Found, asked: Asked, answer: Estimate, trace: Trace) -> Ask
         why_not = "no source was left out"
     elif answer.verdict == "ok":
         why_not = "the answer is ok"
+    elif asked.viewed.hand is not None and another_meant(answer.modes, asked.settings.another):
+        why_not = "another like it is meant"
     elif asked.or_none:
         why_not = "what is felt is asked next"
     elif trace.over_budget:

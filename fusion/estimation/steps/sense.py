@@ -5,7 +5,7 @@ The steps that an estimate and the judging of given poses share. Camera frame, m
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from fusion.estimation.search.pool import Pool
 from fusion.estimation.solve.joint import JointResult
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import solve_modes
+from fusion.estimation.steps.another import another_meant
 from fusion.estimation.trace import Trace
 from scenes.evidence import table as tables
 from scenes.evidence.table import Evidence
@@ -88,7 +89,7 @@ def look_again(model: ObjectModel, asked: Asked, trace: Trace, looked: Looked, a
     why_not = "what is the object's is not told by the hand" if not told or hand is None else ""
     if not why_not and answer.verdict == "ok":
         why_not = "the answer is ok"
-    left = 0.0 if why_not else _unexplained(model, looked, answer, settings)
+    left = 0.0 if why_not else unexplained(model, looked, _seen_at(answer), settings)
     if not why_not and left < settings.other_share:
         why_not = "the answer explains what was taken for the object"
     elif not why_not and trace.over_budget:
@@ -102,14 +103,41 @@ def look_again(model: ObjectModel, asked: Asked, trace: Trace, looked: Looked, a
     return found
 
 
-def _unexplained(model: ObjectModel, looked: Looked, answer: Estimate, settings: LookSettings) -> float:
-    """Share of the object's pixels that are on no surface of it at an answer, farther off than parts two things."""
+def without_copy(model: ObjectModel, asked: Asked, looked: Looked, answer: Estimate, trace: Trace) -> Asked | None:
+    """The question without readings of what is at an answer, where a hand that is known holds another like it and not
+    that; None elsewhere: what is likelier by its picture alone is not what is meant.
+    """
+    frame, settings = asked.viewed, asked.settings.another
+    if trace.over_budget or frame.depth is None or frame.camera is None or not another_meant(answer.modes, settings):
+        return None
+    held = _held(asked.viewed, looked.seen_hand)
+    if held is None:
+        return None
+    here, there = (held.gap(model, mode.pose) for mode in answer.modes[:2])
+    if there >= settings.held or here - there <= settings.held:
+        return None
+    inverse, own = se3.inverse(_seen_at(answer)), max(settings.own, settings.own_share * model.radius)
+    points = frame.camera.rays().reshape(-1, 3) * frame.depth.reshape(-1, 1)
+    near = np.flatnonzero(np.linalg.norm(points - _seen_at(answer)[:3, 3], axis=1) < model.diameter + own)
+    depth = frame.depth.copy()
+    depth.reshape(-1)[near[np.abs(model.field.distance(se3.apply(inverse, points[near]))) < own]] = 0.0
+    return replace(asked, viewed=replace(frame, depth=depth))
+
+
+def unexplained(model: ObjectModel, looked: Looked, seen_at: Array, settings: LookSettings) -> float:
+    """Share of the object's pixels that are on no surface of it where the image shows it, seen_at (4, 4), farther off
+    than parts two things.
+    """
     points = looked.pixels.points
     if not len(points):
         return 0.0
-    seen_at = answer.pose if answer.as_seen is None else answer.as_seen
     off = np.abs(model.field.distance(se3.apply(se3.inverse(seen_at), points)))
     return float((off > np.maximum(settings.mask.step, settings.mask.step_share * points[:, 2])).mean())
+
+
+def _seen_at(answer: Estimate) -> Array:
+    """(4, 4) Where the image as it is shows the object of an answer."""
+    return answer.pose if answer.as_seen is None else answer.as_seen
 
 
 def sense(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: Looked) -> Sensed:

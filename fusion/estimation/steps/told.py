@@ -14,11 +14,11 @@ from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import Asked
 from fusion.estimation.confidence import as_shown, observations, within
-from fusion.estimation.steps.another import another, why_no_other, with_other
+from fusion.estimation.steps.another import by_hand, is_clear, others, why_no_other, with_others
 from fusion.estimation.steps.drawn import drawn_by_touch, why_not_drawn
 from fusion.estimation.steps.facing import Faced, as_printed, by_facing, other_printed
 from fusion.estimation.steps.finished import Finished
-from fusion.estimation.steps.sense import Sensed
+from fusion.estimation.steps.sense import Sensed, unexplained
 from fusion.estimation.tolerance import with_shift
 from fusion.estimation.trace import Trace
 from fusion.estimation.whole import room_about, told_covariance
@@ -75,18 +75,26 @@ def told(found: Faced, end: Finished, start: Prior | None, trace: Trace) -> Esti
                 word, why = "ambiguous", f"only {sure:.0%} of what the contacts allow is within the tolerance"
             stage.note(len(felt.rows), f"{drawn:.0%} of what the contacts allow is within the tolerance")
     doubted = sure < settings.confidence.sure
-    why_not = why_no_other(pool, doubted) if predictor.sees else "nothing is seen"
+    left = unexplained(model, sensed.looked, end.seen_from @ pose, settings.look)
+    clear, crowded = is_clear(pool, pose, settings.another), left >= settings.look.other_share
+    why_not = why_no_other(pool, doubted, viewed.mask is not None, clear, crowded)
+    why_not = why_not if predictor.sees else "nothing is seen"
     with trace.stage("another in view", not why_not, why_not) as stage:
-        other, by_print = None if why_not else another(pool, modes, settings.confidence, settings.another), 1.0
-        if other is not None:
+        there = () if why_not else others(pool, modes, settings.confidence, settings.another)
+        by_print = [other_printed(sensed, facing, pose, one.pose, settings.texture) for one, _ in there]
+        if there:
             near = sure / max(right, 1e-9)
-            by_print = other_printed(sensed, facing, pose, other[0].pose, settings.texture)
-            modes, right = with_other(model, modes, right, *other, by_print)
+            of_hand = [by_hand(pool, pose, one.pose, settings.another) for one, _ in there]
+            modes, right = with_others(model, modes, right, there, np.multiply(by_print, of_hand))
             sure = right * near
             if word == "ok" and sure < settings.confidence.sure:
                 word, why = "ambiguous", f"only {sure:.0%} sure which is meant: another like it is in view"
-        printed = ", not as printed" if by_print < 0.1 else ""
-        stage.note(len(modes), f"one is, {other[1]:.0%} sure by itself{printed}" if other else "none is like it")
+        elif not why_not and clear and crowded:
+            sure = min(sure, settings.verdict.most_doubted)
+            word, why = ("ambiguous", "the hand holds something else") if word == "ok" else (word, why)
+        printed = ", not as printed" if by_print and max(by_print) < 0.1 else ""
+        likely = f", {there[0][1]:.0%} sure by itself" if there else ""
+        stage.note(len(modes), f"{_counted(len(there))}{likely}{printed}")
     room = room_about(se3.apply(pose, model.centroid[None])[0], sensed.looked.pixels.points)
     covariance = told_covariance(model, modes, word, right, believed, settings.confidence, room, same)
     covariance = max(covariance, allowed, key=lambda one: float(np.linalg.slogdet(one)[1]))
@@ -117,6 +125,10 @@ def told(found: Faced, end: Finished, start: Prior | None, trace: Trace) -> Esti
         searched=end.searched,
         as_seen=end.seen_from @ pose,
     )
+
+
+def _counted(there: int) -> str:
+    return "none is like it" if not there else "one is" if there == 1 else f"{there} are"
 
 
 def _notes(sensed: Sensed, asked: Asked, unused: Iterable[str]) -> tuple[str, ...]:

@@ -8,19 +8,13 @@ from made_frames import VIEW
 
 from fusion.estimation.answer import Mode
 from fusion.estimation.estimate import estimate
-from fusion.estimation.steps.another import with_other
+from fusion.estimation.steps.another import with_others
 from scenes.geometry import poses
 from scenes.geometry.rendering import Renderer
 from scenes.recordings.frames import Contacts, Frame
-from scenes.synthesis.library import make
 from scenes.synthesis.staging.prints import with_print
 
 HERE, THERE = (poses.make_pose(poses.exp_rotation([1.9, 0.4, 0.3]), [x, 0.01, 0.55]) for x in (-0.11, 0.11))
-
-
-@pytest.fixture(scope="module")
-def drill():
-    return make("drill")
 
 
 def seen(model, *places, start=None):
@@ -74,7 +68,7 @@ def test_who_says_which_is_meant_gets_it(drill):
 def test_chances_of_things_of_which_one_is_meant(drill, right, chance, expected):
     modes = tuple(Mode(np.eye(4), weight, 0.0, np.eye(6)) for weight in (0.75, 0.25))
     other = Mode(THERE, 1.0, 3.0, np.eye(6))
-    told, sure = with_other(drill, modes, right, other, chance)
+    told, sure = with_others(drill, modes, right, ((other, chance),))
     assert sure == pytest.approx(expected, abs=1e-5)
     assert sum(mode.weight for mode in told) == pytest.approx(1.0)
     assert told[0].pose is modes[0].pose
@@ -84,8 +78,8 @@ def test_chances_of_things_of_which_one_is_meant(drill, right, chance, expected)
 def test_what_is_printed_tells_which_of_two_is_meant(drill):
     """Copies with another print are in view: each of the two is as clear by its shape."""
     modes, other = (Mode(np.eye(4), 1.0, 0.0, np.eye(6)),), Mode(THERE, 1.0, 3.0, np.eye(6))
-    assert with_other(drill, modes, 0.99, other, 0.99, 0.001)[1] == pytest.approx(0.99, abs=1e-3)
-    assert with_other(drill, modes, 0.99, other, 0.99, 1000.0)[1] < 0.01
+    assert with_others(drill, modes, 0.99, ((other, 0.99),), [0.001])[1] == pytest.approx(0.99, abs=1e-3)
+    assert with_others(drill, modes, 0.99, ((other, 0.99),), [1000.0])[1] < 0.01
     model = with_print(drill)
     colours = np.full((VIEW.height, VIEW.width, 3), 120, dtype=np.uint8)
     frame = seen(drill, HERE, THERE)
@@ -112,3 +106,42 @@ def test_one_of_two_of_which_half_is_hidden_may_be_meant(drill):
     assert answer.verdict == "ambiguous"
     off = [min(np.linalg.norm(mode.pose[:3, 3] - one[:3, 3]) for mode in answer.modes) for one in (HERE, THERE)]
     assert max(off) < 0.01
+
+
+def test_each_of_three_is_a_mode(drill):
+    middle = poses.make_pose(poses.exp_rotation([1.9, 0.4, 0.3]), [0.0, -0.01, 0.85])
+    places = (
+        poses.make_pose(HERE[:3, :3], [-0.24, 0.01, 0.65]),
+        middle,
+        poses.make_pose(HERE[:3, :3], [0.22, 0.01, 0.6]),
+    )
+    answer = estimate(seen(drill, *places), drill)
+    assert answer.verdict == "ambiguous"
+    off = [min(np.linalg.norm(mode.pose[:3, 3] - one[:3, 3]) for mode in answer.modes) for one in places]
+    assert max(off) < 0.006
+    assert sum(mode.weight for mode in answer.modes) == pytest.approx(1.0)
+
+
+def test_chances_of_three_of_which_one_is_meant(drill):
+    first, far = (Mode(np.eye(4), 1.0, 0.0, np.eye(6)),), poses.make_pose(np.eye(3), [0.0, 1.0, 0.0])
+    there = tuple((Mode(pose, 1.0, 3.0, np.eye(6)), 0.9) for pose in (THERE, far))
+    modes, sure = with_others(drill, first, 0.9, there)
+    assert sure == pytest.approx(9.0 / 28.0)
+    assert [mode.weight for mode in modes] == pytest.approx([1.0 / 3.0] * 3)
+    # what is likelier by its print, or because a hand holds it, comes first
+    modes, _ = with_others(drill, first, 0.9, there, [0.01, 100.0])
+    assert modes[1].pose is far
+
+
+def test_what_a_hand_holds_is_meant_and_not_what_stands_beside_it(lab_frame, drill):
+    """Of the copy beside it more is seen than of what the fingers hide, and nothing is felt."""
+    there = lab_frame.camera_from_object_truth @ poses.make_pose(poses.exp_rotation([0.3, 0.2, 1.0]), np.zeros(3))
+    there[:3, 3] += [0.13, 0.0, -0.05]
+    z = Renderer({"copy": (drill.vertices, drill.faces)}).render(lab_frame.camera, {"copy": there}).depth
+    z = z + np.random.default_rng(1).normal(0, 0.001, z.shape) * (z > 0)
+    nearer = (z > 0) & ((lab_frame.depth == 0) | (z < lab_frame.depth))
+    depth = np.where(nearer, z, lab_frame.depth).astype(np.float32)
+    answer = estimate(replace(lab_frame, depth=depth, prior=None, mask=None).without_touch(), drill)
+    assert np.linalg.norm(answer.pose[:3, 3] - lab_frame.camera_from_object_truth[:3, 3]) < 0.005
+    alone = estimate(replace(lab_frame, prior=None, mask=None).without_touch(), drill)
+    assert not any(one.ran for one in alone.trace if one.name == "another in view")
