@@ -38,6 +38,9 @@ METHODS = {
     "icp": "touch.published.contact_icp:localize",
 }
 
+# Contacts that spread over so many diameters of the object are not in metres; noise of a metre is a verdict.
+NOT_METRES = 100.0
+
 
 def localize(
     model: ObjectModel,
@@ -67,7 +70,9 @@ def localize(
         check_prior(prior)
     if len(contacts) == 0:
         raise InputError("localize: expected at least one contact, got none")
-    check_scale(Frame(0, where="contacts", contacts=contacts), model)
+    spread = float(np.ptp(contacts.points, axis=0).max()) if len(contacts) > 1 else 0.0
+    if spread > NOT_METRES * model.diameter:
+        check_scale(Frame(0, where="contacts", contacts=contacts), model)
     if settings is not None and method != "multistart":
         raise InputError(f"settings: expected none with method {method!r}, they are the default method's")
     how = asked(settings or LocalizeSettings(), sure_within)
