@@ -96,16 +96,12 @@ def _look(report: Report, ones: list[Recorded], left: list[str], settings: Bench
         for (mask, start), here in by_case.items():
             ours = [t for t in here if t.frame == one.name and t.method == OURS]
             if ours and not start.once:
-                heading = f"{'mask' if mask else 'no mask'}, {_word(start)}"
+                heading = f"{'mask' if mask else 'no mask'}, {start.words}"
                 answers.append((heading, max(ours, key=lambda t: (t.wrong, t.residual))))
         rows.append((one, answers))
     title = f"palpate on recorded frames, the worst of {count} tries, seed {settings.seed}"
     report.pictures["sheet"] = contact_sheet(rows, title)
     look_behind(report, ones, settings)
-
-
-def _word(start: Start) -> str:
-    return "no start" if start.angle is None else "at reference" if start.once else start.name
 
 
 def _frames_table(ones: list[Recorded], left: list[str]) -> Table:
@@ -276,7 +272,7 @@ def _claims(report: Report, by_case: dict[Case, list[Trial]]) -> None:
     for (mask, start), here in by_case.items():
         if start.once:
             continue
-        what = f"{'mask' if mask else 'no mask'}, {_word(start)}"
+        what = f"{'mask' if mask else 'no mask'}, {start.words}"
         shares = {m: _share([t for t in here if t.method == m]) for m in METHODS if any(t.method == m for t in here)}
         ours = shares.pop(OURS)
         best = max(shares, key=lambda m: shares[m])

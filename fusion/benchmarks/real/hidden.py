@@ -64,7 +64,7 @@ def behind_fingers(one: Recorded, share: float, rng: np.random.Generator) -> Beh
     shade = np.zeros(depth.shape)
     hidden = np.zeros(depth.shape, dtype=bool)
     v, u = np.nonzero(shown)
-    middle, extent = np.array([u.mean(), v.mean()]), 0.5 * float(np.hypot(np.ptp(u), np.ptp(v)))
+    middle, extent = np.array([u.mean(), v.mean()]), max(1.0, 0.5 * float(np.hypot(np.ptp(u), np.ptp(v))))
     away, first = float(np.median(depth[shown])), rng.uniform(0.0, 2.0 * np.pi)
     for _ in range(MOST):
         drawn, height = _finger(camera, middle, extent, away, first, rng)
@@ -241,7 +241,7 @@ def _cases(found: list[HiddenTrial]) -> Iterator[tuple[float, bool, Start, list[
 
 def _claims(report: Report, found: list[HiddenTrial]) -> None:
     for level, mask, start, some in _cases(found):
-        what = f"{level:.0%} hidden, {'mask' if mask else 'no mask'}, {_word(start)}"
+        what = f"{level:.0%} hidden, {'mask' if mask else 'no mask'}, {start.words}"
         shares = {m: np.mean([not t.wrong for t in some if t.method == m]) for m in {t.method for t in some}}
         if "fused" not in shares:
             continue
@@ -250,7 +250,3 @@ def _claims(report: Report, found: list[HiddenTrial]) -> None:
         report.claims.append(Claim(f"{what}: fused right, against {best}", fused, float(shares[best]), True))
     sure = sum(t.wrong and t.sure for t in found)
     report.claims.append(Claim("behind fingers: wrong but ok", sure, 0, False, 0))
-
-
-def _word(start: Start) -> str:
-    return "no start" if start.angle is None else start.name

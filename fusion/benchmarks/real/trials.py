@@ -41,6 +41,11 @@ class Start:
     distance: float = 0.0
 
     @property
+    def words(self) -> str:
+        """As claims and headings name it."""
+        return "no start" if self.angle is None else "at reference" if self.once else self.name
+
+    @property
     def once(self) -> bool:
         """Nothing is drawn: one try says it."""
         return self.angle == 0.0

@@ -85,7 +85,7 @@ class JointProblem:
         self.hand = self.hand if self.has_robot and self.hand is not None and len(self.hand.points) else None
         hand_points = self.hand.points if self.hand is not None else np.zeros((0, 3))
         if self.pixels_tell is None:
-            self.pixels_tell = self.hand is not None or self.camera is None
+            self.pixels_tell = self.hand is not None or self.camera is None or not len(self.seen)
         depth = self.beliefs.depth
         seen = self.seen.points if self.camera is not None and len(self.seen) else np.zeros((0, 3))
         reach = np.concatenate([seen, hand_points]) if len(seen) else seen

@@ -59,10 +59,9 @@ class AnotherSettings:
     meant: float = 0.95
 
 
-def why_no_other(pool: Pool, doubted: bool, masked: bool, clear: bool, crowded: bool) -> str:
-    """Why no other thing like the answer need be looked for; "" where it must. doubted: the answer is not sure by
-    itself; masked: a mask says which pixels are the object's; clear: a hand that is known is clear of the answer;
-    crowded: much of what is at it the answer leaves unexplained.
+def why_no_other(pool: Pool, doubted: bool, masked: bool) -> str:
+    """Why no other thing like the answer need be looked for; "" where it must, or, beside a hand that is known, may.
+    doubted: the answer is not sure by itself; masked: a mask says which pixels are the object's.
     """
     if doubted:
         return "the answer is in doubt"
@@ -70,11 +69,7 @@ def why_no_other(pool: Pool, doubted: bool, masked: bool, clear: bool, crowded: 
         return "a start says which is meant"
     if pool.contacts:
         return "it is felt where it is"
-    if not pool.predictor.told_apart:
-        return ""
-    if masked:
-        return "it is known what hides the object"
-    return "" if clear or crowded else "the hand holds it, and nothing else is there"
+    return "a mask says which is meant" if masked and pool.predictor.told_apart else ""
 
 
 def another_meant(modes: Sequence[Mode], settings: AnotherSettings | None = None) -> bool:

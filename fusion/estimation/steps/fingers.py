@@ -28,14 +28,16 @@ def with_fingers(model: ObjectModel, felt: Felt, mode: Mode, prior: Prior | None
     shared = felt.shared
     if felt.weighed or shared is None or not len(shared.of):
         return mode
-    moved = np.zeros((6, 6))
+    moved = [np.zeros((6, 0))]
     for finger in range(int(shared.of.max()) + 1):
         rows = np.flatnonzero(shared.of == finger)
         if len(rows) > 1:
             moves = terms(model, felt.rows.take(rows), mode.pose)[2][:, 3:]
-            moved += float(shared.variance[rows].mean()) * moves @ moves.T
-    if not moved.any():
+            moved.append(np.sqrt(float(shared.variance[rows].mean())) * moves)
+    together = np.concatenate(moved, axis=1)
+    if not together.any():
         return mode
     # what nothing ties follows no finger
     following = np.linalg.pinv(terms(model, felt.rows, mode.pose, prior)[2], rcond=1e-9, hermitian=True)
-    return replace(mode, covariance=mode.covariance + following @ moved @ following)
+    spread = following @ together  # times its transpose, symmetric to the last digit
+    return replace(mode, covariance=mode.covariance + spread @ spread.T)

@@ -75,10 +75,12 @@ def told(found: Faced, end: Finished, start: Prior | None, trace: Trace) -> Esti
                 word, why = "ambiguous", f"only {sure:.0%} of what the contacts allow is within the tolerance"
             stage.note(len(felt.rows), f"{drawn:.0%} of what the contacts allow is within the tolerance")
     doubted = sure < settings.confidence.sure
-    left = unexplained(model, sensed.looked, end.seen_from @ pose, settings.look)
-    clear, crowded = is_clear(pool, pose, settings.another), left >= settings.look.other_share
-    why_not = why_no_other(pool, doubted, viewed.mask is not None, clear, crowded)
-    why_not = why_not if predictor.sees else "nothing is seen"
+    why_not = why_no_other(pool, doubted, viewed.mask is not None) if predictor.sees else "nothing is seen"
+    clear = crowded = False
+    if not why_not and predictor.told_apart:
+        left = unexplained(model, sensed.looked, end.seen_from @ pose, settings.look)
+        clear, crowded = is_clear(pool, pose, settings.another), left >= settings.look.other_share
+        why_not = "" if clear or crowded else "the hand holds it, and nothing else is there"
     with trace.stage("another in view", not why_not, why_not) as stage:
         there = () if why_not else others(pool, modes, settings.confidence, settings.another)
         by_print = [other_printed(sensed, facing, pose, one.pose, settings.texture) for one, _ in there]

@@ -61,7 +61,7 @@ def test_contacts_say_how_wrong_depth_is_and_its_own_pixels_do_not(drill, seed):
     assert sizes[0] < 0.7 * sizes[1]
 
 
-def test_pixels_tell_of_depth_where_a_hand_is_in_view_or_they_are_a_cloud(drill):
-    nothing = evidence.empty()
-    for camera, tell in ((CAMERA, False), (None, True)):
-        assert JointProblem(drill, nothing, nothing, 3, None, None, Beliefs(), camera).pixels_tell is tell
+def test_pixels_tell_of_depth_where_a_hand_is_in_view_or_they_are_a_cloud(drill, rng):
+    seen, nothing = made_problem(drill, rng)[0].seen, evidence.empty()
+    for rows, camera, tell in ((seen, CAMERA, False), (seen, None, True), (nothing, CAMERA, True)):
+        assert JointProblem(drill, rows, nothing, 3, None, None, Beliefs(), camera).pixels_tell is tell

@@ -7,8 +7,12 @@ import pytest
 from made_frames import VIEW
 
 from fusion.estimation.answer import Mode
+from fusion.estimation.asked import Asked
 from fusion.estimation.estimate import estimate
+from fusion.estimation.settings import usual_settings
 from fusion.estimation.steps.another import with_others
+from fusion.estimation.steps.sense import look_once, without_copy
+from fusion.estimation.trace import Trace
 from scenes.geometry import poses
 from scenes.geometry.rendering import Renderer
 from scenes.recordings.frames import Contacts, Frame
@@ -145,3 +149,17 @@ def test_what_a_hand_holds_is_meant_and_not_what_stands_beside_it(lab_frame, dri
     assert np.linalg.norm(answer.pose[:3, 3] - lab_frame.camera_from_object_truth[:3, 3]) < 0.005
     alone = estimate(replace(lab_frame, prior=None, mask=None).without_touch(), drill)
     assert not any(one.ran for one in alone.trace if one.name == "another in view")
+
+
+def test_without_a_hand_no_copy_is_looked_for_in_place_of_an_answer(lab_frame, drill):
+    """That another is likelier by its picture alone does not say that it is meant."""
+    settings, trace = usual_settings(), Trace()
+    there = lab_frame.camera_from_object_truth
+    aside = poses.make_pose(None, [0.25, 0.0, 0.0]) @ there
+    answer = estimate(lab_frame, drill, use=("vision",))
+    modes = Mode(aside, 0.02, 0.0, np.eye(6)), Mode(there, 0.98, 1.0, np.eye(6))
+    answer = replace(answer, pose=aside, as_seen=None, modes=modes)
+    for frame, asked_anew in ((lab_frame, True), (replace(lab_frame, hand=None, joints=None), False)):
+        asked = Asked.of(frame, None, ("vision",), None, 0, settings, None)
+        left = without_copy(drill, asked, look_once(drill, asked, trace), answer, trace)
+        assert (left is not None) is asked_anew

@@ -16,6 +16,7 @@ from scenes.recordings.frames import Contacts, Frame
 from touch.contacts import TouchSettings, feel
 
 FINGERS, TAXELS, SHARED = 4, 16, 1.1e-3
+ALONE = Mode(np.eye(4), 1.0, 0.0, 1e-8 * np.eye(6))
 
 
 def touched(model, rng, shared=SHARED):
@@ -44,6 +45,15 @@ def test_an_answer_by_touch_is_as_unsure_as_its_fingers_places(drill):
     before, after = np.median(nees, axis=0)
     assert before > 20.0
     assert 3.0 < after < 9.0
+
+
+def test_what_fingers_add_is_symmetric_to_the_last_digit(drill, rng):
+    """Also where next to nothing is known, so that large numbers cancel."""
+    contacts, _ = touched(drill, rng)
+    few = contacts.take(range(TAXELS))
+    mode = with_fingers(drill, feel(Frame(0, contacts=few), np.eye(4), beside_vision=False), ALONE)
+    assert np.array_equal(mode.covariance, mode.covariance.T)
+    assert mode.covariance[0, 0] > ALONE.covariance[0, 0]
 
 
 def test_rows_that_say_it_are_left_alone(drill, rng):
