@@ -91,7 +91,7 @@ class PlanSettings:
     # tables; the mean of their time is 16 % more. With 1, and a search anew where that leaves a doubt, of 125 such
     # answers to frames of five tuning families 88 are right, with 2 alone 84, in as much time on average.
     drawn_again: int = 1
-    # Confidence (a probability) below which an answer that is not `ok`, and to which something is seen, is searched for
+    # Confidence (no unit) below which an answer that is not `ok`, and to which something is seen, is searched for
     # once more, from other draws; 0: none is. Of 45 such answers of both senses to frames of two tuning families 22
     # were right and 28 are, 7 missed what refining from the truth finds and 3 do; of 67 of vision with a start 34 and
     # 35, 9 and 7. Of 100 that are surer 90 were right, and 91 would be: most of those show too little of the object
