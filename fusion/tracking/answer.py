@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate, Mode, Stage
 from fusion.estimation.confidence import ConfidenceSettings
+from fusion.estimation.search.modes import PlanSettings
 from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.solve.settings import JointSettings
 from fusion.tracking.filter import Belief
@@ -46,13 +47,19 @@ class ByPictureSettings:
     least: float = 2.0
 
 
+# A search that is not done anew.
+ONCE = PlanSettings(anew=0.0, drawn_again=2)
+
+
 @dataclass(frozen=True)
 class TrackSettings:
     """Tracking with both senses; `first` is how the first frame, and a lost object, is found. Values tuned on
     generated sequences.
     """
 
-    first: EstimateSettings = field(default_factory=EstimateSettings)
+    # What a track does not find in one frame it looks for in the next: no frame is searched twice, and as many pairs of
+    # pixels are drawn as where none is.
+    first: EstimateSettings = field(default_factory=lambda: EstimateSettings(plan=ONCE))
     # Whether a track is `ok` only where it is known which way round the object lies: a frame to come may tell, and
     # until then each way is followed. In place of `first`'s own `VerdictSettings.way_round`.
     way_round: bool = True

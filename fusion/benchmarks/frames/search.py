@@ -25,7 +25,8 @@ from fusion.benchmarks.frames.missed import keep_miss
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Quantile, Rate, Report, Table
 from fusion.benchmarks.strata import WRONG, Answer, gathered, places_of, senses_table
 from fusion.estimation.estimate import estimate
-from fusion.estimation.steps.judge import judge
+from fusion.estimation.settings import usual_settings
+from fusion.estimation.steps.judge import Judgement, judge
 from fusion.truth.compare import SENSES
 from fusion.truth.errors import Judge
 from scenes.errors import InputError
@@ -39,6 +40,8 @@ Array = NDArray[np.float64]
 NATS = 1.0
 # Frames of each object, hidden share and family.
 TRIALS = 1
+# Poses that are judged together at most: the answer's, the true one, where the search ended, and other modes.
+MOST_JUDGED = usual_settings().joint.modes
 RIGHT, MISSED, ALIKE, PREFERRED = "right", "missed", "alike", "preferred"
 # Shares of missed minima that are allowed, with a start and without.
 MOST_MISSED = {True: 0.005, False: 0.01}
@@ -69,7 +72,7 @@ class Told:
 class Tried:
     """One answer. usual: told what its family tells; add_s (m) of it and of what the truth refines to; gap: nats by
     which the lower of the answer and of what the search found costs more than that, NaN where nothing was sensed;
-    own_gap: those of the answer alone.
+    own_gap: those of the answer alone. beside: missed, and another mode of the answer is as low.
     """
 
     family: str
@@ -85,6 +88,7 @@ class Tried:
     ms: float = math.nan
     icp_ms: float = math.nan
     own_gap: float = math.nan
+    beside: bool = False
 
     @property
     def given_up(self) -> bool:
@@ -162,18 +166,28 @@ def _tried(
     begin = time.process_time()
     answer = estimate(frame, made.model, use=use, seed=cell.seed)
     spent = 1e3 * (time.process_time() - begin)
-    gap, own_gap, truth_add_s, costs = math.nan, math.nan, math.nan, None
+    costs: Judgement | None = None
+    # what is answered is a mean over what may be the case, which a joint solution may leave for another valley: that
+    # from which it was solved speaks for the search, too
+    ends = [answer.pose, truth] if answer.searched is None else [answer.pose, truth, answer.searched]
     with suppress(InputError):  # a frame that tells nothing of the object has no costs
-        # what is answered is a mean over what may be the case, which a joint solution may leave for another valley:
-        # that from which it was solved speaks for the search, too
-        ends = [answer.pose, truth] if answer.searched is None else [answer.pose, truth, answer.searched]
         costs = judge(frame, made.model, np.array(ends), use=use, seed=cell.seed)
-    if costs is not None:
-        gap, own_gap = (float(cost - costs.costs[1]) for cost in (np.delete(costs.costs, 1).min(), costs.costs[0]))
-        truth_add_s = true.errors(costs.poses[1], truth).add_s
     add_s = true.errors(answer.pose, truth).add_s
-    times = answer.verdict, spent, beside, own_gap
-    tried = Tried(cell.family.name, cell.level, made.key, sense, told, usual, add_s, truth_add_s, gap, *times)
+
+    def compared(costs: Judgement | None) -> Tried:
+        gap, own_gap, truth_add_s = math.nan, math.nan, math.nan
+        if costs is not None:
+            gap, own_gap = (float(cost - costs.costs[1]) for cost in (np.delete(costs.costs, 1).min(), costs.costs[0]))
+            truth_add_s = true.errors(costs.poses[1], truth).add_s
+        times = answer.verdict, spent, beside, own_gap
+        return Tried(cell.family.name, cell.level, made.key, sense, told, usual, add_s, truth_add_s, gap, *times)
+
+    tried = compared(costs)
+    if tried.outcome == MISSED and len(answer.modes) > 1:
+        # what is told as another mode the search had found: it is missed by the answer alone
+        rest = [mode.pose for mode in sorted(answer.modes[1:], key=lambda mode: mode.cost)]
+        costs = judge(frame, made.model, np.array([*ends, *rest][:MOST_JUDGED]), use=use, seed=cell.seed)
+        tried = replace(tried, beside=compared(costs).outcome != MISSED)
     if tried.outcome == MISSED and cell.folder is not None and costs is not None:
         words = {
             "family": cell.family.name,
@@ -184,8 +198,8 @@ def _tried(
             "sense": sense,
             "told": told.words,
             "answer_add_s_mm": 1e3 * add_s,
-            "truth_refined_add_s_mm": 1e3 * truth_add_s,
-            "gap_nats": gap,
+            "truth_refined_add_s_mm": 1e3 * tried.truth_add_s,
+            "gap_nats": tried.gap,
         }
         keep_miss(cell.folder, frame, made.model, words, answer, costs)
     return tried
@@ -225,6 +239,7 @@ _OUTCOMES = (
     Column("missed"),
     Column("missed, of all", 0),
     Column("found, given up", 0),
+    Column("told as another mode", 0),
     Column("objective prefers wrong"),
     Column("data cannot tell"),
     Column("lower from the truth"),
@@ -234,7 +249,8 @@ _OUTCOMES = (
 NOTE = (
     "missed: refining from the truth ends more than one nat lower than the answer, and than the pose that the search"
     " handed to the joint solution, and elsewhere; found, given up: the search had found a place as low as the truth's,"
-    " and what the joint solution and the mean made of it is wrong and higher; objective prefers"
+    " and what the joint solution and the mean made of it is wrong and higher; told as another mode: of the missed,"
+    " those where a mode beside the answer is as low as the truth's; objective prefers"
     " wrong: the answer, 5 mm off or more, ends more than one nat lower; data cannot tell: it is wrong, and neither is"
     " lower; the rest is right. lower from the truth: whether right or wrong. Gaps: means."
 )
@@ -315,6 +331,7 @@ def _outcomes(found: Sequence[Tried]) -> list[Any]:
         missed,
         missed.hits,
         sum(t.given_up for t in found),
+        sum(t.beside for t in found),
         Rate.of([t.outcome == PREFERRED for t in found]),
         Rate.of([t.outcome == ALIKE for t in found]),
         Rate.of([t.gap > NATS for t in found]),

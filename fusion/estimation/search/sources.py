@@ -97,7 +97,7 @@ class Competition:
             return False
         if abs(other.modes[0].cost - self.modes[0].cost) > self.pool.settings.as_likely:
             return False
-        self._leave(self.pool.among(self.fitted.joined(other.fitted)))
+        self.take(self.fitted.joined(other.fitted))
         return True
 
     def learns_of(self, other: Competition) -> bool:
@@ -108,8 +108,12 @@ class Competition:
             return False
         if other.modes[0].cost > self.modes[0].cost - self.pool.settings.bettered:
             return False
-        self._leave(self.pool.among(self.fitted.joined(other.fitted)))
+        self.take(self.fitted.joined(other.fitted))
         return True
+
+    def take(self, fitted: Alignment) -> None:
+        """Let what others were left with compete, and nothing else."""
+        self._leave(self.pool.among(fitted))
 
     def _compete(self, poses: Array, most: int | None) -> None:
         """Let poses (n, 4, 4) compete with what was left."""
@@ -183,7 +187,7 @@ class Competition:
         if not self.convinced:
             also = (*also, *self._within_modes(plan))
         said = f"{len(self.modes)} of {counted(self.proposed, 'proposal')} left, {words}"
-        return Found(self.modes, looked_at, said, also)
+        return Found(self.modes, looked_at, said, also, left=self.fitted)
 
     def _within_modes(self, plan: PlanSettings) -> list[Array]:
         """Poses (4, 4) that were merged with likelier ones and cost little more: from each of them the joint solution
@@ -193,6 +197,29 @@ class Competition:
             return []
         near = self.fitted.poses[self.fitted.costs <= self.fitted.costs[0] + plan.also_within]
         return [pose for pose in near if not any(np.array_equal(pose, mode.pose) for mode in self.modes)][: plan.also]
+
+
+def of_both(pool: Pool, first: Found, second: Found, plan: PlanSettings) -> Found:
+    """What is left of two searches of one frame that knew nothing of each other; `first` itself where all that the
+    second ended in was known, or is too costly to be told as a mode.
+    """
+    if first.left is None or second.left is None:
+        return first
+    known, fresh = first.left, second.left
+    best, differ = known.costs.min(), leaders(pool.model, np.concatenate([known.poses, fresh.poses]), pool.apart)[0]
+    new = fresh.costs[differ[differ >= len(known.poses)] - len(known.poses)]
+    better = fresh.costs.min() < best - pool.settings.hardly
+    if not better and not (new <= best + pool.modes.cost_margin).any():
+        return first
+    both = Competition(pool, Trace())
+    both.take(known.joined(fresh))
+    found = both.found(first.looked_at + second.looked_at, plan)
+    worth = [*found.also, *first.also, *second.also]
+    also: list[Array] = []
+    for pose in () if both.convinced else worth:
+        if not any(np.array_equal(pose, one) for one in (*poses_of(found.modes), *also)):
+            also.append(pose)
+    return replace(found, also=tuple(also[: 2 * plan.also]))
 
 
 def glance(pool: Pool, rows: Evidence, starts: Array, trace: Trace) -> Competition:

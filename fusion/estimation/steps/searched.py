@@ -14,7 +14,7 @@ from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import Asked
 from fusion.estimation.search.modes import Found, find_modes
 from fusion.estimation.search.proposals import search_stages, starts_of
-from fusion.estimation.search.sources import modes_anywhere, modes_near
+from fusion.estimation.search.sources import modes_anywhere, modes_near, of_both
 from fusion.estimation.steps.another import another_meant
 from fusion.estimation.steps.facing import Faced, Facing, faced, why_no_print
 from fusion.estimation.steps.sense import Sensed
@@ -30,14 +30,7 @@ def searched(sensed: Sensed, asked: Asked, trace: Trace, before: tuple[Mode, ...
 
     before: what a search of the same frame left that ended early.
     """
-    found = _found(sensed, asked, trace, before)
-    why_not = why_no_print(sensed, asked.settings.texture)
-    out = Faced(found, np.zeros(0), asked, sensed, Facing(why=why_not))
-    with trace.stage("print", not why_not, why_not) as stage:
-        if not why_not:
-            out = faced(sensed, found, asked)
-            stage.note(out.facing.pixels, out.facing.why)
-    return out
+    return _printed(sensed, asked, _found(sensed, asked, trace, before), trace)
 
 
 def search_on(found: Found, asked: Asked, answer: Estimate, trace: Trace) -> Asked | None:
@@ -64,6 +57,54 @@ def search_on(found: Found, asked: Asked, answer: Estimate, trace: Trace) -> Ask
         stage.note(0, f"convinced, but {answer.verdict}: all sources are asked")
         settings = asked.settings
         return replace(asked, settings=replace(settings, plan=replace(settings.plan, skipping=False)))
+
+
+def searched_anew(
+    sensed: Sensed, found: Found, asked: Asked, answer: Estimate, trace: Trace, on: bool = False
+) -> Faced | None:
+    """What two searches of a frame leave where the answer made of the first, which left `found`, is in doubt: the
+    second begins from other draws and knows nothing of the first. None where it is not asked for, or ends in nothing
+    new. on: whether the first was taken up again (see `search_on`).
+
+    Where what is sensed leaves many shallow minima, chance decides in which of them one search ends.
+    """
+    why_not = ""
+    if answer.verdict == "ok":
+        why_not = "the answer is ok"
+    elif not asked.settings.plan.anew:
+        why_not = "it is not asked for"
+    elif answer.confidence >= asked.settings.plan.anew:
+        why_not = "the answer is hardly in doubt"
+    elif not sensed.pool.predictor.sees:
+        why_not = "nothing is seen"
+    elif next((stage.ran for stage in reversed(trace.stages) if stage.name == "another in view"), False):
+        why_not = "only which is meant is in doubt"
+    elif on:
+        why_not = "all sources were asked"
+    elif asked.prior is None and not sensed.contacts and sensed.pool.predictor.told_apart:
+        why_not = "neither a start nor touch says where"
+    elif asked.or_none:
+        why_not = "what is felt is asked next"
+    elif trace.over_budget:
+        why_not = "the time budget is spent"
+    with trace.stage("search anew", not why_not, why_not) as stage:
+        if why_not:
+            return None
+        both = of_both(sensed.pool, found, _found(sensed, asked, trace, ()), asked.settings.plan)
+        ended = "in nothing new" if both is found else f"elsewhere, too: {both.why}"
+        stage.note(0, f"{answer.verdict}; other draws end {ended}")
+    return None if both is found else _printed(sensed, asked, both, trace)
+
+
+def _printed(sensed: Sensed, asked: Asked, found: Found, trace: Trace) -> Faced:
+    """What a search left, each mode the way round that its print has it."""
+    why_not = why_no_print(sensed, asked.settings.texture)
+    out = Faced(found, np.zeros(0), asked, sensed, Facing(why=why_not))
+    with trace.stage("print", not why_not, why_not) as stage:
+        if not why_not:
+            out = faced(sensed, found, asked)
+            stage.note(out.facing.pixels, out.facing.why)
+    return out
 
 
 def _found(sensed: Sensed, asked: Asked, trace: Trace, before: tuple[Mode, ...]) -> Found:

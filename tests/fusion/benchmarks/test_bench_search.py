@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -108,3 +109,11 @@ def test_a_whole_run():
     assert "Is fused ever below the better sense?" in titles
     assert "By what is told" in titles
     assert len(report.claims) == 6
+
+
+def test_what_is_missed_may_be_told_as_another_mode():
+    beside = replace(tried(0.02, 0.001, 4.0), beside=True)
+    assert beside.outcome == search.MISSED
+    table = search.by_family([beside, tried(0.02, 0.001, 4.0)], "fused", True)
+    row = dict(zip([column.name for column in table.columns], table.texts()[0], strict=True))
+    assert (row["missed, of all"], row["told as another mode"]) == ("2", "1")

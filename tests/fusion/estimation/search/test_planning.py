@@ -147,7 +147,7 @@ def test_pairs_are_drawn_again_where_nobody_says_which_pixels_are_the_objects(la
     """A mug is looked for where none is: the best stays in doubt, and every draw says so in the trace."""
     bare = replace(lab_frame, mask=None, prior=None, hand=None, joints=None, world_from_hand=None).without_touch()
     usual = EstimateSettings()
-    settings = replace(usual, plan=replace(usual.plan, drawn_again=again))
+    settings = replace(usual, plan=replace(usual.plan, drawn_again=again, anew=0.0))
     answer = estimate(bare, library.make("mug"), use=("vision",), settings=settings)
     assert answer.verdict != "ok"
     drawn = [stage for stage in answer.trace if stage.name.startswith("propose: many pairs") and stage.ran]
