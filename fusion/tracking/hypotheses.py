@@ -209,13 +209,17 @@ def sifted(model: ObjectModel, hypotheses: Hypotheses, settings: HypothesisSetti
 
 
 def alike(model: ObjectModel, one: Hypothesis | Mode, other: Hypothesis | Mode, settings: HypothesisSettings) -> bool:
-    """Whether two poses are one, modulo the object's symmetries."""
+    """Whether two poses are one, modulo the object's symmetries: near each other, or as near as they are known, and the
+    surface not elsewhere, however little either knows. Else a search that finds the object far from a track which
+    leaves that open would speak for where the track has it.
+    """
     delta = se3.difference(model.symmetries.nearest(one.pose, other.pose), other.pose, model.centroid)
     apart = float(np.linalg.norm(delta[:3]) * model.radius + np.linalg.norm(delta[3:]))
-    if apart < settings.together * model.radius:
-        return True
-    square = float(delta @ np.linalg.solve(one.covariance + other.covariance, delta))
-    return square < settings.sigmas**2
+    if apart >= settings.together * model.radius:
+        square = float(delta @ np.linalg.solve(one.covariance + other.covariance, delta))
+        if square >= settings.sigmas**2:
+            return False
+    return surface_apart(model, one.pose, other.pose) < settings.elsewhere
 
 
 def doubted(hypotheses: Hypotheses, settings: HypothesisSettings, sure: float = 1.0) -> Hypotheses:

@@ -4,12 +4,11 @@
         print(answer.frame, answer.verdict, answer.slip, answer.pose)
 
 The first frame is `fusion.estimation.estimate.estimate`. Later ones skip the search: the object moves with the palm
-and the fingertips, so a few steps from the predicted pose find it, and one joint solution with the depth camera's and
-the robot's errors follows. Where a frame leaves several poses open they are all followed until frames decide
-(fusion.tracking.hypotheses), and now and then a frame is searched as if nothing were known, so that a track that began
-wrong finds out (fusion.tracking.state). Where all goes as expected a glance is enough (`steps.glancing`). A frame may
-lack either sense, come late, or hold nothing. When an answer explains too little, the object is looked for with
-`estimate` again. Camera frame, metres, radians.
+and the fingertips, so a few steps from the prediction find it, and one joint solution with the depth camera's and the
+robot's errors follows. Where a frame leaves several poses open all are followed until frames decide (`hypotheses`), and
+now and then a frame is searched as if nothing were known, so that a track that began wrong finds out (`state`). Where
+all goes as expected a glance is enough (`steps.glancing`). A frame may lack either sense, come late, or hold nothing.
+When an answer explains too little, `estimate` looks for the object again. Camera frame, metres, radians.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ from fusion.tracking.steps.outlining import with_outline
 from fusion.tracking.steps.predicting import as_moved, predict
 from fusion.tracking.steps.printed import as_before, as_printed
 from fusion.tracking.steps.refining import loose, measurement_of, middle_of, refine, shift, solve_leader
-from fusion.tracking.steps.searching import leader_at, look_closer, recover, renew, search_around
+from fusion.tracking.steps.searching import by_itself, leader_at, look_closer, recover, renew, search_around
 from fusion.tracking.steps.sensing import Sensed, feel_near, learn_things, pool_near
 from fusion.tracking.touched import Touched
 from scenes.errors import CaptureError
@@ -105,9 +104,7 @@ class Tracker:
         sure_within: float | None = None,
         live: bool = False,
     ) -> None:
-        """As `track`. live: frames do not wait for searches, which run on a thread of their own beside those that
-        come; answers then depend on how fast frames come, too.
-        """
+        """As `track`. live: frames do not wait for searches, which a thread makes; answers depend on their pace."""
         check_kinds(model, seed, settings, beliefs, TrackSettings, live)
         self.model, self.live, self.begun = model, live, False
         settings = settings or TrackSettings()
@@ -251,9 +248,11 @@ class Tracker:
         return as_believed(self.model, answer, self._state.hypotheses, self.settings)
 
     def estimated(self, frame: Frame, prior: Prior | None) -> Estimate:
-        """The frame by itself, by the settings and beliefs of this track; what it knows of a pose is not doubted."""
-        how = self.settings.first if prior is None or prior is self._prior else believing(self.settings.first)
-        return estimate(frame, self.model, prior, self._senses, seed=self._seed, settings=how, beliefs=self._asked)
+        """The frame by itself, by this track's settings and beliefs; a place to look at is neither doubted nor told."""
+        around = None if prior is self._prior else prior
+        how = self.settings.first if around is None else believing(self.settings.first)
+        found = estimate(frame, self.model, prior, self._senses, seed=self._seed, settings=how, beliefs=self._asked)
+        return by_itself(self.model, found, around, how)
 
     def _follow(self, frame: Frame, belief: Belief, briefly: bool, there: Array | None = None) -> TrackedEstimate:
         """Predict, look, solve, judge; at a glance only where that may be brief. there: a pose (4, 4), that it was

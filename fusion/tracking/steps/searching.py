@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate, Mode
 from fusion.estimation.confidence import near_enough
+from fusion.estimation.settings import EstimateSettings
+from fusion.estimation.whole import told_covariance
 from fusion.tracking import hypotheses as several
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
 from fusion.tracking.hypotheses import Hypothesis
@@ -26,17 +28,42 @@ from fusion.tracking.steps.refining import prefers
 from fusion.tracking.steps.sensing import Sensed
 from scenes.errors import CaptureError
 from scenes.evidence.align import Prior
+from scenes.evidence.modes import covariance_of, information_of
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
 
 Array = NDArray[float64]
 
+_AROUND = "no surer than the place that it was looked for around"
+
 # A frame by itself, with a prior or without. Searched: by what it is for, and None while it is not known.
 Estimated = Callable[[Frame, Prior | None], Estimate]
 Searched = Callable[[str, Frame, Prior | None], Estimate | None]
 # Believe an estimate of a frame that was tracked to a pose (4, 4).
 Anchor = Callable[[Estimate, Array], None]
+
+
+def by_itself(model: ObjectModel, found: Estimate, around: Prior | None, settings: EstimateSettings) -> Estimate:
+    """What a frame says that was searched around a place which the track had thought of: its modes without what that
+    prior says of them, and as sure as they then are; the estimate itself where there was none (None).
+
+    A place to look at is no evidence. Counted as some, a track that data leave open by centimetres would be told by
+    each such search that it is where it is, and would tell the next one.
+    """
+    if around is None:
+        return found
+    how, first = settings.confidence, found.modes[0]
+    modes = tuple(
+        replace(m, covariance=covariance_of(model, information_of(m.covariance) - around.information, settings.modes))
+        for m in found.modes
+    )
+    near, less = (near_enough(model, one, how) for one in (first, modes[0]))
+    sure, word, notes = found.confidence * less / max(near, less, 1e-300), found.verdict, found.notes
+    if word == "ok" and sure < how.sure:
+        word, notes = "ambiguous", (_AROUND, *notes)
+    wide = told_covariance(model, modes, word, sure, None, how)
+    return replace(found, modes=modes, verdict=word, confidence=sure, covariance=wide, notes=notes)
 
 
 def leader_at(answer: TrackedEstimate, state: TrackState) -> Hypothesis:
@@ -152,7 +179,9 @@ def renew(
     # what speaks for it is its vote
     odds = several.log_odds(several.sure_of(alone), s.hypotheses)
     if vote and not against:  # which way round it does not know, and is no reason to turn the track
-        modes = tuple(sorted(modes, key=lambda m: not several.alike(model, leader, m, s.hypotheses)))
+        there = [several.surface_apart(model, m.pose, modes[0].pose) < s.hypotheses.surface for m in modes]
+        turned = [near and several.alike(model, leader, m, s.hypotheses) for m, near in zip(modes, there)]
+        modes = tuple(modes[k] for k in sorted(range(len(modes)), key=lambda k: not turned[k]))
         odds = min(odds, leader.odds)
     same = several.alike(model, leader, modes[0], s.hypotheses)
     better = prefers(answer, alone, sensed, s)

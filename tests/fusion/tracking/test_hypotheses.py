@@ -286,3 +286,18 @@ def test_one_hypothesis_alone_may_be_carried(mug):
     kept, agrees = several.voted(mug, pair()[:1], modes, 1.0, True, replace(S, most=1))
     assert len(kept) == 1
     assert not agrees
+
+
+@pytest.mark.parametrize(
+    ("away", "turn", "one"), [(0.003, 0.0, True), (0.03, 0.0, False), (0.0, 0.5, True)], ids=["near", "far", "turned"]
+)
+def test_what_has_the_surface_elsewhere_is_another_however_little_is_known(mug, away, turn, one):
+    """Of a track that leaves a place open by centimetres, a search that finds it centimetres off is no word for it."""
+    wide = np.diag([1.0] * 3 + [0.03**2] * 3)
+    found = Mode(poses.make_pose(poses.exp_rotation([0.0, 0.0, turn]), [away, 0.0, 0.0]), 1.0, 0.0, wide)
+    lead = (Hypothesis(np.eye(4), wide, 0.0, 0.5),)
+    assert several.alike(mug, lead[0], found, S) is one
+    after, agrees = several.voted(mug, lead, [found], S.part, False, S)
+    assert agrees is one
+    assert [h.votes for h in after] == pytest.approx([0.5 + S.part] if one else [0.5, S.part])
+    assert len(several.sifted(mug, after, S)) == len(after)

@@ -11,6 +11,7 @@ from fusion.estimation.answer import Estimate, Mode, Stage
 from fusion.tracking.answer import TrackSettings, as_tracked
 from fusion.tracking.hypotheses import Hypothesis, HypothesisSettings
 from fusion.tracking.state import TrackState
+from scenes.evidence.align import Prior
 from scenes.geometry import poses
 from scenes.recordings.frames import Frame
 from scenes.synthesis import library
@@ -90,3 +91,49 @@ def test_another_like_it_beside_a_sure_track_is_not_it(block, unknown_fingers, m
     assert len(state.hypotheses) == followed
     assert (state.hypotheses[0].votes == 1.0) == (followed == 1)
     assert after.trace[-1].name == "search anew"
+
+
+@pytest.mark.parametrize(("own", "word"), [(0.001, "ok"), (0.015, "ambiguous")], ids=["tells", "leaves open"])
+def test_a_place_to_look_at_is_no_evidence(block, own, word):
+    """Of a posterior the prior is taken out: what the frame alone says is told, and how sure it is of that."""
+    settings = TrackSettings().first
+    around = Prior.isotropic(np.eye(4), np.deg2rad(6.0), 0.006)
+    data = np.diag([1e-5] * 3 + [own**2] * 3)
+    both = np.linalg.inv(np.linalg.inv(data) + around.information)
+    found = replace(said(np.eye(4), KNOWN, 0.98, "ok"), covariance=both, modes=(Mode(np.eye(4), 1.0, 0.0, both),))
+    alone = searching.by_itself(block, found, around, settings)
+    np.testing.assert_allclose(np.diag(alone.modes[0].covariance), np.diag(data), rtol=0.1)
+    assert alone.verdict == word
+    assert alone.confidence <= found.confidence
+    assert (alone.confidence >= settings.confidence.sure) == (word == "ok")
+    assert np.diag(alone.covariance)[3] >= 0.99 * own**2
+    assert searching.by_itself(block, found, None, settings) is found
+
+
+def test_a_frame_that_tells_nothing_around_a_track_leaves_all_open(block):
+    settings = TrackSettings().first
+    around = Prior.isotropic(np.eye(4), np.deg2rad(6.0), 0.006)
+    prior = np.linalg.inv(around.information)
+    found = replace(said(np.eye(4), KNOWN, 0.5), covariance=prior, modes=(Mode(np.eye(4), 1.0, 0.0, prior),))
+    alone = searching.by_itself(block, found, around, settings)
+    assert np.isfinite(alone.modes[0].covariance).all()
+    assert np.sqrt(alone.modes[0].covariance[3, 3]) > 0.5 * block.radius
+    assert alone.confidence < 0.1
+
+
+@pytest.mark.parametrize(("apart", "votes"), [(0.001, 1.0 + S.part), (0.05, 1.0)], ids=["alike", "elsewhere"])
+def test_a_search_speaks_for_the_track_where_it_finds_the_surface(block, unknown_fingers, monkeypatch, apart, votes):
+    """A likely search that is not sure names several places: that the track's is among them is no vote for it."""
+    frame, seen = unknown_fingers
+    monkeypatch.setattr(searching, "search_around", lambda *_: "")
+    monkeypatch.setattr(searching, "lets_go", lambda *_: False)
+    answer, state = tracked(KNOWN, votes=1.0)
+    covariance = np.diag([1e-4] * 3 + [KNOWN**2] * 3)
+    modes = tuple(
+        Mode(poses.make_pose(None, [x, 0.0, 0.0]), weight, 0.0, covariance) for x, weight in ((apart, 0.9), (0.0, 0.1))
+    )
+    found = replace(said(modes[0].pose, KNOWN, 0.86), modes=modes)
+    searching.renew(block, frame, answer, seen, state, lambda *_: found, lambda *_: None, TrackSettings())
+    leader = next(h for h in state.hypotheses if np.array_equal(h.pose, answer.pose))
+    assert leader.votes <= votes
+    assert (leader.votes > 1.0) == (votes > 1.0)
