@@ -88,7 +88,7 @@ class PlanSettings:
     also_within: float = 3.0
     # How often very many pairs of pixels are drawn again where nobody says which are the object's, nothing is felt, and
     # the best is in doubt: of 29 cluttered desks of another generator's 24 are right without, 28 with 2, as many of 29
-    # tables; the mean of their time is 16 % more. With 1, and a search anew where that leaves a doubt, of 125 such
+    # tables; the mean of their time is 16 % more. With 1, and a second search where that leaves a doubt, of 125 such
     # answers to frames of five tuning families 88 are right, with 2 alone 84, in as much time on average.
     drawn_again: int = 1
     # Confidence (no unit) below which an answer that is not `ok`, and to which something is seen, is searched for

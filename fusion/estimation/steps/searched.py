@@ -87,7 +87,7 @@ def searched_anew(
         why_not = "what is felt is asked next"
     elif trace.over_budget:
         why_not = "the time budget is spent"
-    with trace.stage("search anew", not why_not, why_not) as stage:
+    with trace.stage("search twice", not why_not, why_not) as stage:
         if why_not:
             return None
         both = of_both(sensed.pool, found, _found(sensed, asked, trace, ()), asked.settings.plan)

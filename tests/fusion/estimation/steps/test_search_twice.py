@@ -23,7 +23,7 @@ ONCE = EstimateSettings(plan=PlanSettings(anew=0.0))
 
 
 def stage_of(answer):
-    return next(stage for stage in answer.trace if stage.name == "search anew")
+    return next(stage for stage in answer.trace if stage.name == "search twice")
 
 
 @pytest.mark.parametrize(
