@@ -58,10 +58,10 @@ class Looked:
     told_apart: bool = False
     how: str = ""
     planes: Array = field(default_factory=lambda: np.zeros((0, 6)))
-    floors: Array = field(default_factory=lambda: np.zeros((0, 6)))
     pieces: tuple[Pixels, ...] = ()
     at_hand: bool = False
     at_touch: bool = False
+    floors: Array = field(default_factory=lambda: np.zeros((0, 6)))
     # rows by what they were made with: several steps ask for them
     _made: dict[tuple[DepthModel | None, RowSettings], Evidence] = field(
         default_factory=dict, init=False, repr=False, compare=False

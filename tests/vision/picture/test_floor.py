@@ -1,4 +1,4 @@
-"""Nothing is under a table, also where something else hides that, and where a mask says which pixels are the object's."""
+"""Nothing is under a table, also where something else hides that, or a mask says which pixels are the object's."""
 
 from dataclasses import replace
 
@@ -55,7 +55,8 @@ def test_what_is_beneath_is_what_each_point_says(rng):
     depth, margin, sigmas = DepthModel(), 0.004, 2.0
     points = rng.normal(size=(40, 3)) * 0.03
     floors = np.array([[*UP, -UP @ PLACE, 1.5, np.inf], [0.0, 0.0, -1.0, 0.83, 1.0, np.inf]])
-    some = np.array([poses.make_pose(poses.random_rotations(1, rng)[0], PLACE + 0.03 * rng.normal(size=3)) for _ in range(9)])
+    turned = poses.random_rotations(9, rng)
+    some = np.array([poses.make_pose(one, PLACE + 0.03 * rng.normal(size=3)) for one in turned])
     expected = np.zeros(len(some))
     for n, pose in enumerate(some):
         own = depth.independent_sigma(poses.apply(pose, points.mean(axis=0)[None])[:, 2])[0]
