@@ -21,6 +21,7 @@ from fusion.estimation.solve.joint import (
 )
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.settings import JointSettings, Level
+from fusion.estimation.solve.system import POSE, XI
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 
@@ -59,7 +60,27 @@ def solve_modes(problems: list[JointProblem], starts: list[Array]) -> list[Joint
     strain, told = strained(usual)
     of_rigs, of_biases = (tuple(float(share) for share in weights.sum(axis=axis)) for axis in (0, 1))
     first = replace(first, shares=of_rigs, bias_shares=of_biases, strain=strain, told=told)
-    return [first, *_others(pairs, usual.level)]
+    rest = _others(pairs, usual.level)
+    if problem.camera is None and problem.has_robot:
+        # nothing is seen of the robot: no rig is likelier than it is usual, and each of them may be the case
+        first = replace(first, covariance=first.covariance + unknown_rig(usual, of_rigs))
+        rest = [replace(one, covariance=one.covariance + unknown_rig(one.ended, of_rigs)) for one in rest]
+    return [first, *rest]
+
+
+def unknown_rig(settled: Settled | None, shares: tuple[float, ...]) -> Array:
+    """(6, 6) by how much a solution's covariance is wider for rigs of such shares than for its own; 0 without one."""
+    if settled is None:
+        return np.zeros((6, 6))
+    settings = settled.system.problem.settings
+    whole = settled.normal + np.diag(settled.system.width)
+    own = np.linalg.inv(whole)[POSE, POSE]
+    out = np.zeros((6, 6))
+    for rig, share in zip(settings.rigs, shares, strict=True):
+        beside = whole.copy()
+        beside[XI, XI] += np.eye(6) * ((settled.level.rig / rig.level) ** 2 - 1.0)
+        out += share * (np.linalg.inv(beside)[POSE, POSE] - own)
+    return np.asarray(0.5 * (out + out.T), dtype=np.float64)
 
 
 def _others(pairs: list[tuple[JointProblem, Array]], level: Level) -> list[JointResult]:
