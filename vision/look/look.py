@@ -23,7 +23,7 @@ from vision.look.hand.hand import HandView, HandViewSettings, view_hand
 from vision.look.looked import Looked, RowSettings, no_pixels, no_planes, nothing_seen
 from vision.look.mask.mask import connected_pieces, exceeds, object_mask
 from vision.look.mask.piece_kernels import list_cells, surface_points
-from vision.look.mask.planes import find_planes, for_kernels
+from vision.look.mask.planes import find_planes, floors_of, floors_under, for_kernels
 from vision.look.mask.settings import MaskSettings
 from vision.look.pixel_kernels import CHOSEN, OTHER
 from vision.look.pixels import Pixels, Region, median, read_pixels, sort_pixels
@@ -120,6 +120,10 @@ def look(
         if start is not None:
             return bare
         return replace(bare, pieces=_find_pieces(frame, model, planes, beliefs, settings))
+    if frame.mask is not None and hand is None:
+        masked = _sorted(frame, region, frame.mask, None, settings)
+        planes = large_planes(frame, model, beliefs, settings, start)
+        return replace(masked, floors=floors_under(masked.pixels.points, planes, settings.mask, beliefs.depth))
     if not settings.tidy or start is not None or frame.mask is not None or hand is None or not len(hand.points):
         return _sorted(frame, region, frame.mask, hand, settings)
     mask = object_mask(frame, model, beliefs, settings=settings.mask, view=hand)
@@ -309,7 +313,10 @@ def _sorted(
     told_apart = mask is not None or hand is not None
     how = "; table or wall taken away" if len(planes) else ""
     kept, of_hand = mine.take(~near_hand), mine.take(near_hand)
-    return Looked(kept, of_hand, others, region, hand, dropped, told_apart=told_apart, how=how, planes=planes)
+    return Looked(
+        kept, of_hand, others, region, hand, dropped, told_apart=told_apart, how=how, planes=planes,
+        floors=floors_of(planes),
+    )  # fmt: skip
 
 
 def _cloud(frame: Frame, region: Region | None, settings: LookSettings) -> Looked:

@@ -43,8 +43,9 @@ class Looked:
     pixels: may be the object; of_hand: explained by the hand; others: seen beyond or beside the region (for free
     space). region: where the object is looked for. hand: the aligned hand. dropped: counts by reason. is_cloud: the
     points come from a cloud, not from pixels of a camera. told_apart: a mask or the hand's model removed what hides the
-    object. how: a word on what was taken away first. planes (k, 6): table and walls, see `find_plane`. at_hand: pixels
-    are the object's only because they are at the hand; at_touch: because they are there, and at what is felt.
+    object. how: a word on what was taken away first. planes (k, 6): table and walls, see `find_plane`; floors (m, 6):
+    those behind which nothing is, whether or not readings are taken away as theirs. at_hand: pixels are the object's
+    only because they are at the hand; at_touch: because they are there, and at what is felt.
     """
 
     pixels: Pixels
@@ -60,6 +61,7 @@ class Looked:
     pieces: tuple[Pixels, ...] = ()
     at_hand: bool = False
     at_touch: bool = False
+    floors: Array = field(default_factory=lambda: np.zeros((0, 6)))
     # rows by what they were made with: several steps ask for them
     _made: dict[tuple[DepthModel | None, RowSettings], Evidence] = field(
         default_factory=dict, init=False, repr=False, compare=False

@@ -25,6 +25,7 @@ from vision.look.hand.hand import HandView
 from vision.look.pixels import Pixels
 from vision.picture import columns, kernels, scoring_kernels
 from vision.picture.aspects import aspects_of, finer, glimpsed, sums_of
+from vision.picture.floor import beneath
 from vision.picture.glimpse_kernels import draw_small
 from vision.picture.hand import hand_depth, widened
 from vision.picture.masked import core_of, covering_rows, uncovered
@@ -165,9 +166,10 @@ class Predictor:
         planes: Array | None = None,
         pieces: NDArray[np.int64] | None = None,
         parts: int = 0,
+        floors: Array | None = None,
     ) -> None:
         """hand: the robot's own as seen in this frame; what it hides is no wonder. planes (k, 6): of table and walls,
-        see vision.look.mask.planes.find_plane.
+        see vision.look.mask.planes.find_plane; floors (m, 6): those behind which nothing is, whatever is read there.
 
         pieces (h, w) at every settings.piece_step pixels, from 0, -1 for none: connected surfaces of the image, given
         where neither a mask nor a model of the hand tells what hides the object, so that what is seen may be that.
@@ -175,6 +177,7 @@ class Predictor:
         object.
         """
         self._planes = np.zeros((0, 6)) if planes is None else np.ascontiguousarray(planes)
+        self._floors = np.zeros((0, 6)) if floors is None else floors
         self._pieces = pieces
         self.settings = settings or PredictionSettings()
         self._sizes: Array = np.zeros(0)
@@ -303,10 +306,18 @@ class Predictor:
         usual = self.model.mean_outline * self.camera.fx * self.camera.fy
         nats, cells = score.nats, (s.cells, s.cell, s.least_cells)
         centroid = self.model.centroid
-        scoring_kernels.cost_of_shares(
-            np.ascontiguousarray(candidates), centroid, p.shares, p.beyond, p.area, usual, nats, cells, out
-        )
+        shares, poses = self._with_floors(candidates, p.shares), np.ascontiguousarray(candidates)
+        scoring_kernels.cost_of_shares(poses, centroid, shares, p.beyond, p.area, usual, nats, cells, out)
         return self._as_told(candidates, out)
+
+    def _with_floors(self, candidates: Array, shares: Array) -> Array:
+        """Shares (n, SUMS) of poses (n, 4, 4), at least as much seen past as is under a floor."""
+        if not len(self._floors):
+            return shares
+        s, shares = self.settings, shares.copy()
+        under = beneath(self._points, self._floors, candidates, self.belief, s.plane_margin, s.plane_sigmas)
+        shares[:, columns.PAST] = np.maximum(shares[:, columns.PAST], under)
+        return shares
 
     def _as_told(self, candidates: Array, nats: Array) -> Array:
         """Nats (n,) of poses (n, 4, 4) as far as depth resolves the object at their distance, and what is believed of
@@ -383,15 +394,8 @@ class Predictor:
         shape = count, side**2
         expected, seen, past, fade = np.zeros((4, count * side**2))
         state = np.zeros(count * side**2, dtype=np.uint8)
-        kernels.compare_pixels(
-            met,
-            index[:k],
-            u.ravel(),
-            v.ravel(),
-            *self.known,
-            self._limits,
-            *(expected, seen, state, past, fade),
-        )
+        told = expected, seen, state, past, fade
+        kernels.compare_pixels(met, index[:k], u.ravel(), v.ravel(), *self.known, self._limits, *told)
         expected, seen, past, fade = (values.reshape(shape) for values in (expected, seen, past, fade))
         return View(u, v, step, expected, seen, state.reshape(shape), past, fade, inside)
 
@@ -440,9 +444,7 @@ class Predictor:
         assert self.camera is not None
         assert self._depth is not None
         s, c = self.settings, self.camera
-        smooth = np.hypot(self.belief.independent_sigma(beyond), self.belief.bias_sigma)
-        tolerance = s.tolerance * np.hypot(smooth, self.belief.scale_sigma * beyond)
-        out = np.zeros(len(places), dtype=bool)
+        tolerance, out = self._tolerance(beyond), np.zeros(len(places), dtype=bool)
         size, hand = (c.width, c.height), (s.hand_step, s.hand_margin)
         kernels.hides(np.ascontiguousarray(places), beyond, tolerance, self._depth, self._hand[0], size, hand, out)
         return out

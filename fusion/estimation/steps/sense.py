@@ -162,7 +162,7 @@ def sense(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: 
     with trace.stage("colours", unknown, "nothing is to be told apart") as stage:
         parted = _parted(viewed, looked, model, asked) if unknown else Parted()
         stage.note(parted.parts, f"surfaces parted into {parted.parts}" if parted.parts else parted.why_not)
-    known = looked.planes, parted.numbers, parted.parts
+    known = looked.planes, parted.numbers, parted.parts, looked.floors
     predictor = Predictor(viewed, model, beliefs.depth, hand, settings.prediction, *known)
     asks = settings.look.rows, settings.proposals, settings.modes, settings.pool
     rng = np.random.default_rng(asked.seed)

@@ -62,6 +62,22 @@ def find_planes(
     return found
 
 
+def floors_of(planes: Array) -> Array:
+    """(m, 6) those of planes (k, 6) behind which there is nothing."""
+    return planes[np.isinf(planes[:, 5])]
+
+
+def floors_under(points: Array, planes: Array, settings: MaskSettings, depth_model: DepthModel) -> Array:
+    """(m, 6) those of planes (k, 6) behind which there is nothing, not even of the object, of which points (n, 3) are.
+
+    What hangs beside a table's edge, or is sunk in what looks like a table, is behind it.
+    """
+    room = settings.plane_margin + settings.plane_sigmas * depth_model.independent_sigma(points[:, 2])
+    floors = floors_of(planes)
+    behind = [np.count_nonzero(points @ floor[:3] + floor[3] < -room) for floor in floors]
+    return floors[np.array(behind, dtype=np.float64) <= settings.plane_most_behind * len(points)]
+
+
 def some_points(frame: Frame, settings: MaskSettings) -> tuple[Array, float]:
     """(n, 3) points of the whole image, thinned, and the share of the image that each stands for."""
     assert frame.depth is not None
