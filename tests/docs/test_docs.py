@@ -165,6 +165,8 @@ def test_the_site_names_every_page():
     named = set(re.findall(r"^ +- .*: ([\w/]+\.md)$", config, re.MULTILINE))
     assert named == {page.relative_to(DOCS).as_posix() for page in PAGES if page != README}
     front, tables = ((folder / "index.md").read_text(encoding="utf-8") for folder in (DOCS, TABLES))
+    method = (DOCS / "method.md").read_text(encoding="utf-8")
+    assert all(f"({name})" in method for name in named if name.startswith("method/"))
     own = {name.removeprefix("benchmarks/") for name in named if name.startswith("benchmarks/")}
     assert all(f"({name})" in tables for name in own - {"index.md"})
     others = {name for name in named if "/" not in name} | {"benchmarks/index.md"}
