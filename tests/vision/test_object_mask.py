@@ -160,6 +160,8 @@ def test_table_and_wall_are_both_found():
     depth = np.minimum(table, 1.6).astype(np.float32)
     frame = Frame(0, camera=camera, depth=depth)
     found = find_planes(frame, MaskSettings(), DepthModel(), 0.3)
+    floor = find_planes(frame, MaskSettings(), DepthModel(), 0.3, floor_only=True)
+    assert np.array_equal(floor, found[:1])
     assert len(found) == 2
     faces = np.abs(found[:, :3])
     assert sorted(int(row.argmax()) for row in faces) == [1, 2]

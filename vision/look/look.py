@@ -122,7 +122,7 @@ def look(
         return replace(bare, pieces=_find_pieces(frame, model, planes, beliefs, settings))
     if frame.mask is not None and hand is None:
         masked = _sorted(frame, region, frame.mask, None, settings)
-        planes = large_planes(frame, model, beliefs, settings, start)
+        planes = large_planes(frame, model, beliefs, settings, start, floor_only=True)
         return replace(masked, floors=floors_under(masked.pixels.points, planes, settings.mask, beliefs.depth))
     if not settings.tidy or start is not None or frame.mask is not None or hand is None or not len(hand.points):
         return _sorted(frame, region, frame.mask, hand, settings)
@@ -168,17 +168,23 @@ def _box(frame: Frame, region: Region | None) -> tuple[int, int, int, int] | Non
 
 
 def large_planes(
-    frame: Frame, model: ObjectModel, beliefs: Beliefs, settings: LookSettings, start: Array | None = None
+    frame: Frame,
+    model: ObjectModel,
+    beliefs: Beliefs,
+    settings: LookSettings,
+    start: Array | None = None,
+    floor_only: bool = False,
 ) -> Array:
     """(k, 6) planes that many readings lie on, too large to be the object's own face; see `find_planes`. start (4, 4):
-    about where the object is; without one it is near what is felt.
+    about where the object is; without one it is near what is felt. floor_only: the first of them alone.
     """
     meant = None
     if start is not None:
         meant = poses.apply(start, model.centroid[None])[0]
     elif len(frame.contacts):
         meant = median(poses.apply(frame.camera_from_world, frame.contacts.points))
-    return find_planes(frame, settings.mask, beliefs.depth, settings.plane_extent * model.diameter, meant)
+    extent = settings.plane_extent * model.diameter
+    return find_planes(frame, settings.mask, beliefs.depth, extent, meant, floor_only)
 
 
 def _find_pieces(
