@@ -18,7 +18,7 @@ from fusion.estimation.settings import EstimateSettings, usual_settings
 from fusion.estimation.steps.doubted import Question, doubted, on_the_hand
 from fusion.estimation.steps.facing import check_print
 from fusion.estimation.steps.finished import finished
-from fusion.estimation.steps.searched import search_on, searched, searched_anew
+from fusion.estimation.steps.searched import search_on, searched, searched_twice
 from fusion.estimation.steps.sense import look_again, look_once, sense, without_copy
 from fusion.estimation.steps.told import nothing_told, told
 from fusion.estimation.tolerance import good_enough
@@ -141,7 +141,7 @@ def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, look
         found = searched(sensed, whole, trace, found.found.modes)
         end = finished(found, trace)
         answer = answer if end is None else told(found, end, asked.prior, trace)
-    other = searched_anew(sensed, found.found, asked, answer, trace, whole is not None)
+    other = searched_twice(sensed, found.found, asked, answer, trace, whole is not None)
     if other is not None:
         end = finished(other, trace)
         answer = answer if end is None else told(other, end, asked.prior, trace)

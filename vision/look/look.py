@@ -319,10 +319,8 @@ def _sorted(
     told_apart = mask is not None or hand is not None
     how = "; table or wall taken away" if len(planes) else ""
     kept, of_hand = mine.take(~near_hand), mine.take(near_hand)
-    return Looked(
-        kept, of_hand, others, region, hand, dropped, told_apart=told_apart, how=how, planes=planes,
-        floors=floors_of(planes),
-    )  # fmt: skip
+    known = Looked(kept, of_hand, others, region, hand, dropped, told_apart=told_apart, how=how, planes=planes)
+    return replace(known, floors=floors_of(planes))
 
 
 def _cloud(frame: Frame, region: Region | None, settings: LookSettings) -> Looked:

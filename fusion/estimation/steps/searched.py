@@ -59,7 +59,7 @@ def search_on(found: Found, asked: Asked, answer: Estimate, trace: Trace) -> Ask
         return replace(asked, settings=replace(settings, plan=replace(settings.plan, skipping=False)))
 
 
-def searched_anew(
+def searched_twice(
     sensed: Sensed, found: Found, asked: Asked, answer: Estimate, trace: Trace, on: bool = False
 ) -> Faced | None:
     """What two searches of a frame leave where the answer made of the first, which left `found`, is in doubt: the
