@@ -37,10 +37,18 @@ class DepthBias:
     lines: tuple[Array, NDArray[np.int64], Array, NDArray[np.int64]] = field(default_factory=_no_lines)
 
     @staticmethod
-    def over(camera: Camera | None, points: Array, depth: DepthModel, spacing: float, most: int) -> DepthBias:
+    def over(
+        camera: Camera | None,
+        points: Array,
+        depth: DepthModel,
+        spacing: float,
+        most: int,
+        known: DepthBias | None = None,
+    ) -> DepthBias:
         """Inducing pixels at most `most`, `spacing` correlation lengths apart, where points (n, 3) camera frame are
         seen. Where so few are not enough the bias is as much smoother as they are farther apart: of the length that is
         believed it would be next to none between them, and what is seen from near by much surer than one patch is.
+        known: one of the same camera, which is it again where its inducing pixels are the same.
         """
         length = depth.bias_length
         if camera is None or not len(points):
@@ -59,6 +67,8 @@ class DepthBias:
                     break
             step *= COARSER
         length = max(length, step / spacing)
+        if known is not None and known.length == length and np.array_equal(known.inducing, grid):
+            return known
         kernel = _kernel(grid, grid, length) + 1e-6 * np.eye(len(grid))
         factor = np.asarray(np.linalg.cholesky(kernel), dtype=np.float64)
         return DepthBias(camera, grid, factor, length, (u, column, v, row))

@@ -222,7 +222,7 @@ def marginalised(settled: Settled) -> JointResult:
     system, here, unknown, free = settled.system, settled.pose, settled.unknown, settled.free
     problem = system.problem
     either = system.mesh_or_bias(here, unknown)
-    system.terms(here, unknown)
+    system.stand(here, unknown)
     misfit = system.misfit()
     whole = (settled.normal + np.diag(system.width))[:free, :free]
     variance, share = system.mesh_variance(), problem.settings.mesh_share

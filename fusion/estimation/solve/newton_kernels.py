@@ -150,49 +150,114 @@ def terms(scene, seen, touch, hand, room, rotation, middle, unknown, normal, gra
     constant, gradient and normal matrix of its pixels in the whitened (calibration, scale, bias), of no length for
     none. room: what vision_rows fills, and design (n, 7 + k).
     """
-    lattice, prior, no_prior, least_cosine, has_camera, bend, considered = scene
+    desk = working_desk(seen)
+    total, seen_cost, count = cost_at(scene, seen, touch, hand, room, desk, rotation, middle, unknown)
+    derive(scene, seen, touch, hand, room, desk, count, middle, unknown, normal, gradient)
+    return total, seen_cost, count
+
+
+@numba.njit(cache=True, nogil=True)
+def working_desk(seen):
+    """What `cost_at` leaves to `derive`: bias (n,) of the rows; matrix and gradient of what touch says, and the prior;
+    and two of each as long as the design is wide.
+    """
+    c = FIRST + seen[7].shape[1]
+    square, line = np.zeros((2, 6, 6)), np.zeros((2, 6))
+    return np.zeros(seen[0].shape[0]), (square, line), (np.zeros((c, c)), np.zeros(c))
+
+
+@numba.njit(cache=True, nogil=True)
+def lay(scene, seen, room, rotation, middle, unknown):
+    """Fill the room as `terms` does; returns what the vision rows cost, and how many of them count."""
+    bias = np.zeros(seen[0].shape[0])
+    cost, count = _rows_at(scene, seen, room, bias, rotation, middle, unknown)
+    design_of(room[0], room[1], room[2], seen[7], seen[8], count, room[5])
+    return cost, count
+
+
+@numba.njit(cache=True, nogil=True)
+def _rows_at(scene, seen, room, bias, rotation, middle, unknown):
+    """Cost of the vision rows, and how many of them count; fills the room but for the design."""
+    lattice, _, _, least_cosine, has_camera, _, _ = scene
     rows, floors, is_pixel, sigma, weight, normals, slope, seen_white, scale = seen
+    index, jac, along, residuals, information, _ = room
+    if not rows.shape[0]:
+        return 0.0, 0
+    bias_of(seen_white, unknown[BEFORE + 1 :], bias)
+    return vision_rows(
+        lattice,
+        rows,
+        floors,
+        is_pixel,
+        sigma,
+        weight,
+        normals,
+        slope,
+        least_cosine,
+        has_camera,
+        rotation,
+        middle,
+        scale * unknown[BEFORE],
+        bias,
+        index,
+        jac,
+        along,
+        residuals,
+        information,
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def cost_at(scene, seen, touch, hand, room, desk, rotation, middle, unknown):
+    """What `terms` returns; fills the room but for the design, and the desk, from which `derive` goes on: a step that
+    is refused needs no derivatives.
+    """
+    lattice, prior, no_prior, _, _, bend, _ = scene
     felt, white_xi, centre = touch
+    bias, (squares, lines), _ = desk
+    total = 0.0
+    for i in range(POSE, unknown.shape[0]):
+        total += 0.5 * unknown[i] * unknown[i]
+    seen_cost, count = _rows_at(scene, seen, room, bias, rotation, middle, unknown)
+    total += seen_cost
+    if felt.shape[0]:
+        xi = np.zeros(6)
+        for i in range(6):
+            for j in range(6):
+                xi[i] += white_xi[i, j] * unknown[POSE + j]
+        scratch = np.zeros((10, 3))
+        total += touch_rows(
+            lattice, felt, bend, rotation, middle, xi, centre, no_prior, squares[0], lines[0], scratch
+        )
+    constant, hand_gradient, hand_normal = hand
+    if hand_gradient.shape[0]:
+        total += constant
+        for i in range(hand_gradient.shape[0]):
+            along_x = 0.0
+            for j in range(hand_gradient.shape[0]):
+                along_x += hand_normal[i, j] * unknown[POSE + j]
+            total += unknown[POSE + i] * (hand_gradient[i] + 0.5 * along_x)
+    total += prior_row(rotation, middle, prior, squares[1], lines[1])
+    return total, seen_cost, count
+
+
+@numba.njit(cache=True, nogil=True)
+def derive(scene, seen, touch, hand, room, desk, count, middle, unknown, normal, gradient):
+    """Fill normal (m, m) and gradient (m,) where `cost_at` last was, of which `count` vision rows count."""
+    considered = scene[6]
+    seen_white, scale = seen[7], seen[8]
     index, jac, along, residuals, information, design = room
+    _, (squares, lines), (part, pull) = desk
     m = unknown.shape[0]
-    total = seen_cost = 0.0
-    count = 0
     for i in range(m):
-        gradient[i] = unknown[i]
+        gradient[i] = unknown[i] if i >= POSE else 0.0
         for j in range(m):
             normal[i, j] = 0.0
         if i >= POSE:
             normal[i, i] = 1.0
-            total += 0.5 * unknown[i] * unknown[i]
-        else:
-            gradient[i] = 0.0
-    if rows.shape[0]:
-        bias = np.zeros(rows.shape[0])
-        bias_of(seen_white, unknown[BEFORE + 1 :], bias)
-        seen_cost, count = vision_rows(
-            lattice,
-            rows,
-            floors,
-            is_pixel,
-            sigma,
-            weight,
-            normals,
-            slope,
-            least_cosine,
-            has_camera,
-            rotation,
-            middle,
-            scale * unknown[BEFORE],
-            bias,
-            index,
-            jac,
-            along,
-            residuals,
-            information,
-        )
-        total += seen_cost
+    if seen[0].shape[0]:
         design_of(index, jac, along, seen_white, scale, count, design)
-        part, pull = np.zeros((design.shape[1], design.shape[1])), np.zeros(design.shape[1])
+        part[:], pull[:] = 0.0, 0.0
         if considered:
             add_of_pose(design, information, residuals, count, part[:POSE], pull[:POSE])
             confounded(part, pull)
@@ -203,42 +268,30 @@ def terms(scene, seen, touch, hand, room, rotation, middle, unknown, normal, gra
             gradient[a] += pull[i]
             for j in range(i + 1):
                 normal[a, j if j < POSE else j + POSE] += part[i, j]
-    if felt.shape[0]:
-        total += _touch(lattice, felt, bend, rotation, middle, white_xi, unknown, centre, no_prior, normal, gradient)
-    constant, hand_gradient, hand_normal = hand
-    if hand_gradient.shape[0]:
-        total += constant
-        for i in range(hand_gradient.shape[0]):
-            along_x = 0.0
-            for j in range(hand_gradient.shape[0]):
-                along_x += hand_normal[i, j] * unknown[POSE + j]
-            total += unknown[POSE + i] * (hand_gradient[i] + 0.5 * along_x)
-            gradient[POSE + i] += hand_gradient[i] + along_x
-            for j in range(i + 1):
-                normal[POSE + i, POSE + j] += hand_normal[i, j]
-    hessian, slope_of_prior = np.zeros((6, 6)), np.zeros(6)
-    total += prior_row(rotation, middle, prior, hessian, slope_of_prior)
-    for i in range(6):
-        gradient[i] += slope_of_prior[i]
+    if touch[0].shape[0]:
+        _add_touch(squares[0], lines[0], middle, touch[1], touch[2], normal, gradient)
+    _, hand_gradient, hand_normal = hand
+    for i in range(hand_gradient.shape[0]):
+        along_x = 0.0
+        for j in range(hand_gradient.shape[0]):
+            along_x += hand_normal[i, j] * unknown[POSE + j]
+        gradient[POSE + i] += hand_gradient[i] + along_x
         for j in range(i + 1):
-            normal[i, j] += hessian[i, j]
+            normal[POSE + i, POSE + j] += hand_normal[i, j]
+    for i in range(6):
+        gradient[i] += lines[1, i]
+        for j in range(i + 1):
+            normal[i, j] += squares[1, i, j]
     for i in range(m):
         for j in range(i):
             normal[j, i] = normal[i, j]
-    return total, seen_cost, count
 
 
 @numba.njit(cache=True, nogil=True)
-def _touch(lattice, felt, bend, rotation, middle, white_xi, unknown, centre, no_prior, normal, gradient):
-    """Add what touch says of pose and whitened calibration; returns its cost. Moving all contacts by the calibration's
-    correction is moving the object back, about the calibration's centre.
+def _add_touch(hessian, slope, middle, white_xi, centre, normal, gradient):
+    """Add what touch says of pose and whitened calibration, of hessian (6, 6) and slope (6,) by the pose. Moving all
+    contacts by the calibration's correction is moving the object back, about the calibration's centre.
     """
-    xi = np.zeros(6)
-    for i in range(6):
-        for j in range(6):
-            xi[i] += white_xi[i, j] * unknown[POSE + j]
-    hessian, slope = np.zeros((6, 6)), np.zeros(6)
-    cost = touch_rows(lattice, felt, bend, rotation, middle, xi, centre, no_prior, hessian, slope, np.zeros((10, 3)))
     x, y, z = middle[0] - centre[0], middle[1] - centre[1], middle[2] - centre[2]
     chain = np.zeros((6, 12))
     for i in range(6):
@@ -260,13 +313,13 @@ def _touch(lattice, felt, bend, rotation, middle, white_xi, unknown, centre, no_
             gradient[i] += chain[k, i] * slope[k]
             for j in range(i + 1):
                 normal[i, j] += chain[k, i] * product[k, j]
-    return cost
 
 
 @numba.njit(cache=True, nogil=True)
 def descend(scene, seen, touch, hand, room, limits, width, rotation, middle, unknown, normal, gradient):
     """Gauss-Newton in place on rotation (3, 3), middle (3,) of the centroid and unknown (m,), of which the first six
-    stay zero; fills normal and gradient there. Returns (cost, log determinant of what is solved for).
+    stay zero; fills normal and gradient there. Returns (cost, log determinant of what is solved for, what the vision
+    rows cost where the room was filled last, how many of them count there, whether that is where this ends).
 
     limits: how many unknowns are solved for, steps, gain (nats) below which none is taken, how many may be refused, and
     the object's radius (m). width (m,): information believed of the pose beside the prior. Where pixels do not tell of
@@ -275,10 +328,11 @@ def descend(scene, seen, touch, hand, room, limits, width, rotation, middle, unk
     """
     free, steps, worth, most_refused, radius = limits
     m = unknown.shape[0]
-    cost, _, _ = terms(scene, seen, touch, hand, room, rotation, middle, unknown, normal, gradient)
-    damping, refused = 1e-6, 0
+    desk = working_desk(seen)
+    cost, seen_cost, count = cost_at(scene, seen, touch, hand, room, desk, rotation, middle, unknown)
+    derive(scene, seen, touch, hand, room, desk, count, middle, unknown, normal, gradient)
+    damping, refused, there = 1e-6, 0, True
     damped, step = np.zeros((m, m)), np.zeros(m)
-    new_normal, new_gradient = np.zeros((m, m)), np.zeros(m)
     new_rotation, new_middle, new_unknown = np.zeros((3, 3)), np.zeros(3), np.zeros(m)
     considered = scene[6] and free > BEFORE
     for whole in range(2 if considered else 1):
@@ -307,13 +361,14 @@ def descend(scene, seen, touch, hand, room, limits, width, rotation, middle, unk
                 new_middle[i] = middle[i] + step[3 + i]
             for i in range(POSE, m):
                 new_unknown[i] = unknown[i] + (step[i] if i < now else 0.0)
-            trial, _, _ = terms(
-                scene, seen, touch, hand, room, new_rotation, new_middle, new_unknown, new_normal, new_gradient
+            trial, seen_cost, count = cost_at(
+                scene, seen, touch, hand, room, desk, new_rotation, new_middle, new_unknown
             )
-            if whole or trial <= cost:
+            there = whole > 0 or trial <= cost
+            if there:
                 cost = trial
                 rotation[:], middle[:], unknown[:] = new_rotation, new_middle, new_unknown
-                normal[:], gradient[:] = new_normal, new_gradient
+                derive(scene, seen, touch, hand, room, desk, count, middle, unknown, normal, gradient)
                 damping = max(damping * 0.1, 1e-9)
                 if shorten * turn < SHORTEST_TURN and shorten * move < SHORTEST_MOVE:
                     break
@@ -336,7 +391,7 @@ def descend(scene, seen, touch, hand, room, limits, width, rotation, middle, unk
     if factorize(damped, free):
         for i in range(free):
             log_det += 2.0 * math.log(damped[i, i])
-    return cost, log_det
+    return cost, log_det, seen_cost, count, there
 
 
 @numba.njit(cache=True, nogil=True)

@@ -5,7 +5,7 @@ Camera frame, metres, radians.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -34,7 +34,8 @@ class JointProblem:
     rows are a cloud without pixels, its bias stays in the rows' sigmas. has_robot False: touch and vision were recorded
     in one frame. pixels_tell: the object's pixels tell of depth's scale and bias by all that they are off, and not only
     by what a pose explains as well; None: where a hand in view says more of it than they do. Contacts alone tie depth
-    as well as the calibration is known: an outline that is fattened would be explained by a scale.
+    as well as the calibration is known: an outline that is fattened would be explained by a scale. beside: a problem of
+    the same frame and beliefs, about another pose: what would be laid out as there is taken from it.
     """
 
     model: ObjectModel
@@ -48,6 +49,7 @@ class JointProblem:
     has_robot: bool = True
     settings: JointSettings = field(default_factory=JointSettings)
     pixels_tell: bool | None = None
+    beside: InitVar[JointProblem | None] = None
 
     @staticmethod
     def of(
@@ -60,6 +62,7 @@ class JointProblem:
         hand: HandView | None,
         beliefs: Beliefs,
         settings: JointSettings,
+        beside: JointProblem | None = None,
     ) -> JointProblem:
         """From a frame's evidence. A cloud and its contacts were recorded in one frame, as were contacts without a
         camera: no calibration between them. With a camera the pose is asked for where that is, whether it sees or not.
@@ -77,9 +80,10 @@ class JointProblem:
             frame.camera if has_image else None,
             has_robot=has_robot,
             settings=settings,
+            beside=beside,
         )
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, beside: JointProblem | None) -> None:
         """Lay the inducing pixels and the hand's constant block."""
         # without touch, too: the hand's pixels have the object's depth errors, and its shape is known
         self.hand = self.hand if self.has_robot and self.hand is not None and len(self.hand.points) else None
@@ -89,7 +93,8 @@ class JointProblem:
         depth = self.beliefs.depth
         seen = self.seen.points if self.camera is not None and len(self.seen) else np.zeros((0, 3))
         reach = np.concatenate([seen, hand_points]) if len(seen) else seen
-        self.bias = DepthBias.over(self.camera, reach, depth, self.settings.spacing, self.settings.most_inducing)
+        known = None if beside is None else beside.bias
+        self.bias = DepthBias.over(self.camera, reach, depth, self.settings.spacing, self.settings.most_inducing, known)
         self.seen_basis = self.bias.basis(self.seen.points)
         rows = self.seen.rows
         self.on = self.seen.on
@@ -102,10 +107,15 @@ class JointProblem:
         self.weight = rows[:, WEIGHT].copy()
         if self.camera is not None:
             self.weight[self.on] = self.settings.pixel_weight
-        self._lay_hand(hand_points)
+        if beside is not None and self.hand is beside.hand and self.bias is beside.bias and self.hand is not None:
+            self.hand_weight, self.hand_normal = beside.hand_weight, beside.hand_normal
+            self.hand_gradient = beside.hand_gradient
+        else:
+            self._lay_hand(hand_points)
         self.lattice = lattice_of(self.model)
         self.floors = row_kernels.loss_floors(rows)
-        # what newton_kernels.terms fills
+        # what newton_kernels.terms fills, and what stands for the system that did so last
+        self.filled_by: object = None
         self.room = *self.rows_room(), np.zeros((len(rows), 7 + len(self.bias)))
         self.felt_rows = row_kernels.prepare(np.ascontiguousarray(self.felt.rows), 0.0, 0.0)
         self.prior_parts, self.no_prior = prior_of(self.model, self.prior), prior_of(self.model, None)

@@ -52,6 +52,9 @@ class System:
         self.normals, self.slope = self._facing(pose) if facing is None else (facing.normals, facing.slope)
         # where `terms` last was: what the vision rows cost, how many count, and what blocks of the image are off by
         self.seen_cost, self._used = 0.0, 0
+        self._at: tuple[Array, Array] | None = None
+        # stands for this system where its problem remembers it: a reference back would keep both from being let go
+        self._own = object()
         self._off: tuple[Array, Array] | None = None
 
     def start(self, pose: Array) -> Array:
@@ -96,8 +99,22 @@ class System:
         cost, self.seen_cost, self._used = kernels.terms(  # type: ignore[call-arg]
             *self._arguments, *self._place(pose), unknown, normal, gradient
         )
-        self._off = None
+        self._filled((pose, unknown))
         return cost, gradient, normal
+
+    def _filled(self, at: tuple[Array, Array] | None) -> None:
+        """The problem's room has been filled, at a pose (4, 4) and unknowns (size,), or nobody asks where."""
+        self.problem.filled_by, self._at, self._off = self._own, at, None
+
+    def stand(self, pose: Array, unknown: Array) -> None:
+        """Let the problem's room be filled at pose (4, 4) and unknowns (size,), as `terms` does; nothing is worked out
+        again where these are the arrays of where it was filled last.
+        """
+        was = self._at if self.problem.filled_by is self._own else None
+        if was is None or was[0] is not pose or was[1] is not unknown:
+            scene, seen, _, _, room = self._arguments
+            self.seen_cost, self._used = kernels.lay(scene, seen, room, *self._place(pose), unknown)
+            self._filled((pose, unknown))
 
     def descend(self, pose: Array, unknown: Array, free: int) -> tuple[Array, Array, float, Array, float]:
         """Where Gauss-Newton on the first `free` unknowns ends: pose (4, 4), unknowns (size,), cost, Gauss-Newton
@@ -107,11 +124,13 @@ class System:
         normal, gradient, there = np.zeros((self.size, self.size)), np.zeros(self.size), unknown.copy()
         rotation, middle = self._place(pose)
         limits = free, s.steps, s.worth, s.refused, model.radius
-        cost, log_det = kernels.descend(  # type: ignore[call-arg]
+        cost, log_det, self.seen_cost, self._used, is_there = kernels.descend(  # type: ignore[call-arg]
             *self._arguments, limits, self.width, rotation, middle, there, normal, gradient
         )
         rotation = se3.straightened(rotation)
-        return se3.make_pose(rotation, middle - rotation @ model.centroid), there, cost, normal, log_det
+        end = se3.make_pose(rotation, middle - rotation @ model.centroid)
+        self._filled((end, there) if is_there else None)
+        return end, there, cost, normal, log_det
 
     def _facing(self, pose: Array) -> tuple[Array, Array]:
         """Which way (n, 3) the surface looks where each pixel meets it at `pose`, object frame, and how much more noise

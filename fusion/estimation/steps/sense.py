@@ -237,6 +237,9 @@ def solve_together(sensed: Sensed, poses: list[Array], asked: Asked) -> Solved:
     settings, pool, hand = asked.settings, sensed.pool, sensed.hand
     shown = [pool.evidence(pose) if pool.predictor.sees else sensed.seen for pose in poses]
     known = sensed.felt.reported_rows, sensed.felt.fingers, asked.prior, hand, asked.beliefs, settings.joint
-    results = solve_modes([JointProblem.of(pool.model, sensed.frame, rows, *known) for rows in shown], poses)
+    problems: list[JointProblem] = []
+    for rows in shown:
+        problems.append(JointProblem.of(pool.model, sensed.frame, rows, *known, *problems[:1]))
+    results = solve_modes(problems, poses)
     results = guarded(pool, results, poses, hand, settings)
     return Solved(results, joint_costs(sensed.touched, pool, results, poses, hand, sensed.sight, settings), shown)

@@ -2,9 +2,13 @@
 
 import numpy as np
 import pytest
+from joint_twin import made_problem
 
 from fusion.estimation.solve import newton_kernels as kernels
 from fusion.estimation.solve.kernels import hand_rows, lay_bells, places
+from fusion.estimation.solve.problem import JointProblem
+from fusion.estimation.solve.settings import Level
+from fusion.estimation.solve.system import System
 from scenes.geometry.cameras import Camera
 
 
@@ -93,3 +97,45 @@ def test_rows_of_a_hand_are_those_of_plain_arrays(rng):
     turns = -np.cross(points - centre, directions)
     expected = [turns, -directions, (along * points[:, 2])[:, None], along[:, None] * basis]
     np.testing.assert_allclose(jacobian, np.concatenate(expected, axis=1), atol=1e-12)
+
+
+def test_rows_are_laid_as_terms_lay_them(drill, rng):
+    problem, pose = made_problem(drill, rng)
+    system = System(problem, pose, Level())
+    unknown = np.concatenate([np.zeros(6), 0.3 * rng.normal(size=system.size - 6)])
+    system.terms(pose, unknown)
+    count, cost, room = system._used, system.seen_cost, [part.copy() for part in problem.room]
+    for part in problem.room:
+        part[:] = 0
+    problem.filled_by = None
+    system.stand(pose, unknown)
+    assert (system._used, system.seen_cost) == (count, cost)
+    for known, found in zip(room, problem.room, strict=True):
+        np.testing.assert_array_equal(known[:count], found[:count])
+
+
+def test_where_a_solution_ends_its_rows_are_at_hand(drill, rng):
+    """Whether the last step was taken or refused, and whichever system of the problem filled the room last."""
+    problem, pose = made_problem(drill, rng)
+    systems = [System(problem, pose, Level(bias=bias)) for bias in (0.25, 4.0)]
+    ends = [system.descend(pose, system.start(pose), system.size)[:2] for system in systems]
+    for system, (end, unknown) in zip(systems, ends, strict=True):
+        system.stand(end, unknown)
+        found = system.seen_cost, system._used, [part[: system._used].copy() for part in problem.room]
+        system.terms(end, unknown)
+        assert found[1] == system._used
+        np.testing.assert_allclose(found[0], system.seen_cost, rtol=1e-9)
+        for known, part in zip(found[2], problem.room, strict=True):
+            np.testing.assert_allclose(known, part[: system._used], rtol=1e-6, atol=1e-9)
+
+
+def test_what_problems_of_one_frame_share_is_laid_out_once(drill, rng):
+    problem, _ = made_problem(drill, rng)
+    told = problem.model, problem.seen, problem.felt, problem.fingers, problem.prior, problem.hand, problem.beliefs
+    again = JointProblem(*told, problem.camera, settings=problem.settings, beside=problem)
+    assert again.bias is problem.bias
+    elsewhere = problem.seen.take(np.arange(len(problem.seen)) < len(problem.seen) // 3)
+    other = JointProblem(problem.model, elsewhere, *told[2:], problem.camera, settings=problem.settings, beside=problem)
+    alone = JointProblem(problem.model, elsewhere, *told[2:], problem.camera, settings=problem.settings)
+    np.testing.assert_array_equal(other.bias.inducing, alone.bias.inducing)
+    np.testing.assert_array_equal(other.seen_basis, alone.seen_basis)
