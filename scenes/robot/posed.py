@@ -6,6 +6,7 @@ hand, link by link, and only its boxes are laid anew. To build a ray-casting sce
 
 from __future__ import annotations
 
+import math
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -84,6 +85,22 @@ class PosedHand:
     def gap(self, points: Array) -> float:
         """Least distance (m) of points (n, 3) from the surface, on either side; inf for none."""
         return float(kernels.least(np.ascontiguousarray(points, np.float64), self._tree, self._corners, self._boxes))
+
+    def box_within(
+        self, camera: Camera, pose: Array, box: tuple[int, int, int, int]
+    ) -> tuple[int, int, int, int] | None:
+        """The part of a box (u0, v0, u1, v1) of pixels in which the hand at pose (4, 4) camera_from_hand may be drawn;
+        None for none.
+        """
+        at = self.vertices @ pose[:3, :3].T + pose[:3, 3]
+        if (at[:, 2] < NEAREST_DRAWN).any():
+            return box
+        at[:, :2] /= at[:, 2:]
+        (left, top), (right, bottom) = at[:, :2].min(axis=0).tolist(), at[:, :2].max(axis=0).tolist()
+        # compared before they are made whole: what is far beside the image is no whole number
+        u0, u1 = max(camera.fx * left + camera.cx - 1.0, box[0]), min(camera.fx * right + camera.cx + 2.0, box[2])
+        v0, v1 = max(camera.fy * top + camera.cy - 1.0, box[1]), min(camera.fy * bottom + camera.cy + 2.0, box[3])
+        return (int(u0), int(v0), math.ceil(u1), math.ceil(v1)) if u0 < u1 and v0 < v1 else None
 
     def depth(self, camera: Camera, pose: Array, box: tuple[int, int, int, int], step: int = 1) -> Array:
         """(h, w) depth (m) at pose (4, 4) camera_from_hand through every `step` pixels of a box (u0, v0, u1, v1), half

@@ -129,3 +129,17 @@ def test_a_plan_parts_links_first_and_holds_every_triangle_once():
         assert len(set(group[order[first : first + many]])) == 1
     runs = 1 + int((np.diff(group[order]) != 0).sum())
     assert runs == len(set(group))
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0, 0.5), (-0.25, 0.1, 0.4), (0.0, 0.0, 0.02), (3.0, 0.0, 0.5)])
+def test_beside_the_box_that_it_is_within_nothing_is_drawn(both, rng, shift):
+    hand, _ = both
+    whole, pose = (0, 0, CAMERA.width, CAMERA.height), poses.make_pose(poses.random_rotations(1, rng)[0], shift)
+    drawn, box = hand.depth(CAMERA, pose, whole), hand.box_within(CAMERA, pose, whole)
+    if box is None:
+        assert not np.isfinite(drawn).any()
+        return
+    part = slice(box[1], box[3]), slice(box[0], box[2])
+    np.testing.assert_allclose(hand.depth(CAMERA, pose, box), drawn[part], rtol=1e-12)
+    drawn[part] = np.inf
+    assert not np.isfinite(drawn).any()

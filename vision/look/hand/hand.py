@@ -76,6 +76,10 @@ class HandView:
         """(h, w) depth (m) of the aligned hand through the pixels of a box (u0, v0, u1, v1); inf where it is not."""
         return self.surface.depth(camera, self.aligned, box)
 
+    def box_within(self, camera: Camera, box: tuple[int, int, int, int]) -> tuple[int, int, int, int] | None:
+        """The part of a box (u0, v0, u1, v1) of pixels in which the aligned hand may be drawn; None for none."""
+        return self.surface.box_within(camera, self.aligned, box)
+
     def correct(self) -> Array:
         """camera_from_camera transform that moves what the robot reports to where the camera sees it."""
         return self.aligned @ se3.inverse(self.measured)

@@ -137,12 +137,24 @@ def _hand_pixels(
     import cv2
 
     assert frame.camera is not None
+    found = np.zeros(z.shape, dtype=bool)
+    own = view.box_within(frame.camera, box)
+    drawn = np.zeros((0, 0)) if own is None else view.depth(frame.camera, own)
+    if own is None or not (is_drawn := np.isfinite(drawn)).any():
+        return found
+    away = float(median(drawn[is_drawn].astype(np.float32)))
+    outline = int(np.ceil(settings.hand_outline * frame.camera.fx / away))
+    # farther from the hand than that nothing is asked
+    reach = outline if rgb is None else max(outline + settings.colour_strip, settings.colour_around)
+    left, top = max(own[0] - box[0] - reach, 0), max(own[1] - box[1] - reach, 0)
+    part = slice(top, own[3] - box[1] + reach), slice(left, own[2] - box[0] + reach)
+    z, candidates = np.ascontiguousarray(z[part]), np.ascontiguousarray(candidates[part])
+    depth = np.full(z.shape, np.inf)
+    row, column = own[1] - box[1] - top, own[0] - box[0] - left
+    depth[row : row + drawn.shape[0], column : column + drawn.shape[1]] = drawn
     nearest, farthest = np.zeros((2, *z.shape), dtype=np.float32)
     there, close = np.zeros(z.shape, dtype=np.uint8), np.zeros(z.shape, dtype=bool)
-    kernels.lay_hand(view.depth(frame.camera, box), nearest, farthest, there)
-    if not there.any():
-        return np.asarray(close)
-    outline = int(np.ceil(settings.hand_outline * frame.camera.fx / float(median(farthest[there > 0]))))
+    kernels.lay_hand(depth, nearest, farthest, there)
     margin = np.float32(settings.hand_margin)
     if rgb is not None:
         kernel = _square(outline + settings.colour_strip)
@@ -151,13 +163,15 @@ def _hand_pixels(
         inner, outer, uncertain = np.zeros((3, *z.shape), dtype=bool)
         whole, around = cv2.erode(there, kernel), cv2.dilate(there, _square(settings.colour_around))
         kernels.part(candidates, close, near, whole, around, inner, outer, uncertain)
-        scores = _colour_scores(rgb, inner, outer, uncertain, settings)
+        scores = _colour_scores(np.ascontiguousarray(rgb[part]), inner, outer, uncertain, settings)
         if scores is not None:
             inner[uncertain] = scores > 0
-            return np.asarray(inner)
+            found[part] = inner
+            return found
     kernel = _square(outline)
     kernels.close_to(z, candidates, cv2.erode(nearest, kernel), cv2.dilate(farthest, kernel), margin, close)
-    return np.asarray(close)
+    found[part] = close
+    return found
 
 
 def _square(reach: int) -> NDArray[np.uint8]:
