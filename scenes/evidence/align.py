@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -184,10 +185,40 @@ def align(
     the evidence leaves free a pose may drift by part of the object's size; the Hessian tells which they are.
     """
     settings = settings or USUAL
-    rotations, middles = _split(model, starts)
-    scene = _scene(model, evidence, prior, settings)
-    count = len(rotations)
-    limits = (
+    scene, limits = _scene(model, evidence, prior, settings), _limits(model, settings)
+
+    def work(part: slice, *told: Array) -> None:
+        solver_kernels.align_poses(*scene, limits, *told)  # type: ignore[call-arg]
+
+    return _aligned(model, starts, work, len(evidence) * settings.iterations)
+
+
+def align_each(
+    model: ObjectModel,
+    own: Sequence[Evidence],
+    shared: Evidence,
+    starts: Array,
+    prior: Prior | None = None,
+    settings: AlignSettings | None = None,
+) -> Alignment:
+    """`align` of starts (b, 4, 4) that have evidence of their own each, b tables at least one, beside what they share."""
+    settings = settings or USUAL
+    rows = np.concatenate([part for mine in own for part in (mine.rows, shared.rows)])
+    edges = np.zeros(len(own) + 1, dtype=np.int64)
+    np.cumsum([len(mine) + len(shared) for mine in own], out=edges[1:])
+    lattice, rows, *rest = _scene(model, Evidence(rows, np.zeros(len(rows), dtype=np.uint8)), prior, settings)
+    limits = _limits(model, settings)
+
+    def work(part: slice, *told: Array) -> None:
+        of = edges[part.start : part.stop + 1]
+        solver_kernels.align_each(lattice, rows, of, *rest, limits, *told)  # type: ignore[call-arg]
+
+    return _aligned(model, starts, work, len(rows) // len(own) * settings.iterations)
+
+
+def _limits(model: ObjectModel, settings: AlignSettings) -> tuple:
+    """Of an alignment's steps, as the kernels take them."""
+    return (
         int(settings.iterations),
         float(settings.tolerance_angle),
         float(settings.tolerance_distance),
@@ -195,14 +226,20 @@ def align(
         float(settings.longest_angle),
         float(settings.longest_share * model.radius),
     )
+
+
+def _aligned(model: ObjectModel, starts: Array, work: Callable[..., None], each: int) -> Alignment:
+    """Where work(part, rotations, middles, costs, hessians, steps) moves starts (b, 4, 4); each: rows that one looks up
+    at most.
+    """
+    rotations, middles = _split(model, starts)
+    count = len(rotations)
     out_costs, hessians, used = np.zeros(count), np.zeros((count, 6, 6)), np.zeros(count, dtype=np.int64)
 
-    def work(part: slice) -> None:
-        solver_kernels.align_poses(  # type: ignore[call-arg]
-            *scene, limits, rotations[part], middles[part], out_costs[part], hessians[part], used[part]
-        )
+    def of(part: slice) -> None:
+        work(part, rotations[part], middles[part], out_costs[part], hessians[part], used[part])
 
-    run_chunks(work, count, smallest=max(1, 4000 // (len(evidence) * settings.iterations + 1)))
+    run_chunks(of, count, smallest=max(1, 4000 // (each + 1)))
     poses = np.zeros((count, 4, 4))
     rotation_kernels.joined(rotations, middles, model.centroid, poses)
     return Alignment(poses, out_costs, hessians, used)

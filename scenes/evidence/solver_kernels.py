@@ -190,3 +190,14 @@ def _align_each(lattice, table, quiet, losses, prior, limits, room, space, rotat
         for i in range(6):
             for j in range(6):
                 hessians[b, i, j] = hessian[i, j]
+
+
+@numba.njit(cache=True, nogil=True)
+def align_each(lattice, rows, edges, stage, prior, limits, rotations, middles, costs, hessians, used):
+    """`align_poses` of poses that have a table each: rows[edges[b] : edges[b + 1]] (edges (b + 1,)) is that of pose b."""
+    for b in range(rotations.shape[0]):
+        one = slice(b, b + 1)
+        own = rows[edges[b] : edges[b + 1]]
+        align_poses(
+            lattice, own, stage, prior, limits, rotations[one], middles[one], costs[one], hessians[one], used[one]
+        )

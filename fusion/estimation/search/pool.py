@@ -17,7 +17,7 @@ from fusion.estimation.search.pool_settings import PoolSettings
 from fusion.estimation.search.proposals import ProposalSettings, search_stages
 from fusion.estimation.verdict import nats_of_contacts
 from scenes.evidence import table as tables
-from scenes.evidence.align import Alignment, AlignSettings, Prior, align, costs
+from scenes.evidence.align import Alignment, AlignSettings, Prior, align, align_each, costs
 from scenes.evidence.modes import Mode, ModeSettings, distinct_modes, weighed
 from scenes.evidence.near_symmetries import near_symmetries, quarter_turns
 from scenes.evidence.search import SETTLED, SearchStage, leaders, least_of, search, thin
@@ -230,7 +230,8 @@ class Pool:
         if self.prior is not None:
             # near a start the outline is about right: there a mask's errors would draw it further than it is off
             return shown
-        return [tables.stack(*both) for both in zip(shown, self.predictor.covering(poses))]
+        bare = self.predictor.covering(poses)
+        return [tables.stack(mine, more) if len(more) else mine for mine, more in zip(shown, bare)]
 
     def sifted(self, candidates: Array) -> Array:
         """The most promising of poses (n, 4, 4) by the object's aspects, best first."""
@@ -366,17 +367,15 @@ class Pool:
         outline; fresh: none of them was ever fitted.
         """
         poses, hessians, steps = tried.poses.copy(), tried.hessians.copy(), np.zeros_like(tried.iterations)
-        moved, open_ones = [], np.flatnonzero(fresh | (tried.iterations > 0))
+        open_ones = np.flatnonzero(fresh | (tried.iterations > 0))
         shown = self.evidence_of_each(tried.poses[open_ones], side, self.settings.first_rows if fresh else 0)
-        for k, mine in zip(open_ones, shown):
-            rows = tables.stack(mine, self.felt)
-            if len(rows):
-                found = align(self.model, rows, tried.poses[k : k + 1], self.prior, self.settings.fit)
-                poses[k], hessians[k], steps[k] = found.poses[0], found.hessians[0], found.iterations[0]
-                moved.append(k)
+        kept = [n for n, mine in enumerate(shown) if len(mine) or len(self.felt)]
         # what stays where it was has its costs
-        after = tried.costs.copy()
-        if moved:
+        moved, after = open_ones[kept], tried.costs.copy()
+        if kept:
+            own = [shown[n] for n in kept]
+            found = align_each(self.model, own, self.felt, tried.poses[moved], self.prior, self.settings.fit)
+            poses[moved], hessians[moved], steps[moved] = found.poses, found.hessians, found.iterations
             after[moved] = self.costs(poses[moved])
         worse = after > tried.costs
         poses[worse], steps[worse] = tried.poses[worse], 0

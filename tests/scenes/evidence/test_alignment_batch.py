@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from scenes.errors import InputError
 from scenes.evidence import table as evidence
-from scenes.evidence.align import AlignSettings, Prior, align, costs, terms
+from scenes.evidence.align import AlignSettings, Prior, align, align_each, costs, terms
 from scenes.evidence.table import TOUCH, VISION, Evidence
 from scenes.geometry import poses
 from scenes.synthesis import library
@@ -251,3 +251,16 @@ def test_what_is_not_finite_is_refused(scene):
 def test_a_prior_needs_widths(sigmas):
     with pytest.raises(InputError, match="sigmas above 0"):
         Prior.isotropic(np.eye(4), *sigmas)
+
+
+@pytest.mark.parametrize("threads", ["1", "2"])
+def test_poses_with_evidence_of_their_own_move_as_each_alone(scene, monkeypatch, threads):
+    model, truth, table, starts = scene
+    monkeypatch.setenv("PALPATE_THREADS", threads)
+    pixels, contacts = table.of(VISION), table.of(TOUCH)
+    own = [pixels.take(np.arange(k, len(pixels), 2)) if k < 2 else evidence.empty() for k in range(3)]
+    prior, how = Prior.isotropic(truth, 0.3, 0.03), AlignSettings(iterations=12)
+    found = align_each(model, own, contacts, starts[:3], prior, how)
+    for k, mine in enumerate(own):
+        alone = align(model, evidence.stack(mine, contacts), starts[k : k + 1], prior, how)
+        assert equal(alone, found.take(np.array([k])))

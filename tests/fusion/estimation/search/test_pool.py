@@ -157,7 +157,7 @@ def sensed(lab_frame, drill):
 def test_what_was_fitted_is_not_fitted_again(sensed, lab_frame, monkeypatch):
     pool, truth = sensed.pool, lab_frame.camera_from_object_truth
     known = pool.fitted(truth[None])
-    monkeypatch.setattr("fusion.estimation.search.pool.align", lambda *_: pytest.fail("nothing is to be fitted"))
+    monkeypatch.setattr("fusion.estimation.search.pool.align_each", lambda *_: pytest.fail("nothing is to be fitted"))
     again = pool.fitted(known.poses, known=known)
     np.testing.assert_array_equal(again.poses, known.poses)
     np.testing.assert_array_equal(again.costs, known.costs)
@@ -170,10 +170,10 @@ def test_what_takes_no_step_is_not_looked_at_more_closely(sensed, lab_frame, mon
     pool, truth, looked = sensed.pool, lab_frame.camera_from_object_truth, []
     shown, off = Pool.evidence_of_each, poses.perturb(truth, np.full(6, 0.5), sensed.pool.model.centroid)
 
-    def worse(model, rows, starts, prior, settings):
+    def worse(model, own, shared, starts, prior, settings):
         return Alignment(np.array([off]), np.zeros(1), np.eye(6)[None], np.ones(1, dtype=np.int64))
 
-    monkeypatch.setattr("fusion.estimation.search.pool.align", worse)
+    monkeypatch.setattr("fusion.estimation.search.pool.align_each", worse)
     monkeypatch.setattr(
         Pool, "evidence_of_each", lambda self, many, side, most: looked.append(side) or shown(self, many, side, most)
     )
