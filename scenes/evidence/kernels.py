@@ -21,14 +21,35 @@ import numpy as np
 
 from scenes._numba import FUSED, LENT, spare_blas
 from scenes.evidence.block_kernels import (
+    ABOVE,
+    BELOW,
+    BLOCK,
+    CONSTANT_ABOVE,
+    CONSTANT_BELOW,
+    GX,
+    GY,
+    GZ,
+    INVERSES,
     LENGTH,
+    OFFSETS,
     ROOM,
     SUMS,
+    WEIGHTS,
+    YX,
+    YY,
+    YZ,
+    D,
     add_sums,
+    add_terms,
     block_terms,
     blocks_of,
     is_silent,
     lay_blocks,
+    look_up,
+    place,
+    rows_in,
+    weigh,
+    weigh_limited,
 )
 from scenes.evidence.prior_kernels import prior_terms
 from scenes.evidence.row_kernels import FLOOR_ABOVE, FLOOR_BELOW, INVERSE, NARROW, PREPARED, prepare, robust
@@ -242,13 +263,57 @@ def sort_rows(rows, blur, blur_normal):
 @numba.njit(cache=True, nogil=True)
 def working_room():
     """What `table_terms` works in: once for many poses."""
-    return np.zeros((10, 3)), np.zeros((2, ROOM)), np.zeros((2, LENGTH), dtype=np.int32), np.zeros(SUMS)
+    nodes = np.zeros((2, LENGTH), dtype=np.int32)
+    return np.zeros((10, 3)), np.zeros((2, ROOM)), nodes, np.zeros(SUMS), np.zeros(BLOCK)
+
+
+@numba.njit(cache=True, nogil=True, **LENT)
+def silent_terms(lattice, blocks, count, huber, rotation, middle, need, rooms, nodes, held, sums):
+    """block_terms of rows that say nothing where they are outside, as most of what was seen to be empty is: the others
+    are gathered into a block of their own, held (BLOCK,), and only that is weighed.
+    """
+    flat, room, other, total, k = lattice[0].reshape(-1), rooms[0], rooms[1], 0.0, 0
+    for b in range((count + LENGTH - 1) // LENGTH):
+        block, whole = blocks[b], rows_in(count, b)
+        place(block, whole, room, rotation, middle, lattice[4])
+        look_up(whole, room, nodes[0], flat, lattice)
+        for i in range(min(count - b * LENGTH, LENGTH)):
+            if room[D + i] - block[OFFSETS + i] > 0.0:
+                continue
+            for column in (INVERSES, WEIGHTS, ABOVE, BELOW, CONSTANT_ABOVE, CONSTANT_BELOW, OFFSETS):
+                held[column + k] = block[column + i]
+            for column in (YX, YY, YZ, D, GX, GY, GZ):
+                other[column + k] = room[column + i]
+            k += 1
+            if k == LENGTH:
+                total += _gathered(held, other, k, huber, rotation, need, sums)
+                k = 0
+    if k > 0:
+        total += _gathered(held, other, k, huber, rotation, need, sums)
+    return total
+
+
+@numba.njit(cache=True, nogil=True, **LENT)
+def _gathered(held, room, count, huber, rotation, need, sums):
+    """Cost of so many rows that were gathered into a block and a room, at least one; see silent_terms."""
+    whole = rows_in(count, 0)
+    for i in range(count, whole):
+        # copies of the last that weigh nothing
+        for column in (INVERSES, WEIGHTS, ABOVE, BELOW, CONSTANT_ABOVE, CONSTANT_BELOW, OFFSETS):
+            held[column + i] = held[column + count - 1]
+        for column in (YX, YY, YZ, D, GX, GY, GZ):
+            room[column + i] = room[column + count - 1]
+        held[WEIGHTS + i] = 0.0
+    total = weigh_limited(held, whole, room, huber) if huber > 0.0 else weigh(held, whole, room)
+    if need:
+        add_terms(held, whole, room, rotation, sums)
+    return total
 
 
 @numba.njit(cache=True, nogil=True, **LENT)
 def table_terms(lattice, table, near, losses, pose, prior, need, derivatives, room):
-    """cost_terms of a whole table: prepared rows with a normal, the other rows in blocks and how many. near: such
-    blocks of rows more, and how many. losses: huber, bend. pose: rotation, middle. derivatives: hessian, gradient.
+    """cost_terms of a whole table: prepared rows with a normal, the other rows in blocks and how many. near: blocks of
+    silent rows, and how many. losses: huber, bend. pose: rotation, middle. derivatives: hessian, gradient.
     room: see `working_room`.
     """
     contacts, speaking, count = table
@@ -256,13 +321,13 @@ def table_terms(lattice, table, near, losses, pose, prior, need, derivatives, ro
     huber, bend = losses
     rotation, middle = pose
     hessian, gradient = derivatives
-    scratch, rooms, nodes, sums = room
+    scratch, rooms, nodes, sums, held = room
     total = cost_terms(lattice, contacts, huber, bend, rotation, middle, prior, need, hessian, gradient, scratch)
     sums[:] = 0.0
     if count > 0:
         total += block_terms(lattice, speaking, count, huber, rotation, middle, need, rooms, nodes, sums)
     if more > 0:
-        total += block_terms(lattice, others, more, huber, rotation, middle, need, rooms, nodes, sums)
+        total += silent_terms(lattice, others, more, huber, rotation, middle, need, rooms, nodes, held, sums)
     if need and count + more > 0:
         add_sums(sums, hessian, gradient)
     return total

@@ -120,7 +120,7 @@ def _align_each(lattice, table, quiet, losses, prior, limits, room, space, rotat
     matrices, vectors, rotation, middle = space
     hessian, new_hessian, factor = matrices[0], matrices[1], matrices[2]
     gradient, new_gradient, step, floor = vectors[0], vectors[1], vectors[2], vectors[3]
-    _, rooms, nodes, _ = room
+    _, rooms, nodes, _, _ = room
     for b in range(rotations.shape[0]):
         k, lever = near_blocks(lattice, silent, quiet_ones, rotations[b], middles[b], REACH, rooms, nodes, near)
         # how far (m) a row left out may have come since

@@ -5,6 +5,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from scenes.evidence import block_kernels as blocks
+from scenes.evidence import kernels
 from scenes.evidence import row_kernels as rows
 from scenes.evidence import table as tables
 from scenes.evidence.align import lattice_of
@@ -115,3 +116,17 @@ def test_rows_are_sorted_by_what_they_say(rng):
     weights = silent[0, blocks.WEIGHTS : blocks.WEIGHTS + 16]
     assert (weights[:9] > 0).all()
     assert not weights[9:].any()
+
+
+@pytest.mark.parametrize("huber", [0.0, 1.5])
+@pytest.mark.parametrize("count", [1, 64, 500])
+def test_silent_rows_are_weighed_where_they_are_inside_alone(mug, rng, count, huber):
+    block, found = laid(seen(rng, count, silent=True), silent=True)
+    pose = poses.make_pose(poses.random_rotations(1, rng)[0], rng.normal(0, 0.02, 3))
+    whole, some, held = np.zeros(blocks.SUMS), np.zeros(blocks.SUMS), np.zeros(blocks.BLOCK)
+    told = lattice_of(mug), block, found, huber, *at(pose, mug)
+    every = blocks.block_terms(*told, True, *room(), whole)
+    inside = kernels.silent_terms(*told, True, *room(), held, some)
+    alone = kernels.silent_terms(*told, False, *room(), held, np.zeros(1))
+    assert inside == alone == pytest.approx(every, rel=1e-12, abs=1e-12)
+    np.testing.assert_allclose(some, whole, rtol=1e-9, atol=1e-9 * max(np.abs(whole).max(), 1.0))
