@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.recordings.beliefs import DepthModel
+from vision.picture.scoring_kernels import share_beneath
 
 Array = NDArray[np.float64]
 
@@ -22,11 +23,7 @@ def beneath(points: Array, floors: Array, candidates: Array, depth: DepthModel, 
     noise of readings, as far as they scatter), at the depth of the points' middle.
     """
     out = np.zeros(len(candidates))
-    rotation, move = candidates[:, :3, :3], candidates[:, :3, 3]
-    own = depth.independent_sigma(rotation[:, 2] @ points.mean(axis=0) + move[:, 2])
-    for floor in floors:
-        normal, offset, scatter = floor[:3], floor[3], floor[4]
-        room = np.maximum(margin + sigmas * own, sigmas * scatter * np.hypot(own, margin / sigmas))
-        height = (normal @ rotation) @ points.T + (move @ normal + offset)[:, None]
-        out = np.maximum(out, (height < -room[:, None]).mean(axis=1))
+    poses, floors = np.ascontiguousarray(candidates), np.ascontiguousarray(floors)
+    own = depth.independent_sigma(poses[:, 2, :3] @ points.mean(axis=0) + poses[:, 2, 3])
+    share_beneath(points, floors, poses, own, margin, sigmas, out)
     return out

@@ -10,7 +10,7 @@ import math
 import numba
 import numpy as np
 
-from scenes._numba import LENT
+from scenes._numba import FUSED, LENT
 from vision.picture.columns import (
     AGREE,
     BEHIND,
@@ -133,3 +133,26 @@ def scatter_of(count, total, squares):
     """Standard deviation of `count` numbers of this sum and sum of squares; 0 of none."""
     mean = total / max(count, 1.0)
     return math.sqrt(max(squares / max(count, 1.0) - mean * mean, 0.0))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FUSED, **LENT)
+def share_beneath(points, floors, poses, own, margin, sigmas, out):  # type: ignore[no-untyped-def]
+    """Fill out (n,) with the share of points (k, 3), object frame, that are under one of floors (m, 6) at poses
+    (n, 4, 4), the largest of all floors; own (n,): noise (m) of readings there. See vision.picture.floor.beneath.
+    """
+    for n in range(poses.shape[0]):
+        most = 0
+        r = poses[n]
+        for f in range(floors.shape[0]):
+            a, b, c, scatter = floors[f, 0], floors[f, 1], floors[f, 2], floors[f, 4]
+            x = a * r[0, 0] + b * r[1, 0] + c * r[2, 0]
+            y = a * r[0, 1] + b * r[1, 1] + c * r[2, 1]
+            z = a * r[0, 2] + b * r[1, 2] + c * r[2, 2]
+            ratio = margin / sigmas
+            room = max(margin + sigmas * own[n], sigmas * scatter * math.sqrt(own[n] * own[n] + ratio * ratio))
+            lowest = -room - (a * r[0, 3] + b * r[1, 3] + c * r[2, 3] + floors[f, 3])
+            under = 0
+            for k in range(points.shape[0]):
+                under += x * points[k, 0] + y * points[k, 1] + z * points[k, 2] < lowest
+            most = max(most, under)
+        out[n] = most / points.shape[0]

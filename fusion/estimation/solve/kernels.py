@@ -283,6 +283,32 @@ def number_blocks(uv, index, count, least, out):
     return found
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def blocks_off(uv, on, index, residuals, information, count, least):
+    """How far (b,) m blocks of the image (`number_blocks`) are off on average, and their weights (b,) 1/m^2, by those
+    of the rows `index` (n,) that are on (m,) the surface and tell something; none where none does. uv (m, 2), residuals
+    (n,) m, information (n,) 1/m^2.
+    """
+    mine, places = np.zeros(index.shape[0], dtype=np.int64), np.zeros(index.shape[0], dtype=np.int64)
+    told = 0
+    for n in range(index.shape[0]):
+        if on[index[n]] and information[n] > 0.0:
+            mine[told], places[told] = index[n], n
+            told += 1
+    if told == 0:
+        return np.zeros(0), np.zeros(0)
+    block = np.zeros(told, dtype=np.int64)
+    found = number_blocks(uv, mine[:told], count, least, block)
+    off, weight = np.zeros(found), np.zeros(found)
+    for k in range(told):
+        own = information[places[k]]
+        weight[block[k]] += own
+        off[block[k]] += own * residuals[places[k]]
+    for b in range(found):
+        off[b] /= weight[b]
+    return off, weight
+
+
 @numba.njit(cache=True, nogil=True)
 def lay_bells(uv, columns, column, rows, row, sharpness, out):
     """Fill out (n, k) with exp(sharpness |uv - place|^2) of pixels uv (n, 2) and of k places on a grid's lines: place j

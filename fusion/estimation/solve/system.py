@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.solve import newton_kernels as kernels
-from fusion.estimation.solve.kernels import number_blocks, prior_row, surface_met, vision_rows
+from fusion.estimation.solve.kernels import blocks_off, number_blocks, prior_row, surface_met, vision_rows
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.settings import Level
 from scenes.evidence.align import Prior, align
@@ -208,12 +208,11 @@ class System:
         """How far (b,) m blocks of the image are off on average, and their weights (b,) 1/m^2, by rows `index` (n,),
         residuals (n,) m and their information (n,) 1/m^2; none where no pixel tells.
         """
-        mine = self.problem.on[index] & (information > 0.0)
-        if self.problem.camera is None or not mine.any():
+        problem, s = self.problem, self.problem.settings
+        if problem.camera is None:
             return np.zeros(0), np.zeros(0)
-        group, _ = self._blocks(index[mine])
-        weight = np.asarray(np.bincount(group, information[mine]), dtype=np.float64)
-        return np.bincount(group, (information * residual)[mine]) / weight, weight
+        off, weight = blocks_off(problem.pixels, problem.on, index, residual, information, s.groups, s.block)
+        return off, weight
 
     def _blocks(self, index: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
         """(n,) block of the image of each of the rows `index` (n,), and how many there are."""

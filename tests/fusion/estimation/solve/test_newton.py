@@ -5,7 +5,7 @@ import pytest
 from joint_twin import made_problem
 
 from fusion.estimation.solve import newton_kernels as kernels
-from fusion.estimation.solve.kernels import hand_rows, lay_bells, places
+from fusion.estimation.solve.kernels import blocks_off, hand_rows, lay_bells, number_blocks, places
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.settings import Level
 from fusion.estimation.solve.system import System
@@ -139,3 +139,20 @@ def test_what_problems_of_one_frame_share_is_laid_out_once(drill, rng):
     alone = JointProblem(problem.model, elsewhere, *told[2:], problem.camera, settings=problem.settings)
     np.testing.assert_array_equal(other.bias.inducing, alone.bias.inducing)
     np.testing.assert_array_equal(other.seen_basis, alone.seen_basis)
+
+
+@pytest.mark.parametrize("count", [0, 5, 300])
+def test_blocks_are_off_by_the_mean_of_their_pixels(rng, count):
+    uv, on = rng.uniform(0, 200, (400, 2)), rng.random(400) < 0.8
+    index = np.sort(rng.choice(400, count, replace=False))
+    residuals, information = rng.normal(size=count), rng.uniform(0.1, 1.0, count) * (rng.random(count) < 0.9)
+    off, weight = blocks_off(uv, on, index, residuals, information, 16.0, 16.0)
+    mine = on[index] & (information > 0.0)
+    assert len(off) == 0 or mine.any()
+    if not mine.any():
+        return
+    group = np.zeros(mine.sum(), dtype=np.int64)
+    number_blocks(uv, index[mine], 16.0, 16.0, group)
+    expected = np.bincount(group, information[mine])
+    np.testing.assert_array_equal(weight, expected)
+    np.testing.assert_array_equal(off, np.bincount(group, (information * residuals)[mine]) / expected)
