@@ -201,7 +201,7 @@ def align_each(
     prior: Prior | None = None,
     settings: AlignSettings | None = None,
 ) -> Alignment:
-    """`align` of starts (b, 4, 4) that have evidence of their own each, b tables at least one, beside what they share."""
+    """`align` of starts (b, 4, 4), at least one, each by evidence of its own beside what they share."""
     settings = settings or USUAL
     rows = np.concatenate([part for mine in own for part in (mine.rows, shared.rows)])
     edges = np.zeros(len(own) + 1, dtype=np.int64)

@@ -194,7 +194,7 @@ def _align_each(lattice, table, quiet, losses, prior, limits, room, space, rotat
 
 @numba.njit(cache=True, nogil=True)
 def align_each(lattice, rows, edges, stage, prior, limits, rotations, middles, costs, hessians, used):
-    """`align_poses` of poses that have a table each: rows[edges[b] : edges[b + 1]] (edges (b + 1,)) is that of pose b."""
+    """`align_poses` of poses that have a table each: rows[edges[k] : edges[k + 1]] of pose k; edges (b + 1,)."""
     for b in range(rotations.shape[0]):
         one = slice(b, b + 1)
         own = rows[edges[b] : edges[b + 1]]

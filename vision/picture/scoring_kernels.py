@@ -136,7 +136,7 @@ def scatter_of(count, total, squares):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FUSED, **LENT)
-def share_beneath(points, floors, poses, own, margin, sigmas, out):  # type: ignore[no-untyped-def]
+def share_beneath(points, floors, poses, own, margin, sigmas, out):
     """Fill out (n,) with the share of points (k, 3), object frame, that are under one of floors (m, 6) at poses
     (n, 4, 4), the largest of all floors; own (n,): noise (m) of readings there. See vision.picture.floor.beneath.
     """

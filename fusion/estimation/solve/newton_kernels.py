@@ -226,9 +226,7 @@ def cost_at(scene, seen, touch, hand, room, desk, rotation, middle, unknown):
             for j in range(6):
                 xi[i] += white_xi[i, j] * unknown[POSE + j]
         scratch = np.zeros((10, 3))
-        total += touch_rows(
-            lattice, felt, bend, rotation, middle, xi, centre, no_prior, squares[0], lines[0], scratch
-        )
+        total += touch_rows(lattice, felt, bend, rotation, middle, xi, centre, no_prior, squares[0], lines[0], scratch)
     constant, hand_gradient, hand_normal = hand
     if hand_gradient.shape[0]:
         total += constant

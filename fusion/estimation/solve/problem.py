@@ -94,7 +94,9 @@ class JointProblem:
         seen = self.seen.points if self.camera is not None and len(self.seen) else np.zeros((0, 3))
         reach = np.concatenate([seen, hand_points]) if len(seen) else seen
         known = None if beside is None else beside.bias
-        self.bias = DepthBias.over(self.camera, reach, depth, self.settings.spacing, self.settings.most_inducing, known)
+        self.bias: DepthBias = DepthBias.over(
+            self.camera, reach, depth, self.settings.spacing, self.settings.most_inducing, known
+        )
         self.seen_basis = self.bias.basis(self.seen.points)
         rows = self.seen.rows
         self.on = self.seen.on
@@ -107,6 +109,9 @@ class JointProblem:
         self.weight = rows[:, WEIGHT].copy()
         if self.camera is not None:
             self.weight[self.on] = self.settings.pixel_weight
+        self.hand_weight: Array
+        self.hand_normal: Array
+        self.hand_gradient: Array
         if beside is not None and self.hand is beside.hand and self.bias is beside.bias and self.hand is not None:
             self.hand_weight, self.hand_normal = beside.hand_weight, beside.hand_normal
             self.hand_gradient = beside.hand_gradient
