@@ -198,17 +198,18 @@ class Tracker:
 
     def _recover(self, frame: Frame, lost: TrackedEstimate, heard: str) -> TrackedEstimate:
         """Look for the object; the track begins again from where it is found."""
+        state, s, before = self._state, self.settings, self._state.hypotheses
         try:
-            asks = lost, self._sensed, self._state
-            found = recover(self.model, frame, *asks, self.estimated, self._aside, heard, self.settings)
+            found = recover(self.model, frame, lost, self._sensed, state, self.estimated, self._aside, heard, s)
         except CaptureError as error:  # a frame amid a track whose sizes make no sense is a frame without evidence
             return replace(lost, notes=(*lost.notes, str(error)))
         if found is None:
             return lost
-        found = replace(as_before(self.model, found, lost, self.settings.first), trace=(*lost.trace, *found.trace))
-        smear = self._state.smear(self.model, frame.index, found.pose, self.settings.velocity)
+        found = replace(as_before(self.model, found, lost, s.first), trace=(*lost.trace, *found.trace))
+        smear = state.smear(self.model, frame.index, found.pose, s.velocity)
         self.believe(frame, found)
-        return as_tracked(as_learned(self.model, found, self._state.sizes, smear, self.settings), "re-initialised")
+        state.hypotheses = several.with_ways(self.model, state.hypotheses, before, lost.pose, s.hypotheses)
+        return as_tracked(as_learned(self.model, found, state.sizes, smear, s), "re-initialised")
 
     def _search(self, frame: Frame, answer: TrackedEstimate, heard: str) -> TrackedEstimate:
         """A tracked frame searched by itself, where that is due: close around its answer, and as if nothing were known.

@@ -21,11 +21,11 @@ from fusion.estimation.solve.settings import JointSettings, Level, Rig
 from fusion.estimation.verdict import contact_residuals, nats_of_contacts
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Measurement
-from fusion.tracking.hypotheses import Hypotheses, surface_apart, weighed
+from fusion.tracking.hypotheses import Hypotheses, as_ways, surface_apart, weighed
 from fusion.tracking.state import TrackState
 from fusion.tracking.steps.by_picture import meant, walked
 from fusion.tracking.steps.sensing import Sensed
-from fusion.tracking.untold import Untold
+from fusion.tracking.untold import Untold, any_turn
 from scenes.evidence import table as tables
 from scenes.evidence.align import AlignSettings, Prior, align
 from scenes.evidence.modes import covariance_of
@@ -81,6 +81,8 @@ def refine(
             likelier = frame_nats(pose[None], [widths[k]], sensed, settings)[0]
             if likelier < nats[k]:
                 found[k], nats[k], shown[k] = pose, likelier, sensed.rows_at(pose, settings.side)
+    if len(poses) > 1:
+        nats = as_ways(model, found, nats, settings.hypotheses)
     wide = tuple(h if k == 0 else replace(h, covariance=widths[k]) for k, h in enumerate(hypotheses))
     after = weighed(wide, found, nats, settings.hypotheses, sensed.told_apart)
     first = next(k for k, pose in enumerate(found) if pose is after[0].pose)
@@ -257,7 +259,7 @@ def measurement_of(
         shared = shared + np.diag(np.repeat([angle, distance], 3) ** 2)
     measured = Measurement.of(pose, solved.independent, shared, solved.biased, s.noise)
     measured = measured.smeared(state.smear(model, index, pose, s.velocity))
-    return replace(measured, hidden=untold.at(model, solved.pose)), untold
+    return replace(measured, hidden=any_turn(model, solved.pose, untold.at(model, solved.pose))), untold
 
 
 def shift(correction: Array, point: Array) -> float:

@@ -183,6 +183,7 @@ def renew(
         turned = [near and several.alike(model, leader, m, s.hypotheses) for m, near in zip(modes, there)]
         modes = tuple(modes[k] for k in sorted(range(len(modes)), key=lambda k: not turned[k]))
         odds = min(odds, leader.odds)
+    modes = several.without_news(model, modes, (leader, *state.hypotheses[1:]), s.hypotheses)
     same = several.alike(model, leader, modes[0], s.hypotheses)
     better = prefers(answer, alone, sensed, s)
     if better > s.hypotheses.missed:  # it has not even found the best that is near it

@@ -150,6 +150,42 @@ def test_a_start_speaks_for_the_surface_whichever_way_round(mug):
     assert [h.votes for h in several.of_modes(library.make("l_block"), modes, 1.0, S)] == [1.0, 0.0]
 
 
+def test_frames_tell_ways_round_slowly_and_places_as_ever(mug):
+    there = poses.make_pose(None, [0.05, 0.0, 0.0])
+    found, nats = [np.eye(4), turned(1.5), there], np.array([2.0, 12.0, 12.0])
+    np.testing.assert_allclose(several.as_ways(mug, found, nats, S), [2.0, 2.0 + 10.0 * S.of_ways, 12.0])
+
+
+def test_ways_round_that_nobody_has_thought_of_are_no_news_while_the_tracks_own_may_be(mug):
+    leader = Hypothesis(np.eye(4), NARROW, 0.0, 1.0)
+    other, own = Mode(turned(1.5), 0.6, 0.0, NARROW), Mode(np.eye(4), 0.3, 0.0, NARROW)
+    there = Mode(poses.make_pose(None, [0.05, 0.0, 0.0]), 0.1, 0.0, NARROW)
+    assert several.without_news(mug, (other, own, there), (leader,), S) == (own, there)
+    # one that has been followed is kept, behind the track's own
+    followed = (leader, Hypothesis(turned(1.5), NARROW, 0.0, 1.0))
+    assert several.without_news(mug, (other, own, there), followed, S) == (own, other, there)
+    # where the frame tells that it is not as the track has it, it is news, and what is elsewhere is none of this
+    unlikely = replace(own, weight=0.5 * S.open_way * other.weight)
+    for modes in ((other, there), (other, unlikely, there), (there, other, own)):
+        assert several.without_news(mug, modes, (leader,), S) == modes
+
+
+def test_a_track_that_begins_anew_leaves_open_what_it_had_left_open(mug):
+    before = (Hypothesis(np.eye(4), NARROW, 0.0, 2.0), Hypothesis(turned(1.5), NARROW, -0.7, 2.0))
+    expected = poses.make_pose(None, [0.02, 0.0, 0.5])
+    found = poses.make_pose(poses.exp_rotation([0.0, 0.05, 1.4]), [0.03, 0.0, 0.5])
+    begun = (Hypothesis(found, NARROW, 0.0, 1.0, odds=2.0),)
+    first, second = several.with_ways(mug, begun, before, expected, S)
+    assert first == begun[0]
+    # it was found as the second had it: the first's way is the other one
+    np.testing.assert_allclose(second.pose, found @ turned(-1.5), atol=1e-12)
+    assert (second.score, second.votes, second.odds, second.age) == (pytest.approx(0.7), 1.0, 2.0, 0)
+    assert several.with_ways(mug, begun, (), expected, S) == begun
+    # what was followed elsewhere is not open here
+    away = (before[0], Hypothesis(poses.make_pose(None, [0.05, 0.0, 0.0]), NARROW, 0.0))
+    assert len(several.with_ways(mug, begun, away, expected, S)) == 1
+
+
 def test_bodies_that_leave_each_other_room_may_both_be_there(mug):
     beside = poses.make_pose(None, [0.2, 0.0, 0.0])
     assert several.may_both_be(mug, np.eye(4), beside)

@@ -13,7 +13,7 @@ from fusion.tracking.filter import Belief, Measurement, SlipTest, update
 from fusion.tracking.hypotheses import Hypothesis, HypothesisSettings
 from fusion.tracking.steps.judging import as_open
 from fusion.tracking.tracker import Tracker
-from fusion.tracking.untold import ALONE, LEAST, LOOKS, Untold
+from fusion.tracking.untold import ALONE, ANY_TURN, LEAST, LOOKS, WIDE, Untold, any_turn, round_axes
 from scenes.geometry import poses
 from scenes.synthesis import library
 
@@ -116,3 +116,39 @@ def test_touch_that_contradicts_an_object_out_of_sight_does_not_move_it(mug):
         assert millimetres < 5.0
         assert answer.how in (("carried",) if frame.index in dark else ("started", "tracked"))
         assert frame.index not in dark or "contradicts" in answer.notes[0]
+
+
+def plain(name):
+    """An object of the library whose symmetries nobody has said."""
+    made = library.make(name)
+    return type(made)(f"{name}, plain", made.vertices, made.faces)
+
+
+@pytest.mark.parametrize(("name", "round_about"), [("cylinder", 1), ("mug", 0), ("box", 0), ("drill", 0)])
+def test_round_is_what_stays_in_place_however_it_is_turned(name, round_about):
+    axes = round_axes(plain(name))
+    assert axes.shape == (round_about, 3)
+    np.testing.assert_allclose(np.linalg.norm(axes, axis=1), 1.0, atol=1e-12)
+    if round_about:
+        assert abs(axes[0, 2]) > 0.999
+
+
+def test_a_turn_of_what_is_round_that_frames_leave_open_may_be_any():
+    tin = plain("cylinder")
+    pose = poses.make_pose(poses.exp_rotation([0.9, -0.4, 0.2]), [0.02, 0.0, 0.5])
+    axis = pose[:3, :3] @ round_axes(tin)[0]
+
+    def known_to(sigma):
+        out = 1e-6 * np.eye(6)
+        out[:3, :3] += sigma**2 * np.outer(axis, axis)
+        return out
+
+    wide = any_turn(tin, pose, known_to(1.5 * WIDE))
+    assert axis @ wide[:3, :3] @ axis == pytest.approx(ANY_TURN**2)
+    other = np.cross(axis, [1.0, 0.0, 0.0])
+    other /= np.linalg.norm(other)
+    assert other @ wide[:3, :3] @ other == pytest.approx(1e-6)
+    for sigma in (0.5 * WIDE, 1.1 * ANY_TURN):
+        np.testing.assert_array_equal(any_turn(tin, pose, known_to(sigma)), known_to(sigma))
+    handled = 0.5**2 * np.eye(6)
+    np.testing.assert_array_equal(any_turn(plain("mug"), pose, handled), handled)
