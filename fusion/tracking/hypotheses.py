@@ -202,6 +202,12 @@ def weighed(
     return tuple(after[i] for i in order)
 
 
+def ways_of(model: ObjectModel, hypotheses: Hypotheses, settings: HypothesisSettings) -> list[int]:
+    """Which hypotheses, but the first, put the surface where the first does, another way round."""
+    first = hypotheses[0].pose
+    return [k for k, h in enumerate(hypotheses) if k and surface_apart(model, h.pose, first) < settings.surface]
+
+
 def as_ways(model: ObjectModel, found: Sequence[Array], nats: Array, settings: HypothesisSettings) -> Array:
     """Costs (n,) of a frame as they count of poses found, n of (4, 4): of those that put the surface where the first
     has it, another way round, by a part of what they differ from it.
@@ -237,8 +243,7 @@ def with_ways(
     if not before:
         return begun
     first, back = begun[0], se3.inverse(before[0].pose)
-    off = [surface_apart(model, h.pose, before[0].pose) for h in before]
-    ways = [k for k, apart in enumerate(off) if k == 0 or apart < settings.surface]
+    ways = [0, *ways_of(model, before, settings)]
     turned = [expected @ back @ before[k].pose for k in ways]
     by = [np.linalg.norm(se3.difference(first.pose, pose, model.centroid)[:3]) for pose in turned]
     same = int(np.argmin(by))

@@ -21,7 +21,7 @@ from fusion.tracking.motion import HandState
 from fusion.tracking.occluders import Occluders
 from fusion.tracking.sizes import Jumps, Sizes, SizeSettings
 from fusion.tracking.touched import Touched
-from fusion.tracking.untold import Untold
+from fusion.tracking.untold import Untold, leaves_turn
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from vision.tracking.by_image import Marks
@@ -206,9 +206,10 @@ class TrackState:
     marks: Marks | None = None
     released: bool = False
 
-    def forget(self, settings: SizeSettings) -> None:
-        """What looks at an object have taught, whose place is begun anew."""
-        self.things, self.untold, self.jumps = Occluders(), Untold(), Jumps()
+    def forget(self, model: ObjectModel, pose: Array, covariance: Array, settings: SizeSettings) -> None:
+        """What looks at an object have taught that begins anew at pose (4, 4), known to a covariance (6, 6)."""
+        self.things, self.jumps = Occluders(), Jumps()
+        self.untold = Untold(turns=leaves_turn(model, pose, covariance))
         self.touched = self.marks = None
         self.sizes = self.sizes.faded(settings)
 

@@ -175,7 +175,7 @@ class Tracker:
         state.hypotheses, felt = several.of_modes(self.model, answer.modes, votes, how, odds), self._feel(frame)
         state.hand, state.seen_at = self._holding(frame, felt, answer.pose), None
         state.index, state.unseen, state.lost_for, state.usual, state.known = frame.index, 0, 0, None, None
-        state.forget(s.sizes)
+        state.forget(self.model, answer.pose, answer.covariance, s.sizes)
         state.renewal.restart(frame.index, s.renewal)
         if self._aside is not None:
             self._aside.forget()
@@ -270,7 +270,7 @@ class Tracker:
             predicted, carried = near.belief, near.hypotheses
             stage.note(0, near.why)
         viewed = frame if "vision" in self._senses else frame.without_vision()
-        if briefly and not self._watch.settling and may_glance(viewed, state, carried, s):
+        if briefly and not self._watch.settling and may_glance(model, viewed, state, carried, s):
             glanced = self._glance(frame, viewed, predicted, carried, trace, flow)
             if glanced is not None:
                 return glanced

@@ -8,7 +8,7 @@ width for its own would keep the narrowest. Object's axes, about the centroid: r
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -43,9 +43,11 @@ TURNS, OF_SURFACE, WITHIN, SAME_AXIS = 12, 0.95, 0.0025, 0.99
 class Untold:
     """roots: of the last looks that could tell, (6, 6) each, square roots of the covariance beyond the Gaussian's, rad
     and radii of the object. Their mean counts: of standard deviations, for variances of few samples have long tails.
+    turns: whether the start, or looks since then, have left open a turn about an axis of roundness.
     """
 
     roots: tuple[Array, ...] = ()
+    turns: bool = False
 
     def learned(self, model: ObjectModel, pose: Array, added: Array | None) -> Untold:
         """After a look that found the object at pose (4, 4): added (6, 6), camera axes; None where it cannot tell."""
@@ -54,7 +56,8 @@ class Untold:
         turn, scale = block(pose[:3, :3].T), scales(model)
         values, vectors = np.linalg.eigh(turn @ added @ turn.T / scale / scale[:, None])
         root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-        return Untold((*self.roots[-LOOKS + 1 :], root))
+        found = replace(self, roots=(*self.roots[-LOOKS + 1 :], root))
+        return replace(found, turns=self.turns or leaves_turn(model, pose, found._of_looks(model, pose)))
 
     @property
     def root(self) -> Array:
@@ -70,6 +73,10 @@ class Untold:
 
     def at(self, model: ObjectModel, pose: Array) -> Array:
         """(6, 6) covariance in camera axes of the object at pose (4, 4)."""
+        found = self._of_looks(model, pose)
+        return any_turn(model, pose, found) if self.turns else found
+
+    def _of_looks(self, model: ObjectModel, pose: Array) -> Array:
         turn, root = block(pose[:3, :3]) * scales(model), self.root
         return np.asarray(turn @ root @ root @ turn.T)
 
@@ -113,14 +120,22 @@ def _round_axes(model: ObjectModel) -> Array:
     return np.array(out).reshape(-1, 3)
 
 
-def any_turn(model: ObjectModel, pose: Array, covariance: Array) -> Array:
-    """A covariance (6, 6), camera axes, of an object at pose (4, 4); where it leaves much open of a turn about an axis
-    about which the object is round, any turn.
+def leaves_turn(model: ObjectModel, pose: Array, covariance: Array) -> bool:
+    """Whether a covariance (6, 6), camera axes, of an object at pose (4, 4) leaves much open of a turn about an axis of
+    roundness; never of one with a print, which tells.
     """
+    axes = () if model.texture is not None else round_axes(model)
+    turned = [pose[:3, :3] @ axis for axis in axes]
+    return any(float(axis @ covariance[:3, :3] @ axis) > WIDE**2 for axis in turned)
+
+
+def any_turn(model: ObjectModel, pose: Array, covariance: Array) -> Array:
+    """A covariance (6, 6), camera axes, of an object at pose (4, 4), and any turn about the axes about which it is
+    round.
+    """
+    out = covariance.copy()
     for axis in round_axes(model):
         turned = pose[:3, :3] @ axis
-        variance = float(turned @ covariance[:3, :3] @ turned)
-        if WIDE**2 < variance < ANY_TURN**2:
-            covariance = covariance.copy()
-            covariance[:3, :3] += (ANY_TURN**2 - variance) * np.outer(turned, turned)
-    return covariance
+        variance = float(turned @ out[:3, :3] @ turned)
+        out[:3, :3] += max(ANY_TURN**2 - variance, 0.0) * np.outer(turned, turned)
+    return out

@@ -22,7 +22,7 @@ from fusion.estimation.confidence import within
 from fusion.estimation.verdict import contact_residuals, pixel_agreement
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Belief, Measurement
-from fusion.tracking.hypotheses import Hypotheses, weights
+from fusion.tracking.hypotheses import Hypotheses, ways_of, weights
 from fusion.tracking.occluders import Occluders
 from fusion.tracking.state import GlanceSettings, Known, TrackState
 from fusion.tracking.steps.judging import Judged, as_open
@@ -89,12 +89,17 @@ class Steadied:
         return back
 
 
-def may_glance(frame: Frame, state: TrackState, carried: Hypotheses, settings: TrackSettings) -> bool:
-    """Whether a frame whose hypotheses were carried to it need not be looked at in full."""
+def may_glance(
+    model: ObjectModel, frame: Frame, state: TrackState, carried: Hypotheses, settings: TrackSettings
+) -> bool:
+    """Whether a frame whose hypotheses were carried to it need not be looked at in full. Other ways round in place of
+    the leader go with it.
+    """
     s, known = settings.glance, state.known
     if known is None or frame.depth is None or frame.camera is None:
         return False
-    share = float(weights(carried, settings.hypotheses)[0])
+    parts = weights(carried, settings.hypotheses)
+    share = float(parts[0] + sum(parts[k] for k in ways_of(model, carried, settings.hypotheses)))
     every = s.every if share >= s.alone else min(s.every, s.every_open)
     if not 0 < frame.index - state.index <= s.gap or frame.index - known.index >= every:
         return False

@@ -25,7 +25,7 @@ from fusion.tracking.hypotheses import Hypotheses, as_ways, surface_apart, weigh
 from fusion.tracking.state import TrackState
 from fusion.tracking.steps.by_picture import meant, walked
 from fusion.tracking.steps.sensing import Sensed
-from fusion.tracking.untold import Untold, any_turn
+from fusion.tracking.untold import Untold
 from scenes.evidence import table as tables
 from scenes.evidence.align import AlignSettings, Prior, align
 from scenes.evidence.modes import covariance_of
@@ -259,7 +259,7 @@ def measurement_of(
         shared = shared + np.diag(np.repeat([angle, distance], 3) ** 2)
     measured = Measurement.of(pose, solved.independent, shared, solved.biased, s.noise)
     measured = measured.smeared(state.smear(model, index, pose, s.velocity))
-    return replace(measured, hidden=any_turn(model, solved.pose, untold.at(model, solved.pose))), untold
+    return replace(measured, hidden=untold.at(model, solved.pose)), untold
 
 
 def shift(correction: Array, point: Array) -> float:

@@ -13,7 +13,7 @@ from fusion.tracking.filter import Belief, Measurement, SlipTest, update
 from fusion.tracking.hypotheses import Hypothesis, HypothesisSettings
 from fusion.tracking.steps.judging import as_open
 from fusion.tracking.tracker import Tracker
-from fusion.tracking.untold import ALONE, ANY_TURN, LEAST, LOOKS, WIDE, Untold, any_turn, round_axes
+from fusion.tracking.untold import ALONE, ANY_TURN, LEAST, LOOKS, WIDE, Untold, leaves_turn, round_axes
 from scenes.geometry import poses
 from scenes.synthesis import library
 
@@ -133,22 +133,29 @@ def test_round_is_what_stays_in_place_however_it_is_turned(name, round_about):
         assert abs(axes[0, 2]) > 0.999
 
 
-def test_a_turn_of_what_is_round_that_frames_leave_open_may_be_any():
-    tin = plain("cylinder")
+def _about(axis, sigma):
+    """(6, 6) of a turn about a unit axis (3,) by sigma (rad), and next to nothing else."""
+    out = 1e-6 * np.eye(6)
+    out[:3, :3] += sigma**2 * np.outer(axis, axis)
+    return out
+
+
+def test_a_turn_of_what_is_round_that_a_start_or_a_look_has_left_open_may_be_any():
+    tin, mug = plain("cylinder"), plain("mug")
     pose = poses.make_pose(poses.exp_rotation([0.9, -0.4, 0.2]), [0.02, 0.0, 0.5])
     axis = pose[:3, :3] @ round_axes(tin)[0]
-
-    def known_to(sigma):
-        out = 1e-6 * np.eye(6)
-        out[:3, :3] += sigma**2 * np.outer(axis, axis)
-        return out
-
-    wide = any_turn(tin, pose, known_to(1.5 * WIDE))
-    assert axis @ wide[:3, :3] @ axis == pytest.approx(ANY_TURN**2)
-    other = np.cross(axis, [1.0, 0.0, 0.0])
-    other /= np.linalg.norm(other)
-    assert other @ wide[:3, :3] @ other == pytest.approx(1e-6)
-    for sigma in (0.5 * WIDE, 1.1 * ANY_TURN):
-        np.testing.assert_array_equal(any_turn(tin, pose, known_to(sigma)), known_to(sigma))
-    handled = 0.5**2 * np.eye(6)
-    np.testing.assert_array_equal(any_turn(plain("mug"), pose, handled), handled)
+    wide, narrow = _about(axis, 1.5 * WIDE), _about(axis, 0.5 * WIDE)
+    assert leaves_turn(tin, pose, wide)
+    assert not leaves_turn(tin, pose, narrow)
+    assert not leaves_turn(mug, pose, wide)
+    # a look that left it open is not taken back by one that did not
+    untold = Untold().learned(tin, pose, narrow)
+    assert not untold.turns
+    untold = untold.learned(tin, pose, 4.0 * wide).learned(tin, pose, narrow)
+    for of_tin in (untold, Untold(turns=True)):
+        told = of_tin.at(tin, pose)
+        assert axis @ told[:3, :3] @ axis == pytest.approx(ANY_TURN**2, rel=1e-3)
+        other = np.cross(axis, [1.0, 0.0, 0.0])
+        other /= np.linalg.norm(other)
+        assert other @ told[:3, :3] @ other < 1e-4
+    np.testing.assert_allclose(Untold(turns=True).at(mug, pose), np.zeros((6, 6)))
