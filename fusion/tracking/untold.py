@@ -9,15 +9,12 @@ width for its own would keep the narrowest. Object's axes, about the centroid: r
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.tracking.filter import block, scales
-from fusion.tracking.hypotheses import SURFACE_POINTS
-from scenes.evidence.near_symmetries import near_symmetries
-from scenes.geometry import poses as se3
+from scenes.evidence.near_symmetries import round_axes
 from scenes.geometry.objects import ObjectModel
 
 Array = NDArray[np.float64]
@@ -33,10 +30,6 @@ ALONE, LEAST = 3.0, 0.02
 WIDE = 0.35
 # What any turn is as wide as (rad, a standard deviation), evenly from -pi to pi.
 ANY_TURN = float(np.pi / np.sqrt(3.0))
-# Turns (no unit), evenly about an axis, all of which must leave this share of the surface where it is, to so much (m:
-# as poses are one surface to a track), for an object to be round about it: a mug's handle is a sixth of it. And the
-# cosine from which on two axes are one.
-TURNS, OF_SURFACE, WITHIN, SAME_AXIS = 12, 0.95, 0.0025, 0.99
 
 
 @dataclass(frozen=True)
@@ -79,45 +72,6 @@ class Untold:
     def _of_looks(self, model: ObjectModel, pose: Array) -> Array:
         turn, root = block(pose[:3, :3]) * scales(model), self.root
         return np.asarray(turn @ root @ root @ turn.T)
-
-
-_ROUND: WeakKeyDictionary[ObjectModel, Array] = WeakKeyDictionary()
-
-
-def round_axes(model: ObjectModel) -> Array:
-    """(k, 3) unit vectors, object axes, about which it is round but for little, though nobody has said so: a can
-    with a seam.
-    """
-    found = _ROUND.get(model)
-    if found is None:
-        found = _ROUND[model] = _round_axes(model)
-    return found
-
-
-def _round_axes(model: ObjectModel) -> Array:
-    points = model.sample_surface(SURFACE_POINTS)[0]
-
-    def stays(turns: Array) -> NDArray[np.bool_]:
-        """Which of turns (n, 4, 4) leave the surface in its place."""
-        off = [np.abs(model.field.distance(se3.apply(turn, points))) for turn in turns]
-        return np.array([float(np.quantile(one, OF_SURFACE)) < WITHIN for one in off], dtype=np.bool_)
-
-    turns = near_symmetries(model)
-    logs = np.array([se3.log_rotation(turn[:3, :3]) for turn in turns[stays(turns)]]).reshape(-1, 3)
-    axes = logs / np.maximum(np.linalg.norm(logs, axis=1, keepdims=True), 1e-12)
-    out: list[Array] = []
-    for axis in axes:
-        if any(abs(float(axis @ other)) > SAME_AXIS for other in out):
-            continue
-        # turns by nearly half a turn tell of their axis best
-        near = np.where(np.abs(axes @ axis) > SAME_AXIS, np.linalg.norm(logs, axis=1), 0.0) * np.sign(axes @ axis)
-        mean = near @ axes
-        mean = mean / np.linalg.norm(mean)
-        angles = np.arange(1, TURNS) * (2.0 * np.pi / TURNS)
-        rotations = se3.exp_rotation(angles[:, None] * mean)
-        if stays(se3.make_poses(rotations, model.centroid - rotations @ model.centroid)).all():
-            out.append(mean)
-    return np.array(out).reshape(-1, 3)
 
 
 def leaves_turn(model: ObjectModel, pose: Array, covariance: Array) -> bool:

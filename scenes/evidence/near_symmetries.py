@@ -42,7 +42,13 @@ class NearSettings:
     same: float = float(np.deg2rad(8.0))
 
 
+# Turns (no unit), evenly about an axis, all of which must leave this share of the surface where it is, to so much (m:
+# half of what an answer may be off), for an object to be round about it: a mug's handle is a sixth of it. And the cosine
+# from which on two axes are one.
+TURNS, OF_SURFACE, WITHIN, SAME_AXIS = 12, 0.95, 0.0025, 0.99
+
 _FOUND: WeakKeyDictionary[ObjectModel, Array] = WeakKeyDictionary()
+_ROUND: WeakKeyDictionary[ObjectModel, Array] = WeakKeyDictionary()
 _TURNS: WeakKeyDictionary[ObjectModel, Array] = WeakKeyDictionary()
 
 
@@ -95,6 +101,42 @@ def find_near_symmetries(model: ObjectModel, settings: NearSettings | None = Non
         if se3.rotation_angle(turned).min() > settings.same:
             kept.append(settled[i])
     return np.array(kept[1:]).reshape(-1, 4, 4)
+
+
+def round_axes(model: ObjectModel) -> Array:
+    """(k, 3) unit vectors, object axes, about which it is round but for little, though nobody has said so: a can with a
+    seam. Worked out at the first call for an object.
+    """
+    found = _ROUND.get(model)
+    if found is None:
+        found = _ROUND[model] = _round_axes(model)
+    return found
+
+
+def _round_axes(model: ObjectModel) -> Array:
+    points, _ = model.sample_surface(NearSettings().samples, seed=3)
+
+    def stays(turns: Array) -> NDArray[np.bool_]:
+        """Which of turns (n, 4, 4) leave the surface in its place."""
+        off = [np.abs(model.field.distance(se3.apply(turn, points))) for turn in turns]
+        return np.array([float(np.quantile(one, OF_SURFACE)) < WITHIN for one in off], dtype=np.bool_)
+
+    turns = near_symmetries(model)
+    logs = np.array([se3.log_rotation(turn[:3, :3]) for turn in turns[stays(turns)]]).reshape(-1, 3)
+    axes = logs / np.maximum(np.linalg.norm(logs, axis=1, keepdims=True), 1e-12)
+    out: list[Array] = []
+    for axis in axes:
+        if any(abs(float(axis @ other)) > SAME_AXIS for other in out):
+            continue
+        # turns by nearly half a turn tell of their axis best
+        near = np.where(np.abs(axes @ axis) > SAME_AXIS, np.linalg.norm(logs, axis=1), 0.0) * np.sign(axes @ axis)
+        mean = near @ axes
+        mean = mean / np.linalg.norm(mean)
+        angles = np.arange(1, TURNS) * (2.0 * np.pi / TURNS)
+        rotations = se3.exp_rotation(angles[:, None] * mean)
+        if stays(se3.make_poses(rotations, model.centroid - rotations @ model.centroid)).all():
+            out.append(mean)
+    return np.array(out).reshape(-1, 3)
 
 
 def quarter_turns(model: ObjectModel) -> Array:

@@ -237,9 +237,8 @@ def solve_together(sensed: Sensed, poses: list[Array], asked: Asked) -> Solved:
     settings, pool, hand = asked.settings, sensed.pool, sensed.hand
     shown = [pool.evidence(pose) if pool.predictor.sees else sensed.seen for pose in poses]
     known = sensed.felt.reported_rows, sensed.felt.fingers, asked.prior, hand, asked.beliefs, settings.joint
-    problems: list[JointProblem] = []
-    for rows in shown:
-        problems.append(JointProblem.of(pool.model, sensed.frame, rows, *known, *problems[:1]))
+    first = JointProblem.of(pool.model, sensed.frame, shown[0], *known)
+    problems = [first, *(JointProblem.of(pool.model, sensed.frame, rows, *known, first) for rows in shown[1:])]
     results = solve_modes(problems, poses)
     results = guarded(pool, results, poses, hand, settings)
     return Solved(results, joint_costs(sensed.touched, pool, results, poses, hand, sensed.sight, settings), shown)

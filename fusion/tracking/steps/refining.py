@@ -21,7 +21,7 @@ from fusion.estimation.solve.settings import JointSettings, Level, Rig
 from fusion.estimation.verdict import contact_residuals, nats_of_contacts
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Measurement
-from fusion.tracking.hypotheses import Hypotheses, as_ways, surface_apart, weighed
+from fusion.tracking.hypotheses import Hypotheses, as_ways, ways_of, weighed
 from fusion.tracking.state import TrackState
 from fusion.tracking.steps.by_picture import meant, walked
 from fusion.tracking.steps.sensing import Sensed
@@ -94,9 +94,8 @@ def _led(model: ObjectModel, hypotheses: Hypotheses, leader: Array, settings: Tr
     as that has moved, whose new pose is `leader` (4, 4). What of a frame does not tell them apart moves both alike; the
     leader alone is looked for with care, which is no reason to have it likelier.
     """
-    first, near = hypotheses[0].pose, settings.hypotheses.surface
-    moved = leader @ se3.inverse(first)
-    return {k: moved @ h.pose for k, h in enumerate(hypotheses) if k and surface_apart(model, h.pose, first) < near}
+    moved = leader @ se3.inverse(hypotheses[0].pose)
+    return {k: moved @ hypotheses[k].pose for k in ways_of(model, hypotheses, settings.hypotheses)}
 
 
 def frame_nats(poses: Array, widths: Sequence[Array], sensed: Sensed, settings: TrackSettings) -> Array:

@@ -13,7 +13,8 @@ from fusion.tracking.filter import Belief, Measurement, SlipTest, update
 from fusion.tracking.hypotheses import Hypothesis, HypothesisSettings
 from fusion.tracking.steps.judging import as_open
 from fusion.tracking.tracker import Tracker
-from fusion.tracking.untold import ALONE, ANY_TURN, LEAST, LOOKS, WIDE, Untold, leaves_turn, round_axes
+from fusion.tracking.untold import ALONE, ANY_TURN, LEAST, LOOKS, WIDE, Untold, leaves_turn
+from scenes.evidence.near_symmetries import round_axes
 from scenes.geometry import poses
 from scenes.synthesis import library
 
@@ -122,15 +123,6 @@ def plain(name):
     """An object of the library whose symmetries nobody has said."""
     made = library.make(name)
     return type(made)(f"{name}, plain", made.vertices, made.faces)
-
-
-@pytest.mark.parametrize(("name", "round_about"), [("cylinder", 1), ("mug", 0), ("box", 0), ("drill", 0)])
-def test_round_is_what_stays_in_place_however_it_is_turned(name, round_about):
-    axes = round_axes(plain(name))
-    assert axes.shape == (round_about, 3)
-    np.testing.assert_allclose(np.linalg.norm(axes, axis=1), 1.0, atol=1e-12)
-    if round_about:
-        assert abs(axes[0, 2]) > 0.999
 
 
 def _about(axis, sigma):

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from scenes.evidence.near_symmetries import NearSettings, find_near_symmetries, near_symmetries, quarter_turns
+from scenes.evidence.near_symmetries import (
+    NearSettings,
+    find_near_symmetries,
+    near_symmetries,
+    quarter_turns,
+    round_axes,
+)
 from scenes.geometry import poses as se3
 from scenes.synthesis import library
 
@@ -63,3 +69,13 @@ def test_quarter_turns_are_a_cube_s_about_the_centroid():
     every = np.concatenate([turns, np.eye(4)[None]])
     for product in turns[3] @ every:
         assert np.abs(every - product).max(axis=(1, 2)).min() < 1e-9
+
+
+@pytest.mark.parametrize(("name", "round_about"), [("cylinder", 1), ("mug", 0), ("box", 0), ("drill", 0)])
+def test_round_is_what_stays_in_place_however_it_is_turned(name, round_about):
+    made = library.make(name)
+    axes = round_axes(type(made)(f"{name}, plain", made.vertices, made.faces))
+    assert axes.shape == (round_about, 3)
+    np.testing.assert_allclose(np.linalg.norm(axes, axis=1), 1.0, atol=1e-12)
+    if round_about:
+        assert abs(axes[0, 2]) > 0.999

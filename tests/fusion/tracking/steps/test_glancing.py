@@ -10,8 +10,9 @@ from made_frames import recording
 import fusion.tracking.steps.glancing as glancing
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Belief, Measurement
+from fusion.tracking.hypotheses import Hypothesis
 from fusion.tracking.state import GlanceSettings
-from fusion.tracking.steps.glancing import Glanced, fitted, freed, part_counted, steadied
+from fusion.tracking.steps.glancing import Glanced, fitted, freed, may_glance, part_counted, steadied
 from fusion.tracking.steps.refining import loose
 from fusion.tracking.tracker import Tracker
 from scenes.evidence.align import Prior
@@ -116,3 +117,18 @@ def test_pixels_are_chosen_anew_where_a_glance_has_led(looked, monkeypatch, told
     assert begun == [0.0, *steps[:-1]][:glances]
     assert found.measured.pose[0, 3] == (steps[-1] if otherwise else steps[0])
     assert bool(found.otherwise) is otherwise
+
+
+def test_other_ways_round_in_the_leaders_place_do_not_keep_it_from_being_glanced_at(looked):
+    model, settings, sensed, known = looked
+    settings = replace(settings, glance=GlanceSettings())
+    frame, pose = replace(sensed.viewed, index=known.index + 1), known.pose
+    state = SimpleNamespace(known=known, index=known.index, renewal=SimpleNamespace(due=known.index + 9))
+    leader = Hypothesis(pose, 1e-6 * np.eye(6), 0.0, age=9)
+
+    def beside(moved):
+        return may_glance(model, frame, state, (leader, replace(leader, pose=pose @ moved)), settings)
+
+    assert may_glance(model, frame, state, (leader,), settings)
+    assert beside(poses.make_pose(poses.exp_rotation([0.0, 0.0, 1.5])))
+    assert not beside(poses.make_pose(None, [0.03, 0.0, 0.0]))
