@@ -43,7 +43,7 @@ class NearSettings:
 
 
 # Turns (no unit), evenly about an axis, all of which must leave this share of the surface where it is, to so much (m:
-# half of what an answer may be off), for an object to be round about it: a mug's handle is a sixth of it. And the cosine
+# half of what an answer may be off), for an object to be round about it: of a mug a sixth is handle. And the cosine
 # from which on two axes are one.
 TURNS, OF_SURFACE, WITHIN, SAME_AXIS = 12, 0.95, 0.0025, 0.99
 
