@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate, Mode, Stage
-from fusion.estimation.confidence import ConfidenceSettings
+from fusion.estimation.confidence import ConfidenceSettings, near_enough
 from fusion.estimation.search.modes import PlanSettings
 from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.solve.settings import JointSettings
+from fusion.estimation.whole import whole_covariance
 from fusion.tracking.filter import Belief
 from fusion.tracking.hypotheses import HypothesisSettings
 from fusion.tracking.motion import HandMotionSettings
@@ -112,6 +113,9 @@ class TrackSettings:
     # Lost: the share of explained pixels falls below this part of the usual one.
     least_of_usual: float = 0.6
     fewest_pixels: int = 40
+    # Share of a mask's readings near the object at least: where fewer are, the mask shows it elsewhere, and it is
+    # followed there. A mask that half of is something else's is none.
+    shown: float = 0.5
     # Frames without evidence for which a held object is still where the hand has carried it (30 = a second).
     coast: int = 30
     # Where a lost object is looked for first (rad, m); it is looked for everywhere in the second frame in which it is
@@ -194,20 +198,23 @@ def as_carried(
     by_hand: bool,
     because: str,
     correction: Array,
+    right: float,
     settings: TrackSettings,
 ) -> TrackedEstimate:
     """The answer of a frame that tells nothing of the object, because ...: where the prediction has it.
 
-    held: it may still be believed; by_hand: the hand has carried it there, otherwise its last velocity. correction
-    (4, 4): camera_from_camera of what the robot reports.
+    held: it may still be believed, as likely as the track was right (a probability) and near enough; by_hand: the hand
+    has carried it there, otherwise its last velocity. correction (4, 4): camera_from_camera of what the robot reports.
     """
-    covariance = predicted.covariance
+    covariance, how = predicted.covariance, settings.confident
+    right = right if held else 0.0
+    modes = (Mode(predicted.pose, 1.0, 0.0, covariance),)
     why = f"{because}: " + ("moved with the hand" if by_hand else "at its last velocity")
     return TrackedEstimate(
         frame=frame.index,
         pose=predicted.pose,
-        covariance=covariance,
-        modes=(Mode(predicted.pose, 1.0, 0.0, covariance),),
+        covariance=whole_covariance(model, modes, how.none_of(right), None, how),
+        modes=modes,
         verdict="ambiguous" if held else "lost",
         unobservable=posterior.unobservable(model, predicted.pose, covariance, settings.first.verdict),
         hand_from_object=frame.hand_from_object(predicted.pose, correction),
@@ -215,5 +222,7 @@ def as_carried(
         trace=trace,
         notes=(why,),
         start=predicted.pose,
+        confidence=right * near_enough(model, modes[0], how),
+        sure_within=how.tolerance,
         how="carried",
     )

@@ -129,6 +129,14 @@ def update(model: ObjectModel, predicted: Belief, measured: Measurement) -> Beli
     return Belief(pose, 0.5 * (own + own.T), 0.5 * (shared + shared.T), measured.hidden)
 
 
+def after_slip(model: ObjectModel, predicted: Belief, measured: Measurement) -> Belief:
+    """As `update`, of an object that has slipped: what was believed of the hold is worth no more than how far it was
+    off.
+    """
+    step = se3.difference(measured.pose, predicted.pose, model.centroid)
+    return update(model, replace(predicted, own=predicted.own + np.outer(step, step)), measured)
+
+
 @dataclass(frozen=True)
 class TrackSlipSettings:
     """When an object that should be held has moved in the hand. Values tuned on generated sequences."""

@@ -128,12 +128,17 @@ class RenewalSettings:
     # the answer is not `ok`, and while it is.
     closer: int = 3
     closer_sure: int = 12
+    # Frames to the next search of one whose answer is not `ok`, where a mask tells what is the object's and no hand how
+    # it moves: one, and twice as many with each that finds nothing surer, up to so many. What moves by its own size
+    # from frame to frame is found by a frame by itself where the steps of a track end elsewhere.
+    alone: int = 16
 
 
 @dataclass
 class Renewal:
     """due: frame index of the next search; wait: frames from one to the next; last, begun: frame index of the last, and
-    of the start; closest: of the last estimate around the answer.
+    of the start; closest: of the last estimate around the answer; alone, patience: frame index of the next search of a
+    doubted frame with a mask, and frames from it to the one after.
     """
 
     due: int = 0
@@ -141,11 +146,14 @@ class Renewal:
     last: int = 0
     begun: int = 0
     closest: int = 0
+    alone: int = 0
+    patience: int = 1
 
     def restart(self, index: int, settings: RenewalSettings) -> None:
         """A track has begun in this frame."""
         self.due, self.wait, self.last = index + settings.soonest, settings.soonest, index
         self.begun = self.closest = index
+        self.alone, self.patience = index + 1, 1
 
     def found(self, index: int, agrees: bool | None, settings: RenewalSettings, believed: bool = True) -> None:
         """A search in this frame agrees with the track, contradicts it, or tells nothing (None); believed: whether one
@@ -155,6 +163,11 @@ class Renewal:
         longest = settings.doubting if doubtful else settings.longest
         self.wait = settings.soonest if agrees is False else min(2 * self.wait, longest)
         self.due, self.last = index + self.wait, index
+
+    def in_vain(self, index: int, settings: RenewalSettings) -> None:
+        """A doubted frame with a mask has been searched, and nothing surer was found."""
+        self.patience = min(2 * self.patience, settings.alone)
+        self.alone = index + self.patience
 
     def hurry(self, index: int, settings: RenewalSettings) -> None:
         """An answer is no longer ok: search soon, if the last search was not just now."""

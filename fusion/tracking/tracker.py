@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,14 +25,14 @@ from fusion.estimation.asked import as_prior, believing, check_kinds, check_sens
 from fusion.estimation.confidence import near_enough
 from fusion.estimation.estimate import estimate
 from fusion.estimation.trace import Trace
-from fusion.estimation.whole import whole_covariance
 from fusion.tracking import hypotheses as several
 from fusion.tracking.answer import NOTHING_SENSED, OUT_OF_SIGHT, TrackedEstimate, TrackSettings, as_carried, as_tracked
-from fusion.tracking.filter import Belief, Measurement, update
+from fusion.tracking.filter import Belief, Measurement, after_slip, update
 from fusion.tracking.hypotheses import Hypotheses
 from fusion.tracking.motion import HandMotion, HandState, palm_motion
 from fusion.tracking.slip import SlipWatch, Watched
 from fusion.tracking.state import TrackState
+from fusion.tracking.steps import searching
 from fusion.tracking.steps.aside import ANEW, AROUND, Aside
 from fusion.tracking.steps.contradicting import NOT_HERE, without_strangers
 from fusion.tracking.steps.glancing import as_judged, glance, known_of, may_glance, steadied
@@ -39,10 +40,9 @@ from fusion.tracking.steps.judging import as_believed, as_followed, as_learned, 
 from fusion.tracking.steps.lens import through_one_lens
 from fusion.tracking.steps.marking import mark, seen_motion
 from fusion.tracking.steps.outlining import with_outline
-from fusion.tracking.steps.predicting import as_moved, predict
+from fusion.tracking.steps.predicting import SHOWN_ELSEWHERE, as_moved, predict, where_shown
 from fusion.tracking.steps.printed import as_before, as_printed
 from fusion.tracking.steps.refining import loose, measurement_of, middle_of, refine, shift, solve_leader
-from fusion.tracking.steps.searching import by_itself, leader_at, look_closer, recover, renew, search_around
 from fusion.tracking.steps.sensing import Sensed, feel_near, learn_things, pool_near
 from fusion.tracking.touched import Touched
 from scenes.errors import CaptureError
@@ -198,13 +198,16 @@ class Tracker:
 
     def _recover(self, frame: Frame, lost: TrackedEstimate, heard: str) -> TrackedEstimate:
         """Look for the object; the track begins again from where it is found."""
-        state, s, before = self._state, self.settings, self._state.hypotheses
+        asks = self._sensed, self._state, self.estimated, self._aside, heard, self.settings
         try:
-            found = recover(self.model, frame, lost, self._sensed, state, self.estimated, self._aside, heard, s)
+            found = searching.recover(self.model, frame, lost, *asks)
         except CaptureError as error:  # a frame amid a track whose sizes make no sense is a frame without evidence
             return replace(lost, notes=(*lost.notes, str(error)))
-        if found is None:
-            return lost
+        return lost if found is None else self._again(frame, lost, found)
+
+    def _again(self, frame: Frame, lost: TrackedEstimate, found: Estimate) -> TrackedEstimate:
+        """The track begins again from what the frame says by itself; lost: what it would have said otherwise."""
+        state, s, before = self._state, self.settings, self._state.hypotheses
         found = replace(as_before(self.model, found, lost, s.first), trace=(*lost.trace, *found.trace))
         smear = state.smear(self.model, frame.index, found.pose, s.velocity)
         self.believe(frame, found)
@@ -217,28 +220,28 @@ class Tracker:
         """
         state, s, aside = self._state, self.settings, self._aside
         asks = answer, self._sensed, state
-
-        def near(pose: Array) -> Estimate:
-            return self.estimated(replace(frame, prior=None), Prior.isotropic(pose, s.near_angle, s.near_distance))
+        near = partial(searching.near, self.estimated, frame, s)
 
         def searched(what: str, frame: Frame, prior: Prior | None) -> Estimate | None:
             if aside is None:
                 return self.estimated(frame, prior)
-            leader = leader_at(answer, state)
+            leader = searching.leader_at(answer, state)
             if heard == what:
                 return aside.result(self.model, leader, state, near, s.hypotheses)
             aside.ask(what, self.estimated, frame, prior, leader, state)
             return None
 
-        answer = look_closer(self.model, frame, *asks, self.estimated, self._anchor, s)
+        if aside is None and (alone := searching.surer_alone(self.model, frame, *asks, self.estimated, s)) is not None:
+            return self._again(frame, answer, alone)
+        answer = searching.look_closer(self.model, frame, *asks, self.estimated, self._anchor, s)
         asks = answer, self._sensed, state
         if heard == ANEW:
             state.renewal.due = frame.index
         if heard == AROUND:
-            search_around(self.model, frame, *asks, searched, s)
+            searching.search_around(self.model, frame, *asks, searched, s)
             answer = self._believed(answer)
         elif frame.index >= state.renewal.due:
-            answer = self._believed(renew(self.model, frame, *asks, searched, self._anchor, s))
+            answer = self._believed(searching.renew(self.model, frame, *asks, searched, self._anchor, s))
         if aside is not None:
             aside.heard(heard)
             if aside.searching == ANEW:  # frames need not be looked at in full until it ends
@@ -253,7 +256,7 @@ class Tracker:
         around = None if prior is self._prior else prior
         how = self.settings.first if around is None else believing(self.settings.first)
         found = estimate(frame, self.model, prior, self._senses, seed=self._seed, settings=how, beliefs=self._asked)
-        return by_itself(self.model, found, around, how)
+        return searching.by_itself(self.model, found, around, how)
 
     def _follow(self, frame: Frame, belief: Belief, briefly: bool, there: Array | None = None) -> TrackedEstimate:
         """Predict, look, solve, judge; at a glance only where that may be brief. there: a pose (4, 4), that it was
@@ -261,15 +264,18 @@ class Tracker:
         """
         trace, s, state, model = Trace(), self.settings, self._state, self.model
         first, beliefs = s.first, self._beliefs
+        viewed = frame if "vision" in self._senses else frame.without_vision()
         with trace.stage("predict", True, "") as stage:
             moving = self._velocity, self._hand_motion, self._watch
             right = state.corrected(self._looker.correction)
             flow = seen_motion(model, frame, belief, state, self._velocity, s.marks)
             ahead = predict(model, frame, belief, state, *moving, beliefs.calibration, right, flow)
-            near = ahead if there is None else as_moved(model, ahead, there)
+            elsewhere = where_shown(model, viewed, ahead, state, s) if there is None else None
+            near = elsewhere or (ahead if there is None else as_moved(model, ahead, there))
             predicted, carried = near.belief, near.hypotheses
             stage.note(0, near.why)
-        viewed = frame if "vision" in self._senses else frame.without_vision()
+        if elsewhere is not None:  # few steps from a prediction that was off by that much end anywhere
+            return self._carry(frame, predicted, carried, trace, self._feel(frame), SHOWN_ELSEWHERE)
         if briefly and not self._watch.settling and may_glance(model, viewed, state, carried, s):
             glanced = self._glance(frame, viewed, predicted, carried, trace, flow)
             if glanced is not None:
@@ -398,10 +404,8 @@ class Tracker:
             watched = self._watch.step(measured, belief, pixel, watched)
         if state.sizes.looks and not (watched.slip or switched or late):
             state.jumps = state.jumps.learned(model, predicted, measured, self.settings.sizes)
-        if watched.slip and not switched:  # what was believed of the hold is worth no more than how far it was off
-            step = se3.difference(measured.pose, predicted.pose, model.centroid)
-            wide = replace(predicted, own=predicted.own + np.outer(step, step))
-            belief = update(model, wide, measured)
+        if watched.slip and not switched:
+            belief = after_slip(model, predicted, measured)
             self._watch.follow(belief, pixel)
             if state.known is not None:  # its contacts are elsewhere now: what looks had in common was of another hold
                 state.known = replace(state.known, weight=0.0)
@@ -441,10 +445,6 @@ class Tracker:
             state.belief, state.hypotheses, state.index = predicted, carried, frame.index
             state.hand = self._holding(frame, felt, predicted.pose)
             self._velocity.coast(frame.index)
-        how, by_hand = s.confident, state.hand is not None
-        held = by_hand and state.unseen <= s.coast
-        how_held = held, by_hand, because, felt.correction, s
-        answer = as_carried(self.model, frame, state.told(predicted, s.sizes), trace.stages, *how_held)
-        sure = state.right * near_enough(self.model, answer.modes[0], how) if held else 0.0
-        wide = whole_covariance(self.model, answer.modes, how.none_of(state.right if held else 0.0), None, how)
-        return replace(answer, covariance=wide, confidence=sure, sure_within=how.tolerance)
+        held = state.hand is not None and state.unseen <= s.coast
+        how = held, state.hand is not None, because, felt.correction, state.right, s
+        return as_carried(self.model, frame, state.told(predicted, s.sizes), trace.stages, *how)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.tracking import hypotheses as several
+from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Belief
 from fusion.tracking.hypotheses import Hypotheses
 from fusion.tracking.motion import HandMotion, calibration_drift, drift_since
@@ -19,10 +20,17 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import CalibrationModel
 from scenes.recordings.frames import Frame
 from vision.look.hand.hand import camera_from_hand
+from vision.look.pixels import median, read_pixels
+from vision.look.regions import in_front
 from vision.tracking.by_image import Motion
 from vision.tracking.by_vision import ConstantVelocity
 
 Array = NDArray[np.float64]
+
+SHOWN_ELSEWHERE = "the mask shows it elsewhere"
+# Readings of a mask, and points of the surface, that are compared.
+_READINGS = 400
+_SURFACE = 200
 
 
 @dataclass(frozen=True)
@@ -96,3 +104,40 @@ def as_moved(model: ObjectModel, ahead: Predicted, pose: Array) -> Predicted:
     wide = replace(there, own=there.own + np.outer(apart, apart))
     far = f"{ahead.why}, and {1e3 * np.linalg.norm(apart[3:]):.0f} mm from there"
     return Predicted(wide, several.moved(ahead.hypotheses, motion), far)
+
+
+def where_shown(
+    model: ObjectModel, frame: Frame, ahead: Predicted, state: TrackState, settings: TrackSettings
+) -> Predicted | None:
+    """The prediction, moved to where the frame's mask shows the object and turned as it was, when that is elsewhere and
+    no hand tells how it moves; None otherwise. Of mask and surface the middles are compared.
+
+    A camera at a few images a second sees a thing move by its own size between two. A frame that came late begins
+    nothing anew.
+    """
+    camera, slack = frame.camera, settings.look.slack
+    if state.hand is not None or frame.mask is None or frame.depth is None or camera is None:
+        return None
+    if frame.index < state.index:
+        return None
+    shown = read_pixels(frame.depth, camera, (0, 0, camera.width, camera.height), _READINGS, frame.mask).points
+    if len(shown) < settings.fewest_pixels:
+        return None
+    shown, pose = in_front(shown, model.diameter + slack, settings.first.look.seen_through), ahead.belief.pose
+    if _near(model, shown, pose, slack) >= settings.shown:
+        return None
+    points, normals = model.sample_surface(_SURFACE)
+    points = se3.apply(pose, points)
+    # what faces the camera is seen by as much of it as it turns towards it
+    weight = np.maximum(-np.einsum("ij,ij->i", normals @ pose[:3, :3].T, points), 0.0)
+    total = float(weight.sum())
+    if not total > 0.0:
+        return None
+    there = pose.copy()
+    there[:3, 3] += median(shown) - weight @ points / total
+    return as_moved(model, ahead, there) if _near(model, shown, there, slack) >= settings.shown else None
+
+
+def _near(model: ObjectModel, points: Array, pose: Array, reach: float) -> float:
+    """Share of points (n, 3), one at least, nearer than `reach` (m) to the surface at a pose (4, 4)."""
+    return float((np.abs(model.field.distance(se3.apply(se3.inverse(pose), points))) < reach).mean())

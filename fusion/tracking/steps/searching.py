@@ -66,6 +66,11 @@ def by_itself(model: ObjectModel, found: Estimate, around: Prior | None, setting
     return replace(found, modes=modes, verdict=word, confidence=sure, covariance=wide, notes=notes)
 
 
+def near(estimated: Estimated, frame: Frame, settings: TrackSettings, pose: Array) -> Estimate:
+    """The frame by itself, looked for around a pose (4, 4) that it was found at."""
+    return estimated(replace(frame, prior=None), Prior.isotropic(pose, settings.near_angle, settings.near_distance))
+
+
 def leader_at(answer: TrackedEstimate, state: TrackState) -> Hypothesis:
     """The leading hypothesis where the answer has it."""
     return replace(state.hypotheses[0], pose=answer.pose, covariance=answer.modes[0].covariance)
@@ -84,42 +89,51 @@ def recover(
 ) -> Estimate | None:
     """Look for a lost object around the prediction and where it was last, if anything is seen there, and now and then
     everywhere: a live tracker meanwhile (aside; heard: what that has searched for), and then in this frame around where
-    that has found it. What is found farther from there than was thought is estimated once more around itself: a place
-    to look at is no evidence, and would pull the answer towards it. Where contacts may be strangers to what is seen the
-    image alone is asked first (sensed: of this frame). Near a track that was more likely wrong than right, or that no
+    that has found it. Everywhere comes first where a mask tells what is the object's and no hand how it moves. What is
+    found farther from there than was thought is estimated once more around itself: a place to look at is no evidence,
+    and would pull the answer towards it. Where contacts may be strangers to what is seen the image alone is asked first
+    (sensed: of this frame). Near a track that was more likely wrong than right, or that no
     search has spoken for, it is no surer than that.
     """
     s, frame = settings, replace(frame, prior=None)
     tries: list[Prior | None] = []
-    near = 0
-    if lost.how == "lost":
+    shown = frame.mask is not None and state.hand is None and frame.index >= state.renewal.alone
+    if lost.how == "lost" or shown:
         ahead = Prior.isotropic(lost.pose, s.near_angle, s.near_distance)
         tries.append(ahead)
         if state.belief is not None and _is_away(model, state.belief.pose, ahead):  # it stands where it was let go
             tries.append(Prior.isotropic(state.belief.pose, s.near_angle, s.near_distance))
-        near = len(tries)
+    ours = tuple(tries)
+    if shown and aside is None:
+        tries.insert(0, None)
     if aside is not None and heard:
         place = aside.place(state, s.found_again)
         if place is not None:
             tries.append(Prior.isotropic(place, s.near_angle, s.near_distance))
     if state.lost_for == 2 or state.lost_for % s.global_every == 0:
-        if aside is None:
-            tries.append(None)
-        else:
+        if aside is not None:
             aside.ask(ANEW, estimated, frame, None, leader_at(lost, state), state)
-    if near and may_be_strangers(frame, sensed, state, s):
+        elif not shown:
+            tries.append(None)
+    if ours and may_be_strangers(frame, sensed, state, s):
         by_image = estimated(frame.without_touch(), tries[0])
         if by_image.verdict == "ok":
-            return _no_surer(by_image, state, s)
-    for number, prior in enumerate(tries):
+            return by_image if tries[0] is None else _no_surer(by_image, state, s)
+    for prior in tries:
         found = estimated(frame, prior)
-        likely = several.sure_of(found) >= (s.found_again if prior is None else s.found_near)
-        if found.verdict == "ok" or (found.verdict == "ambiguous" and likely):
+        if _is_found(found, s.found_again if prior is None else s.found_near):
             if prior is not None and _is_away(model, found.pose, prior):
                 again = estimated(frame, Prior.isotropic(found.pose, s.near_angle, s.near_distance))
                 found = found if again.verdict == "lost" else again
-            return _no_surer(found, state, s) if number < near else found
+            return _no_surer(found, state, s) if any(prior is one for one in ours) else found
+    if shown:
+        state.renewal.in_vain(frame.index, s.renewal)
     return None
+
+
+def _is_found(found: Estimate, likely: float) -> bool:
+    """Whether a frame's own answer may be followed: it is `ok`, or ambiguous and as likely as that."""
+    return found.verdict == "ok" or (found.verdict == "ambiguous" and several.sure_of(found) >= likely)
 
 
 def _no_surer(found: Estimate, state: TrackState, settings: TrackSettings) -> Estimate:
@@ -226,6 +240,35 @@ def renew(
         why += search_around(model, frame, answer, sensed, state, searched, s)
     stage = replace(alone.trace[-1], name="search anew", ms=alone.time_ms, why=why)
     return replace(answer, trace=(*answer.trace, stage))
+
+
+def surer_alone(
+    model: ObjectModel,
+    frame: Frame,
+    answer: TrackedEstimate,
+    sensed: Sensed | None,
+    state: TrackState,
+    estimated: Estimated,
+    settings: TrackSettings,
+) -> Estimate | None:
+    """What a frame says by itself as if nothing were known, where its mask tells what is the object's, no hand how it
+    moves, and the track's answer is not `ok`; None where that is not either, no surer, no better by its picture, or not
+    due yet. Less than `ok` would be a frame's own doubt in place of what frames before it have told.
+    """
+    s, renewal = settings, state.renewal
+    if answer.verdict == "ok" or frame.mask is None or state.hand is not None or sensed is None:
+        return None
+    if sensed.viewed.index != frame.index or frame.index < renewal.alone:
+        return None
+    try:
+        found = estimated(replace(frame, prior=None), None)
+    except CaptureError:
+        found = None
+    surer = found is not None and several.sure_of(found) > _own_sure(model, answer, sensed, state, s)
+    if found is None or found.verdict != "ok" or not surer or prefers(answer, found, sensed, s) >= 0.0:
+        renewal.in_vain(frame.index, s.renewal)
+        return None
+    return found
 
 
 def look_closer(

@@ -137,3 +137,34 @@ def test_a_search_speaks_for_the_track_where_it_finds_the_surface(block, unknown
     leader = next(h for h in state.hypotheses if np.array_equal(h.pose, answer.pose))
     assert leader.votes <= votes
     assert (leader.votes > 1.0) == (votes > 1.0)
+
+
+@pytest.mark.parametrize(
+    ("track", "alone", "mask", "hand", "taken"),
+    [
+        ("ambiguous", "ok", True, None, True),
+        ("ok", "ok", True, None, False),
+        ("ambiguous", "ambiguous", True, None, False),
+        ("ambiguous", "ok", False, None, False),
+        ("ambiguous", "ok", True, "a hand", False),
+    ],
+)
+def test_a_doubted_frame_with_a_mask_is_asked_by_itself(block, unknown_fingers, track, alone, mask, hand, taken):
+    frame, seen = unknown_fingers
+    frame = replace(frame, mask=np.ones((2, 2), dtype=bool) if mask else None)
+    seen.told_apart = True
+    answer, state = tracked(OPEN)
+    answer, state = replace(answer, verdict=track), replace(state, hand=hand)
+    found, asked = said(np.eye(4), KNOWN, 0.97, alone), []
+
+    def estimated(*_):
+        asked.append(1)
+        return found
+
+    asks = block, frame, answer, seen, state, estimated, TrackSettings()
+    assert (searching.surer_alone(*asks) is found) is taken
+    due = state.renewal.alone
+    if asked and not taken:  # in vain: not in this frame again
+        assert due > frame.index
+        assert searching.surer_alone(*asks) is None
+        assert len(asked) == 1
