@@ -97,7 +97,8 @@ def recover(
     """
     s, frame = settings, replace(frame, prior=None)
     tries: list[Prior | None] = []
-    shown = frame.mask is not None and state.hand is None and frame.index >= state.renewal.alone
+    due = state.lost_for <= 1 or frame.index >= state.renewal.alone
+    shown = due and frame.mask is not None and state.hand is None
     if lost.how == "lost" or shown:
         ahead = Prior.isotropic(lost.pose, s.near_angle, s.near_distance)
         tries.append(ahead)

@@ -84,6 +84,14 @@ def test_a_mask_of_nothing_like_it_is_not_followed(drill, leaping):
     assert answer.verdict == "lost"
 
 
+def test_it_is_followed_there_whatever_was_in_vain_before(drill, leaping):
+    tracker = Tracker(drill)
+    tracker.step(leaping[0])
+    tracker._state.renewal.alone = 1000
+    answer = tracker.step(leaping[1])
+    assert off_by(answer, leaping[1], drill)[1] < 5.0
+
+
 def test_searches_in_vain_grow_rarer():
     how, renewal = RenewalSettings(), Renewal()
     renewal.restart(7, how)
