@@ -31,8 +31,10 @@ from vision.tracking.by_vision import VelocitySettings
 Array = NDArray[np.float64]
 
 # Why an object is where the hand has carried it.
-NOTHING_SENSED = "nothing sensed in this frame"
-OUT_OF_SIGHT = "out of sight, and what is felt contradicts every pose near where it was"
+# Why a frame tells nothing of the object, and where that leaves it: "" with the hand, or at its last velocity.
+Because = tuple[str, str]
+NOTHING_SENSED: Because = ("nothing sensed in this frame", "")
+OUT_OF_SIGHT: Because = ("out of sight, and what is felt contradicts every pose near where it was", "")
 
 
 @dataclass(frozen=True)
@@ -196,7 +198,7 @@ def as_carried(
     trace: tuple[Stage, ...],
     held: bool,
     by_hand: bool,
-    because: str,
+    because: Because,
     correction: Array,
     right: float,
     settings: TrackSettings,
@@ -209,7 +211,8 @@ def as_carried(
     covariance, how = predicted.covariance, settings.confident
     right = right if held else 0.0
     modes = (Mode(predicted.pose, 1.0, 0.0, covariance),)
-    why = f"{because}: " + ("moved with the hand" if by_hand else "at its last velocity")
+    reason, moved = because
+    why = f"{reason}: " + (moved or ("moved with the hand" if by_hand else "at its last velocity"))
     return TrackedEstimate(
         frame=frame.index,
         pose=predicted.pose,

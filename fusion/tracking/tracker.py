@@ -219,7 +219,6 @@ class Tracker:
         A live tracker is told what was found in one before it: `heard` is what that was searched for.
         """
         state, s, aside = self._state, self.settings, self._aside
-        asks = answer, self._sensed, state
         near = partial(searching.near, self.estimated, frame, s)
 
         def searched(what: str, frame: Frame, prior: Prior | None) -> Estimate | None:
@@ -231,12 +230,13 @@ class Tracker:
             aside.ask(what, self.estimated, frame, prior, leader, state)
             return None
 
-        if aside is None and (alone := searching.surer_alone(self.model, frame, *asks, self.estimated, s)) is not None:
-            return self._again(frame, answer, alone)
-        answer = searching.look_closer(self.model, frame, *asks, self.estimated, self._anchor, s)
+        if aside is None:
+            answer, alone = searching.surer_alone(self.model, frame, answer, self._sensed, state, self.estimated, s)
+            if alone is not None:
+                return self._again(frame, answer, alone)
+        answer = searching.look_closer(self.model, frame, answer, self._sensed, state, self.estimated, self._anchor, s)
         asks = answer, self._sensed, state
-        if heard == ANEW:
-            state.renewal.due = frame.index
+        state.renewal.due = frame.index if heard == ANEW else state.renewal.due
         if heard == AROUND:
             searching.search_around(self.model, frame, *asks, searched, s)
             answer = self._believed(answer)
@@ -436,7 +436,7 @@ class Tracker:
         self._velocity.update(frame.index, belief.pose, belief.covariance)
 
     def _carry(
-        self, frame: Frame, predicted: Belief, carried: Hypotheses, trace: Trace, felt: Felt, because: str
+        self, frame: Frame, predicted: Belief, carried: Hypotheses, trace: Trace, felt: Felt, because: tuple[str, str]
     ) -> TrackedEstimate:
         """The frame tells nothing of the object: it is where the hand has carried it, for a while."""
         s, state = self.settings, self._state

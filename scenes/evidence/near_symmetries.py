@@ -7,6 +7,7 @@ Unlike `scenes.geometry.symmetries`, they are no excuse: their errors count.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import permutations, product
 from weakref import WeakKeyDictionary
@@ -50,6 +51,16 @@ TURNS, OF_SURFACE, WITHIN, SAME_AXIS = 12, 0.95, 0.0025, 0.99
 _FOUND: WeakKeyDictionary[ObjectModel, Array] = WeakKeyDictionary()
 _ROUND: WeakKeyDictionary[ObjectModel, Array] = WeakKeyDictionary()
 _TURNS: WeakKeyDictionary[ObjectModel, Array] = WeakKeyDictionary()
+
+
+def _once(
+    kept: WeakKeyDictionary[ObjectModel, Array], model: ObjectModel, make: Callable[[ObjectModel], Array]
+) -> Array:
+    """What is made of an object at the first call, and kept as long as it is."""
+    found = kept.get(model)
+    if found is None:
+        found = kept[model] = make(model)
+    return found
 
 
 def near_symmetries(model: ObjectModel) -> Array:
@@ -107,10 +118,7 @@ def round_axes(model: ObjectModel) -> Array:
     """(k, 3) unit vectors, object axes, about which it is round but for little, though nobody has said so: a can with a
     seam. Worked out at the first call for an object.
     """
-    found = _ROUND.get(model)
-    if found is None:
-        found = _ROUND[model] = _round_axes(model)
-    return found
+    return _once(_ROUND, model, _round_axes)
 
 
 def _round_axes(model: ObjectModel) -> Array:
@@ -131,7 +139,7 @@ def _round_axes(model: ObjectModel) -> Array:
         # turns by nearly half a turn tell of their axis best
         near = np.where(np.abs(axes @ axis) > SAME_AXIS, np.linalg.norm(logs, axis=1), 0.0) * np.sign(axes @ axis)
         mean = near @ axes
-        mean = mean / np.linalg.norm(mean)
+        mean = mean / max(float(np.linalg.norm(mean)), 1e-12)
         angles = np.arange(1, TURNS) * (2.0 * np.pi / TURNS)
         rotations = se3.exp_rotation(angles[:, None] * mean)
         if stays(se3.make_poses(rotations, model.centroid - rotations @ model.centroid)).all():
@@ -143,10 +151,7 @@ def quarter_turns(model: ObjectModel) -> Array:
     """(23, 4, 4) object_from_object: the turns of a cube about the object's centroid and principal axes, the identity
     not among them; worked out at the first call for an object.
     """
-    found = _TURNS.get(model)
-    if found is None:
-        found = _TURNS[model] = _quarter_turns(model)
-    return found
+    return _once(_TURNS, model, _quarter_turns)
 
 
 def _quarter_turns(model: ObjectModel) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.tracking import hypotheses as several
-from fusion.tracking.answer import TrackSettings
+from fusion.tracking.answer import Because, TrackSettings
 from fusion.tracking.filter import Belief
 from fusion.tracking.hypotheses import Hypotheses
 from fusion.tracking.motion import HandMotion, calibration_drift, drift_since
@@ -27,7 +27,7 @@ from vision.tracking.by_vision import ConstantVelocity
 
 Array = NDArray[np.float64]
 
-SHOWN_ELSEWHERE = "the mask shows it elsewhere"
+SHOWN_ELSEWHERE: Because = ("the mask shows it elsewhere", "moved there")
 # Readings of a mask, and points of the surface, that are compared.
 _READINGS = 400
 _SURFACE = 200

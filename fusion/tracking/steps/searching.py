@@ -251,25 +251,28 @@ def surer_alone(
     state: TrackState,
     estimated: Estimated,
     settings: TrackSettings,
-) -> Estimate | None:
-    """What a frame says by itself as if nothing were known, where its mask tells what is the object's, no hand how it
-    moves, and the track's answer is not `ok`; None where that is not either, no surer, no better by its picture, or not
-    due yet. Less than `ok` would be a frame's own doubt in place of what frames before it have told.
+) -> tuple[TrackedEstimate, Estimate | None]:
+    """The answer, and what its frame says by itself as if nothing were known, where its mask tells what is the
+    object's, no hand how it moves, and the answer is not `ok`; None where that is not either, no surer, no better by
+    its picture, or not due yet. Less than `ok` would be a frame's own doubt in place of what those before it have told.
     """
     s, renewal = settings, state.renewal
     if answer.verdict == "ok" or frame.mask is None or state.hand is not None or sensed is None:
-        return None
+        return answer, None
     if sensed.viewed.index != frame.index or frame.index < renewal.alone:
-        return None
+        return answer, None
     try:
         found = estimated(replace(frame, prior=None), None)
     except CaptureError:
-        found = None
-    surer = found is not None and several.sure_of(found) > _own_sure(model, answer, sensed, state, s)
-    if found is None or found.verdict != "ok" or not surer or prefers(answer, found, sensed, s) >= 0.0:
         renewal.in_vain(frame.index, s.renewal)
-        return None
-    return found
+        return answer, None
+    sure, before = several.sure_of(found), _own_sure(model, answer, sensed, state, s)
+    if found.verdict == "ok" and sure > before and prefers(answer, found, sensed, s) < 0.0:
+        return answer, found
+    renewal.in_vain(frame.index, s.renewal)
+    why = f"{sure:.0%} sure, {before:.0%} before: nothing surer"
+    stage = replace(found.trace[-1], name="search alone", ms=found.time_ms, why=why)
+    return replace(answer, trace=(*answer.trace, stage)), None
 
 
 def look_closer(

@@ -162,9 +162,12 @@ def test_a_doubted_frame_with_a_mask_is_asked_by_itself(block, unknown_fingers, 
         return found
 
     asks = block, frame, answer, seen, state, estimated, TrackSettings()
-    assert (searching.surer_alone(*asks) is found) is taken
+    told, alone_found = searching.surer_alone(*asks)
+    assert (alone_found is found) is taken
+    assert told.pose is answer.pose
     due = state.renewal.alone
     if asked and not taken:  # in vain: not in this frame again
         assert due > frame.index
-        assert searching.surer_alone(*asks) is None
+        assert told.trace[-1].name == "search alone"
+        assert searching.surer_alone(*asks)[1] is None
         assert len(asked) == 1

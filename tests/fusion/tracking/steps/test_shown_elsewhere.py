@@ -9,6 +9,7 @@ from made_frames import off_by, recording
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Belief
 from fusion.tracking.state import Renewal, RenewalSettings, TrackState
+from fusion.tracking.steps import searching
 from fusion.tracking.steps.predicting import Predicted, where_shown
 from fusion.tracking.tracker import Tracker
 from scenes.geometry import poses
@@ -74,6 +75,16 @@ def test_what_leaps_is_found_in_the_frame_in_which_it_leapt(drill, leaping):
         assert degrees < 3.0
         assert millimetres < 5.0
     assert any(answer.how == "re-initialised" for answer in answers)
+
+
+def test_what_no_search_finds_is_told_to_be_where_the_mask_is(drill, leaping, monkeypatch):
+    tracker = Tracker(drill)
+    tracker.step(leaping[0])
+    monkeypatch.setattr(searching, "recover", lambda *_: None)
+    answer = tracker.step(leaping[1])
+    assert (answer.verdict, answer.how) == ("lost", "carried")
+    assert answer.notes[0] == "the mask shows it elsewhere: moved there"
+    assert off_by(answer, leaping[1], drill)[1] < 0.5e3 * drill.radius
 
 
 def test_a_mask_of_nothing_like_it_is_not_followed(drill, leaping):
