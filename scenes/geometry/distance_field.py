@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scenes._open3d import open3d
 from scenes.cache import Arrays, remembered
 from scenes.geometry import lattice
+from scenes.threads import thread_count
 
 Array = NDArray[np.float64]
 
@@ -208,7 +209,7 @@ def thinnest_wall(scene: Any, vertices: Array, faces: NDArray[np.int64]) -> floa
     points, normals = _surface_points(vertices, faces, 2000)
     start = points - 1e-5 * normals
     rays = np.concatenate([start, -normals], axis=1).astype(np.float32)
-    hits = scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy()
+    hits = scene.cast_rays(o3d.core.Tensor(rays), thread_count())["t_hit"].numpy()
     hits = hits[np.isfinite(hits)]
     return float(np.quantile(hits, 0.02)) if len(hits) else np.inf
 
@@ -274,7 +275,7 @@ def _propagated(
     shell = binary_dilation(shell, np.ones((3, 3, 3)), iterations=2)
     index = np.nonzero(shell)
     points = np.stack([axes[i][index[i]] for i in range(3)], axis=1).astype(np.float32)
-    found = scene.compute_closest_points(o3d.core.Tensor(points))["points"].numpy()
+    found = scene.compute_closest_points(o3d.core.Tensor(points), thread_count())["points"].numpy()
     row = np.full(shape, -1, dtype=np.int32)
     row[index] = np.arange(len(points))
     nearest = distance_transform_edt(~shell, return_distances=False, return_indices=True)

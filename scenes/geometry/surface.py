@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from scenes._open3d import open3d
 from scenes.geometry.surface_kernels import feet, in_cells, mark_cells
+from scenes.threads import thread_count
 
 Array = NDArray[np.float64]
 
@@ -83,7 +84,7 @@ class Surface:
         local = np.ascontiguousarray(points, dtype=np.float64) - self.middle
         if len(local) == 0:
             return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
-        found = self._scene.compute_closest_points(o3d.core.Tensor(local.astype(np.float32)))
+        found = self._scene.compute_closest_points(o3d.core.Tensor(local.astype(np.float32)), thread_count())
         face = found["primitive_ids"].numpy().astype(np.int64)
         foot = found["points"].numpy().astype(np.float64)
         distance, slanted = np.zeros(len(local)), np.zeros(len(local), dtype=bool)
@@ -103,7 +104,7 @@ class Surface:
         o3d = open3d()
         points = np.repeat(local, len(OUTWARD_RAYS), axis=0)
         rays = np.concatenate([points, np.tile(OUTWARD_RAYS, (len(local), 1))], axis=1).astype(np.float32)
-        crossings = self._scene.count_intersections(o3d.core.Tensor(rays)).numpy()
+        crossings = self._scene.count_intersections(o3d.core.Tensor(rays), thread_count()).numpy()
         return np.asarray((crossings % 2).reshape(len(local), len(OUTWARD_RAYS)).sum(axis=1) * 2 > len(OUTWARD_RAYS))
 
     def cast(self, origins: Array, directions: Array) -> Array:
@@ -115,7 +116,7 @@ class Surface:
         if not len(rays):
             return np.zeros(0)
         # the tensor is the array: nothing keeps it
-        told = self._scene.cast_rays(open3d().core.Tensor.from_numpy(rays))
+        told = self._scene.cast_rays(open3d().core.Tensor.from_numpy(rays), thread_count())
         return np.asarray(told["t_hit"].numpy(), dtype=np.float64)
 
 

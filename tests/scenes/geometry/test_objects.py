@@ -13,8 +13,9 @@ from scipy.spatial import ConvexHull
 from scenes.errors import InputError, MeshError
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel, check_size
-from scenes.geometry.surface import hull_of
+from scenes.geometry.surface import Surface, hull_of
 from scenes.synthesis import library
+from scenes.threads import VARIABLE
 
 
 def test_a_mesh_is_read_and_repaired_once(tmp_path, monkeypatch):
@@ -215,6 +216,36 @@ def test_closest_points_on_the_surface_itself_are_finite():
     assert np.isfinite(gradient).all()
     assert np.allclose(gradient[:200], normals, atol=1e-6)
     assert model.surface.closest(np.zeros((0, 3)))[1].shape == (0, 3)
+
+
+class Recording:
+    """A scene that remembers how many threads it was told to use."""
+
+    def __init__(self, scene):
+        self.scene, self.told = scene, []
+
+    def __getattr__(self, name):
+        ask = getattr(self.scene, name)
+
+        def asked(tensor, threads=0):
+            self.told.append(threads)
+            return ask(tensor, threads)
+
+        return asked
+
+
+def test_rays_and_closest_points_take_as_many_threads_as_are_allowed(monkeypatch, rng):
+    """One where a robot's other work needs the rest: the ray caster would take all cores by itself."""
+    mesh = trimesh.creation.box((0.1, 0.08, 0.06))
+    surface = Surface(mesh.vertices, mesh.faces)
+    surface._scene = Recording(surface._scene)
+    for threads in (1, 2):
+        monkeypatch.setenv(VARIABLE, str(threads))
+        surface.cast(np.array([[0.0, 0.0, -1.0]]), np.array([[0.0, 0.0, 1.0]]))
+        surface.closest(rng.normal(0.0, 0.05, (200, 3)))
+        assert surface._scene.told
+        assert set(surface._scene.told) == {threads}
+        surface._scene.told.clear()
 
 
 @pytest.mark.parametrize("name", ["drill", "mug"])
