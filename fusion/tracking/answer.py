@@ -121,7 +121,7 @@ class TrackSettings:
     # Frames without evidence for which a held object is still where the hand has carried it (30 = a second).
     coast: int = 30
     # Where a lost object is looked for first (rad, m); it is looked for everywhere in the second frame in which it is
-    # lost and then every so many.
+    # lost, in the first where that has nothing near the prediction, and then every so many.
     near_angle: float = float(np.deg2rad(10.0))
     near_distance: float = 0.02
     global_every: int = 5

@@ -122,7 +122,7 @@ def as_believed(
         return answer
     sure = min(answer.confidence, how.unvoted)
     wide = told_covariance(model, answer.modes, "ambiguous", sure, None, settings.first.confidence)
-    notes = (_DOUBTED, *answer.notes)
+    notes = (_DOUBTED, *(note for note in answer.notes if note != _DOUBTED))  # it is asked again after a search
     return replace(answer, verdict="ambiguous", covariance=wide, confidence=sure, notes=notes)
 
 

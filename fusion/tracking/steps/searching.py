@@ -87,13 +87,13 @@ def recover(
     heard: str,
     settings: TrackSettings,
 ) -> Estimate | None:
-    """Look for a lost object around the prediction and where it was last, if anything is seen there, and now and then
-    everywhere: a live tracker meanwhile (aside; heard: what that has searched for), and then in this frame around where
-    that has found it. Everywhere comes first where a mask tells what is the object's and no hand how it moves. What is
-    found farther from there than was thought is estimated once more around itself: a place to look at is no evidence,
-    and would pull the answer towards it. Where contacts may be strangers to what is seen the image alone is asked first
-    (sensed: of this frame). Near a track that was more likely wrong than right, or that no
-    search has spoken for, it is no surer than that.
+    """Look for a lost object around the prediction, where it was last and where the likeliest hypothesis has it, if
+    anything is seen there, and now and then everywhere: a live tracker meanwhile (aside; heard: what that has
+    searched for), and then in this frame around where that has found it. Everywhere comes first where a mask tells
+    what is the object's and no hand how it moves. What is found farther from there than was thought is estimated
+    once more around itself: a place to look at is no evidence, and would pull the answer towards it. Where contacts
+    may be strangers to what is seen the image alone is asked first (sensed: of this frame). Near a track that was
+    more likely wrong than right, or that no search has spoken for, it is no surer than that.
     """
     s, frame = settings, replace(frame, prior=None)
     tries: list[Prior | None] = []
@@ -104,6 +104,9 @@ def recover(
         tries.append(ahead)
         if state.belief is not None and _is_away(model, state.belief.pose, ahead):  # it stands where it was let go
             tries.append(Prior.isotropic(state.belief.pose, s.near_angle, s.near_distance))
+        likeliest = max(lost.modes, key=lambda mode: mode.weight).pose
+        if _is_away(model, likeliest, ahead):  # it waits until searches speak for it, and would have led
+            tries.append(Prior.isotropic(likeliest, s.near_angle, s.near_distance))
     ours = tuple(tries)
     if shown and aside is None:
         tries.insert(0, None)
@@ -111,7 +114,8 @@ def recover(
         place = aside.place(state, s.found_again)
         if place is not None:
             tries.append(Prior.isotropic(place, s.near_angle, s.near_distance))
-    if state.lost_for == 2 or state.lost_for % s.global_every == 0:
+    # where nothing is near the prediction, at once: there is nothing to look around
+    if state.lost_for == (1 if lost.how == "carried" else 2) or state.lost_for % s.global_every == 0:
         if aside is not None:
             aside.ask(ANEW, estimated, frame, None, leader_at(lost, state), state)
         elif not shown:

@@ -65,3 +65,14 @@ def test_a_step_that_prediction_and_frame_leave_open_is_no_leap():
     assert s.leaps(step, np.diag(np.repeat([0.03, 0.003], 3) ** 2))
     assert not s.leaps(step, np.diag(np.repeat([0.15, 0.003], 3) ** 2))
     assert not s.leaps(0.1 * step, np.diag(np.repeat([1e-3, 1e-4], 3) ** 2))
+
+
+def test_a_doubt_is_told_once(mug):
+    """It is asked before a search and after it."""
+    tracker = Tracker(mug)
+    answer = [tracker.step(frame) for frame in recording(mug, 2)][-1]
+    alone = tuple(replace(one, votes=0.0) for one in tracker._state.hypotheses)
+    doubted = judging.as_believed(mug, answer, alone, tracker.settings)
+    again = judging.as_believed(mug, doubted, alone, tracker.settings)
+    assert again.notes == doubted.notes
+    assert len(doubted.notes) == len(answer.notes) + 1

@@ -171,3 +171,39 @@ def test_a_doubted_frame_with_a_mask_is_asked_by_itself(block, unknown_fingers, 
         assert told.trace[-1].name == "search alone"
         assert searching.surer_alone(*asks)[1] is None
         assert len(asked) == 1
+
+
+@pytest.mark.parametrize(
+    ("how", "lost_for", "everywhere"),
+    [("carried", 1, True), ("carried", 2, False), ("carried", 5, True), ("lost", 1, False), ("lost", 2, True)],
+)
+def test_an_object_that_nothing_is_seen_near_is_looked_for_everywhere_at_once(block, how, lost_for, everywhere):
+    """There is nothing to look around; where something else was found there, it is looked around first."""
+    lost, looked = as_tracked(said(np.eye(4), KNOWN, 0.0, "lost"), how), []
+    state = replace(tracked(KNOWN)[1], lost_for=lost_for)
+
+    def estimated(frame, prior):
+        looked.append(prior)
+        return said(np.eye(4), KNOWN, 0.0, "lost")
+
+    assert searching.recover(block, Frame(9), lost, None, state, estimated, None, "", TrackSettings()) is None
+    assert [prior is None for prior in looked] == [False] * (how == "lost") + [True] * everywhere
+
+
+@pytest.mark.parametrize(("away", "places"), [(0.005, 1), (0.3, 2)])
+def test_a_lost_object_is_looked_for_where_another_hypothesis_has_it(block, away, places):
+    """The frame may hold it for the likeliest by far, which leads only once searches have spoken for it."""
+    there = poses.make_pose(None, [away, 0.0, 0.0])
+    lost = as_tracked(said(np.eye(4), KNOWN, 0.0, "lost"), "lost")
+    lost = replace(lost, modes=(replace(lost.modes[0], weight=0.0), replace(lost.modes[0], pose=there)))
+    looked, state = [], replace(tracked(KNOWN, votes=1.0)[1], lost_for=1)
+
+    def estimated(frame, prior):
+        looked.append(prior.pose)
+        near = np.linalg.norm(prior.pose[:3, 3] - there[:3, 3]) < 0.01
+        return said(there, KNOWN, 0.97 if near else 0.0, "ok" if near else "lost")
+
+    found = searching.recover(block, Frame(9), lost, None, state, estimated, None, "", TrackSettings())
+    assert found is not None
+    np.testing.assert_allclose(found.pose, there)
+    assert len(looked) == places
