@@ -116,13 +116,16 @@ def as_open(model: ObjectModel, modes: tuple[Mode, ...], word: str, right: float
 def as_believed(
     model: ObjectModel, answer: TrackedEstimate, hypotheses: Hypotheses, settings: TrackSettings
 ) -> TrackedEstimate:
-    """The answer, which is not ok while no frame searched by itself speaks for it."""
+    """The answer, which is not ok while no frame searched by itself speaks for it; as wide as if it were seldom right,
+    for how far off it is when it is not nothing tells.
+    """
     how = settings.hypotheses
     if answer.verdict == "lost" or hypotheses[0].votes >= how.believed:
         return answer
-    sure = min(answer.confidence, how.unvoted)
-    wide = told_covariance(model, answer.modes, "ambiguous", sure, None, settings.first.confidence)
+    less = min(answer.confidence, how.unvoted)
+    wide = told_covariance(model, answer.modes, "ambiguous", less, None, settings.first.confidence)
     notes = (_DOUBTED, *(note for note in answer.notes if note != _DOUBTED))  # it is asked again after a search
+    sure = min(answer.confidence, how.unvoted_told)
     return replace(answer, verdict="ambiguous", covariance=wide, confidence=sure, notes=notes)
 
 

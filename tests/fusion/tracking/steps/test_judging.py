@@ -67,12 +67,17 @@ def test_a_step_that_prediction_and_frame_leave_open_is_no_leap():
     assert not s.leaps(0.1 * step, np.diag(np.repeat([1e-3, 1e-4], 3) ** 2))
 
 
-def test_a_doubt_is_told_once(mug):
-    """It is asked before a search and after it."""
+def test_what_no_search_speaks_for_is_in_doubt(mug):
+    """It is right about as often as it says; the doubt is told once, though it is asked before a search and after."""
     tracker = Tracker(mug)
     answer = [tracker.step(frame) for frame in recording(mug, 2)][-1]
     alone = tuple(replace(one, votes=0.0) for one in tracker._state.hypotheses)
     doubted = judging.as_believed(mug, answer, alone, tracker.settings)
     again = judging.as_believed(mug, doubted, alone, tracker.settings)
+    assert doubted.verdict == "ambiguous"
+    assert doubted.confidence <= tracker.settings.hypotheses.unvoted_told < tracker.settings.confident.sure
+    assert np.trace(doubted.covariance) > np.trace(answer.covariance)
     assert again.notes == doubted.notes
     assert len(doubted.notes) == len(answer.notes) + 1
+    low = replace(answer, confidence=0.3)
+    assert judging.as_believed(mug, low, alone, tracker.settings).confidence == 0.3
