@@ -30,7 +30,6 @@ from vision.tracking.by_vision import VelocitySettings
 
 Array = NDArray[np.float64]
 
-# Why an object is where the hand has carried it.
 # Why a frame tells nothing of the object, and where that leaves it: "" with the hand, or at its last velocity.
 Because = tuple[str, str]
 NOTHING_SENSED: Because = ("nothing sensed in this frame", "")

@@ -116,8 +116,8 @@ def as_open(model: ObjectModel, modes: tuple[Mode, ...], word: str, right: float
 def as_believed(
     model: ObjectModel, answer: TrackedEstimate, hypotheses: Hypotheses, settings: TrackSettings
 ) -> TrackedEstimate:
-    """The answer, which is not ok while no frame searched by itself speaks for it; as wide as if it were seldom right,
-    for how far off it is when it is not nothing tells.
+    """The answer, which is not ok while no frame searched by itself speaks for it; as wide as if it were right no more
+    often than `unvoted`, for how far off it is when it is not nothing tells.
     """
     how = settings.hypotheses
     if answer.verdict == "lost" or hypotheses[0].votes >= how.believed:

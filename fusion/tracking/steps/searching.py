@@ -115,7 +115,8 @@ def recover(
         if place is not None:
             tries.append(Prior.isotropic(place, s.near_angle, s.near_distance))
     # where nothing is near the prediction, at once: there is nothing to look around
-    if state.lost_for == (1 if lost.how == "carried" else 2) or state.lost_for % s.global_every == 0:
+    at_once = state.lost_for == 1 and lost.how == "carried"
+    if at_once or state.lost_for == 2 or state.lost_for % s.global_every == 0:
         if aside is not None:
             aside.ask(ANEW, estimated, frame, None, leader_at(lost, state), state)
         elif not shown:

@@ -175,7 +175,14 @@ def test_a_doubted_frame_with_a_mask_is_asked_by_itself(block, unknown_fingers, 
 
 @pytest.mark.parametrize(
     ("how", "lost_for", "everywhere"),
-    [("carried", 1, True), ("carried", 2, False), ("carried", 5, True), ("lost", 1, False), ("lost", 2, True)],
+    [
+        ("carried", 1, True),
+        ("carried", 2, True),
+        ("carried", 3, False),
+        ("carried", 5, True),
+        ("lost", 1, False),
+        ("lost", 2, True),
+    ],
 )
 def test_an_object_that_nothing_is_seen_near_is_looked_for_everywhere_at_once(block, how, lost_for, everywhere):
     """There is nothing to look around; where something else was found there, it is looked around first."""
