@@ -199,7 +199,7 @@ def assess(
     for pose in sample_poses(model, answer, settings.samples if len(contacts) else 0, seed):
         where, out = _touched(model, contacts, pose, settings)
         sampled.append(grasp_quality(where, out, model.centroid, length, settings.wrenches))
-    sampled = sampled or [quality]
+    drawn, sampled = len(sampled), sampled or [quality]
     map_, places = _where_next(model, answer, frame, points, normals, length, settings)
     return GraspAnswer(
         frame=frame.index,
@@ -213,7 +213,7 @@ def assess(
         closure_probability=float(np.mean([q.closure for q in sampled])),
         epsilon=PosteriorSpread.of([q.epsilon for q in sampled]),
         volume=PosteriorSpread.of([q.volume for q in sampled]),
-        samples=len(sampled),
+        samples=drawn,
         places=places,
         map=map_,
         notes=placed(frame)[1],
@@ -274,8 +274,9 @@ def _where_next(
     found = []
     for i, nats in zip(chosen, told):
         finger, away = nearest_finger(tips, se3.apply(answer.pose, places[i : i + 1])[0])
-        found.append(Place(places[i], outward[i], float(gain[i]), float(with_it[i]), float(nats), finger, away))
-    return GraspMap(places, outward, gain), tuple(found)
+        where, way = places[i].copy(), outward[i].copy()
+        found.append(Place(where, way, float(gain[i]), float(with_it[i]), float(nats), finger, away))
+    return GraspMap(places.copy(), outward.copy(), gain), tuple(found)
 
 
 def _room(

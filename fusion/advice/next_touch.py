@@ -103,9 +103,9 @@ def next_touches(
     gain, between, within = gains(model, answer, places, normals, settings)
     return tuple(
         NextTouch(
-            places[i],
-            normals[i],
-            seen[i],
+            places[i].copy(),
+            normals[i].copy(),
+            seen[i].copy(),
             float(gain[i]),
             float(between[i]),
             *within[i][1:],

@@ -27,6 +27,12 @@ RESULTS = ("poses.csv", "result.json", "result.jsonl", "report.html", "grasp.jso
 SUMMARIES = ("results.csv", "results.parquet", "index.html")
 CAPTURES = ("capture.json", "scene_camera.json", "rgb_camera.json", "scene_gt.json", "prior.json", "models_info.json")
 TABLES = ("joints.csv", "hand_poses.csv", "contacts.csv", "no_contact.csv", "wrenches.csv", "sensors.json")
+# Kinds of files that hold what was recorded or modelled, and those of them that an option writes.
+DATA = (
+    *(".ply", ".obj", ".stl", ".off", ".glb", ".gltf", ".dae", ".urdf", ".xml"),
+    *(".png", ".jpg", ".jpeg", ".npy", ".npz", ".csv", ".pcd", ".bag", ".mcap", ".db3"),
+)
+WRITTEN = {"--output": (".ply",)}
 # What a recording that is converted to glb or tum becomes: a file, whatever its name.
 FILE_FORMATS = ("glb", "tum")
 
@@ -36,6 +42,9 @@ def check_targets(args: argparse.Namespace) -> None:
     another one that it writes. A folder of results may lie in a capture, and files in that folder.
     """
     files = list(_files(args))
+    for option, target in files:
+        if _is_data(option, target):
+            raise InputError(f"{option}: expected a new file, or an older one of its kind, got {target}, which is data")
     out = None if _is_file(args) else getattr(args, "out", None)
     if not files and args.command != OUT_IS_EITHER:
         return
@@ -74,6 +83,16 @@ def _files(args: argparse.Namespace) -> Iterator[tuple[str, Path]]:
             yield f"--{name}", path
     if _is_file(args) and _ordinary(args.out):
         yield "OUT", args.out
+
+
+def _is_data(option: str, target: Path) -> bool:
+    """Whether a file to write is there and holds what was recorded or modelled, as its name tells: of a data set, more
+    is read than the arguments name.
+    """
+    if option == "OUT" and target.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+        return False  # of a converted recording, whose kind it is
+    data = target.name in (*CAPTURES, *TABLES) or target.suffix.lower() in DATA
+    return data and target.suffix.lower() not in WRITTEN.get(option, ()) and target.is_file()
 
 
 def _is_file(args: argparse.Namespace) -> bool:

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 # A capture whose worker dies is tried so often.
 TRIES = 2
 MARKER = "batch.json"
+# What else a result has, and what one with a report has, too.
+RESULT, REPORT = ("poses.csv", "result.json"), "report.html"
 THUMBNAIL = "thumbnail.jpg"
 # Status of a frame that no estimate should be made of.
 LEFT_OUT = "left out"
@@ -81,7 +83,25 @@ class Job:
         asked = {key: value for key, value in asdict(self).items() if key not in ("path", "name", "out", "trust_paths")}
         asked["told"] = [table for _, table in self.told]  # not the names of the files that said so
         asked = {key: value for key, value in asked.items() if key not in ("settings", "told") or value}
+        asked["read"] = self._read()
         return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:16]
+
+    def _read(self) -> list[tuple[str, int, int]]:
+        """Name, size (bytes) and time of change (ns) of all files that it reads: a capture that is another one by now,
+        and a mesh or a start that was written anew, ask another question.
+        """
+        capture, out = os.path.realpath(self.path), os.path.realpath(self.out)
+        found = [Path(said) for said in (self.object, self.prior) if said is not None and Path(said).is_file()]
+        for place, folders, files in os.walk(capture):
+            # results that lie in a capture are not read
+            folders[:] = [name for name in folders if os.path.join(place, name) != out and not name.startswith(".")]
+            found += [Path(place) / name for name in files]
+        read = []
+        for path in sorted(found):
+            with suppress(OSError):  # gone by now: the estimate says so
+                said = path.stat()
+                read.append((os.path.relpath(path, capture), said.st_size, said.st_mtime_ns))
+        return read
 
 
 @dataclass(frozen=True)
@@ -139,7 +159,9 @@ def finished(job: Job) -> list[Row] | None:
         return None
     if not isinstance(content, dict) or content.get("fingerprint") != job.fingerprint:
         return None
-    return list(content["rows"])
+    rows, wanted = content.get("rows"), (*RESULT, REPORT) if job.report else RESULT
+    whole = isinstance(rows, list) and all(isinstance(row, dict) for row in rows)
+    return rows if whole and all((Path(job.out) / name).is_file() for name in wanted) else None
 
 
 def run_capture(job: Job) -> list[Row]:
@@ -174,7 +196,7 @@ def run_capture(job: Job) -> list[Row]:
             from fusion.results.report.stills import write_thumbnail
 
             write_thumbnail(draft / THUMBNAIL, frames, model, answers)
-            page = draft / "report.html"
+            page = draft / REPORT
             write_report(page, capture.name, frames, model, answers, None, content["errors"], touches=touches)
         told = [_row(job, model.name, answer, error) for answer, error in zip(answers, errors)]
         told += [left_out_row(job, number, why) for number, why in left_out.items()]

@@ -1,4 +1,4 @@
-"""What a batch leaves beside the captures' own results: results.csv, results.parquet, summary.json, index.html."""
+"""What a batch leaves beside the captures' own results: results.csv, results.parquet, index.html."""
 
 from __future__ import annotations
 

@@ -102,12 +102,18 @@ def read_result(path: str | Path) -> tuple[dict[str, Any], list[Estimate]]:
         raise InputError(f"{path}: expected a result.json, it cannot be opened: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: expected UTF-8 text, got other bytes") from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         why = f"found no {error}" if isinstance(error, KeyError) else str(error)
         raise InputError(f"{path}: expected a result.json as estimate writes it: {why}") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     return content, answers
+
+
+def read_covariances(path: str | Path) -> dict[int, NDArray[np.float64]]:
+    """The covariances (6, 6) of a result.json by frame, of frames that have one; raises InputError as `read_result`."""
+    _, answers = read_result(path)
+    return {one.frame: one.covariance for one in answers if np.isfinite(one.covariance).all()}
 
 
 def capture_of(result: Path, content: dict[str, Any], given: Path | None = None) -> Path:

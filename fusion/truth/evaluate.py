@@ -5,9 +5,7 @@ Metres and radians inside; the results are millimetres, degrees and pixels, by t
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -141,15 +139,3 @@ def summary(frames: Sequence[Mapping[str, float]], judge: Judge) -> dict[str, fl
         "recall_add_s_tenth": metrics.recall(table["add_s_mm"], 100.0 * judge.model.diameter),
         "nees_over_6": float(calibrated.mean()) / 6.0 if len(calibrated) else float("nan"),
     }
-
-
-def read_covariances(path: str | Path) -> dict[int, Array]:
-    """The covariances of a result.json by frame; raises CaptureError when it is not one."""
-    try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-        found = {int(f["frame"]): np.array(f["covariance"], dtype=np.float64) for f in content["frames"]}
-    except OSError as error:
-        raise CaptureError(f"{path}: expected a result.json, it cannot be opened: {error.strerror}") from error
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        raise CaptureError(f"{path}: expected a result.json with frames and covariances: {error}") from error
-    return {frame: covariance for frame, covariance in found.items() if covariance.shape == (6, 6)}

@@ -43,7 +43,7 @@ SYMMETRY_STEPS = math.ceil(math.pi / 0.01)
 
 def model_points(model: ObjectModel, count: int = DENSE_POINTS, seed: int = 0) -> Array:
     """(count, 3) points spread uniformly over the model's surface, object frame: the input of `add` and `add_s`."""
-    return model.sample_surface(count, seed)[0]
+    return model.sample_surface(count, seed)[0].copy()  # the caller's own: the model keeps what it has drawn
 
 
 def add(estimate: ArrayLike, truth: ArrayLike, points: Array) -> float:

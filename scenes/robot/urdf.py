@@ -27,6 +27,9 @@ MOVING = ("revolute", "continuous", "prismatic")
 ROUND_SECTIONS = 24
 # Radians beyond which an angle is none: of a million a double knows the turn to ten digits.
 MOST_TURNED = 1e6
+# Metres beyond which a shape's extent, or an origin, is in another unit: a finger's size in millimetres is above the
+# one, its place above the other; an arm's links and where it stands are below both.
+LARGEST, FARTHEST = 5.0, 20.0
 # Raised whenever reading or making a shape's triangles changes, so that old cache entries are not read.
 MESH_VERSION = 1
 
@@ -212,6 +215,8 @@ def _origin(element: ET.Element, where: str) -> Array:
     roll, pitch, yaw = angles = _vector(origin.get("rpy"), 3, (0.0, 0.0, 0.0), f"{where}: origin rpy")
     if np.abs(angles).max() > MOST_TURNED:
         raise InputError(f"{where}: origin rpy: expected radians, got {float(np.abs(angles).max()):.3g}")
+    if np.abs(xyz).max() > FARTHEST:
+        raise InputError(f"{where}: origin xyz: expected metres, got {float(np.abs(xyz).max()):.3g}: mm read as m?")
     x, y, z = np.eye(3)
     turn = poses.exp_rotation(z * yaw) @ poses.exp_rotation(y * pitch) @ poses.exp_rotation(x * roll)
     return poses.make_pose(turn, xyz)
@@ -226,9 +231,13 @@ def _read_shape(piece: ET.Element, path: Path, where: str, within: Path | None) 
     if element.tag == "mesh":
         vertices, faces = _read_mesh(_attribute(element, "filename", where), path, where, within)
         scale = _vector(element.get("scale"), 3, (1.0, 1.0, 1.0), f"{where}: mesh scale")
+        if not scale.all():
+            raise InputError(f"{where}: mesh scale: expected numbers other than 0, got {element.get('scale')!r}")
         if np.prod(scale) < 0:
             faces = faces[:, ::-1]  # a mirrored mesh keeps its outside
-        return mesh_shape(vertices * scale, faces, pose)
+        vertices = vertices * scale
+        _check_extent(float(np.ptp(vertices, axis=0).max()), where)
+        return mesh_shape(vertices, faces, pose)
     keys = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}.get(str(element.tag))
     if keys is None:
         raise InputError(f"{where}: expected geometry mesh, box, cylinder or sphere, got {element.tag!r}")
@@ -238,7 +247,13 @@ def _read_shape(piece: ET.Element, path: Path, where: str, within: Path | None) 
     )
     if min(size) <= 0:
         raise InputError(f"{where}: {element.tag}: expected sizes above 0, got {size}")
+    _check_extent(max(size), where)
     return make_shape(element.tag, size, pose)
+
+
+def _check_extent(extent: float, where: str) -> None:
+    if not extent <= LARGEST:
+        raise InputError(f"{where}: expected a shape of {LARGEST:g} m at most, got {extent:.3g} m: mm read as m?")
 
 
 def _read_mesh(filename: str, path: Path, where: str, within: Path | None) -> tuple[Array, Faces]:

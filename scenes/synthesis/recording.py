@@ -48,6 +48,8 @@ Array = NDArray[np.float64]
 TOUCH_KINDS = ("point", "wrench", "array", "gel", "empty")
 OCCLUDERS = ("hand", "border", *STANDING)
 CLUTTER = "clutter"
+# The share that is hidden where nobody asks for one.
+OCCLUSION = 0.6
 
 
 def synthesize(
@@ -55,7 +57,7 @@ def synthesize(
     model: ObjectModel,
     hand: Hand | None = None,
     frames: int = 1,
-    occlusion: float = 0.6,
+    occlusion: float | None = None,
     touch: tuple[str, ...] = ("point",),
     noise: str | NoisePreset = "lab",
     seed: int = 0,
@@ -81,13 +83,14 @@ def synthesize(
     given = believed(model, mesh_error, seed)
     given = with_print(given) if recording.staging.printed else given
     named = noise_models.preset(noise).name
-    notes = {"object": model.name, "occlusion": occlusion, "noise": named, "touch": list(touch), "seed": seed}
+    notes = {"object": model.name, "occlusion": recording.occlusion, "noise": named, "touch": list(touch), "seed": seed}
     notes |= {"occluders": recording.occluders} if occluders else {}
     notes |= {"scene": recording.staging.name} if recording.staging.name else {}
     notes |= {"mesh_error": mesh_error} if mesh_error else {}
     made = (replace(frame, beliefs=_told(noise)) for frame in recording.frames(frames, motion))
     notes |= {"motion": recording.motion_notes} if motion else {}
-    told = recording.hand if recording.staging.hand_known else None
+    # of a hand that no frame has nobody tells
+    told = recording.hand if recording.kind == "hand" and recording.staging.hand_known else None
     # a camera that moves is in a world that does not
     world = "robot base" if motion == "camera" else "camera"
     write_capture(folder, made, given, hand=told, world=world, depth_scale=settings.depth_unit * 1e3, notes=notes)
@@ -104,7 +107,7 @@ def synthesize_frames(
     model: ObjectModel,
     hand: Hand | None = None,
     frames: int = 1,
-    occlusion: float = 0.6,
+    occlusion: float | None = None,
     touch: tuple[str, ...] = ("point",),
     noise: str | NoisePreset = "lab",
     seed: int = 0,
@@ -121,7 +124,8 @@ def synthesize_frames(
     scenes.synthesis.motion) one grasp is recorded at 30 frames a second by one camera and robot with their lasting
     errors; the asked occlusion is that of the closed hand in the first frame, which alone has a prior.
 
-    occlusion: share (0 to 1) of the object's own in-image pixels that something hides, held within 0.03.
+    occlusion: share (0 to 1) of the object's own in-image pixels that something hides, held within 0.03; default 0.6,
+    and 0 with occluders "none".
     occluders: "hand" (grasping, forearm included), "fingers" (loose ones that no frame tells of), "object" (a second
     one), "neighbours" (others that touch it, on a table), "border" (the image ends before the object does) or "none";
     by default the hand when there is one, else loose fingers. "+clutter" after it lets other things stand about. scene:
@@ -142,7 +146,7 @@ class _Recording:
         self,
         model: ObjectModel,
         hand: Hand | None,
-        occlusion: float,
+        occlusion: float | None,
         touch: tuple[str, ...],
         noise: str | NoisePreset,
         seed: int,
@@ -151,7 +155,7 @@ class _Recording:
         taxels: str | Array,
         scene: str | Staging | None,
     ) -> None:
-        self.model, self.hand, self.occlusion, self.touch = model, hand, occlusion, touch
+        self.model, self.hand, self.touch = model, hand, touch
         self.preset = noise_models.preset(noise)
         self.seed, self.settings = seed, settings
         self.occluders = occluders or ("hand" if hand is not None else "fingers")
@@ -161,7 +165,8 @@ class _Recording:
             names = ", ".join(OCCLUDERS)
             raise InputError(f"occluders: expected one of {names}, or with +{CLUTTER}, got {self.occluders!r}")
         self.staging = staged(scene)
-        _check(hand, occlusion, touch, self.kind, self.staging)
+        self.occlusion = (0.0 if self.kind == "none" else OCCLUSION) if occlusion is None else occlusion
+        _check(hand, self.occlusion, touch, self.kind, self.staging)
         if "array" in touch and hand is not None and not any(s.kind == "array" for s in hand.sensors.values()):
             from scenes.robot.tactile import with_arrays
 
@@ -420,6 +425,8 @@ def _check(hand: Hand | None, occlusion: float, touch: tuple[str, ...], kind: st
         raise InputError("occluders: expected a hand to hide the object with, got none")
     if not 0.0 <= occlusion <= 0.97:
         raise InputError(f"occlusion: expected a share from 0 to 0.97, got {occlusion}")
+    if kind == "none" and occlusion:
+        raise InputError(f"occlusion: expected 0 without occluders, got {occlusion}: nothing hides the object")
     unknown = [name for name in touch if name not in TOUCH_KINDS]
     if unknown:
         raise InputError(f"touch: expected kinds among {', '.join(TOUCH_KINDS)}, got {unknown[0]!r}")

@@ -8,7 +8,7 @@ import pytest
 from cases import files as stability_cases_files
 from cases.mutations import mutate
 
-from fusion.truth.evaluate import read_covariances
+from fusion.results.files import read_covariances
 from scenes.errors import CaptureError, InputError, MeshError
 from scenes.files import images, ply
 from scenes.geometry.objects import ObjectModel
@@ -35,10 +35,10 @@ def test_json_nested_without_end_is_refused(tmp_path):
     path.write_text(DEEP)
     with pytest.raises(InputError, match="expected JSON"):
         read_sensors(path)
-    with pytest.raises(CaptureError, match=r"expected a result\.json"):
+    with pytest.raises(InputError, match=r"expected a result\.json"):
         read_covariances(path)
     path.write_text('{"frames": [{"frame": Infinity, "covariance": []}]}')
-    with pytest.raises(CaptureError, match=r"expected a result\.json"):
+    with pytest.raises(InputError, match=r"expected a result\.json"):
         read_covariances(path)
 
 

@@ -68,7 +68,9 @@ def localize(
     extra: Evidence | None = None,
     settings: ContactIcpSettings | None = None,
 ) -> Localization:
-    """Localise by ICP from the prior's mean, else from one random rotation at the contacts' mean. Extra is not used."""
+    """Localise by ICP from the prior's mean, else from one random rotation at the contacts' mean. Extra rows move
+    no fit: they weigh modes, and narrow covariances.
+    """
     settings = settings or ContactIcpSettings()
     model.surface  # noqa: B018  (building the search tree is not part of the search's time)
     begin = time.perf_counter()

@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--told",
         action="store_true",
         help="tell the estimator how large each family's errors are, as one who measured camera, robot and mesh would"
-        " (calibration)",
+        " (calibration, vision)",
     )
     parser.add_argument(
         "--quick", action="store_true", help="less of everything, but all of it (all: five minutes on two cores)"

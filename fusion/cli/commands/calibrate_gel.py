@@ -135,6 +135,8 @@ def _gel(args: argparse.Namespace, background) -> Gel:  # type: ignore[no-untype
 
     if sum([args.sensors is not None, args.mm_per_pixel is not None, args.digit]) != 1:
         raise InputError("calibrate-gel: expected one of --sensors FILE, --mm-per-pixel MM and --digit")
+    if args.sensor is not None and args.sensors is None:
+        raise InputError(f"--sensor: expected --sensors FILE beside it, whose gel it is, got {args.sensor} alone")
     if args.sensors is not None:
         gels = {name: sensor.gel for name, sensor in read_sensors(args.sensors).items() if sensor.gel is not None}
         if args.sensor is None and len(gels) != 1:

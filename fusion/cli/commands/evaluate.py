@@ -35,7 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print errors by frame (up to 20) and over all."""
-    from fusion.truth.evaluate import evaluate, read_covariances
+    from fusion.results.files import read_covariances
+    from fusion.truth.evaluate import evaluate
     from scenes.recordings.bop import read_poses
     from scenes.recordings.captures import read_capture
     from scenes.recordings.pose_rows import rows_of

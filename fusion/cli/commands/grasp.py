@@ -70,14 +70,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Exit code 1 when a frame's pose is lost: its grasp cannot be told."""
+    """Exit code 1 when a frame's pose is lost, whose grasp cannot be told, or a frame was left out."""
     from fusion.advice.grasp import GraspAdviceSettings, assess
     from touch.grasp_quality import WrenchSettings
 
     wrenches = WrenchSettings(args.friction, args.edges, 1e-3 * args.soft_finger, args.norm)
     places = 0 if args.no_map else GraspAdviceSettings().places
     settings = GraspAdviceSettings(wrenches, args.normals, args.samples, places)
-    capture, model, frames, answers = _answers(args)
+    left_out: dict[int, str] = {}
+    capture, model, frames, answers = _answers(args, left_out)
     out = out_folder(args, capture.name)
     grasps = [
         assess(model, answer, frame, args.seed, settings)
@@ -91,6 +92,8 @@ def run(args: argparse.Namespace) -> int:
         "settings": {**asked, "normals": args.normals, "samples": args.samples, "seed": args.seed},
         "frames": [grasp.to_json() for grasp in grasps],
     }
+    if left_out:
+        content["left_out"] = [{"frame": number, "why": why} for number, why in left_out.items()]
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "grasp.json", content)
     write_json(args.json, content)
@@ -100,11 +103,15 @@ def run(args: argparse.Namespace) -> int:
         write_report(out / "grasp.html", capture.name, frames, model, answers, grasps=grasps)
     _show(grasps)
     say(f"wrote {out / 'grasp.json'}" + ("" if args.no_report else ", grasp.html"))
-    return 1 if any(answer.verdict == "lost" for answer in answers) else 0
+    return 1 if left_out or any(answer.verdict == "lost" for answer in answers) else 0
 
 
-def _answers(args: argparse.Namespace) -> tuple[Capture, ObjectModel, list[Frame], list[Estimate]]:
-    """Capture, object, frames and their answers: read from a result, or estimated now."""
+def _answers(
+    args: argparse.Namespace, left_out: dict[int, str]
+) -> tuple[Capture, ObjectModel, list[Frame], list[Estimate]]:
+    """Capture, object, frames and their answers: read from a result, or estimated now. left_out: is told the frames
+    that cannot be used, and why.
+    """
     from fusion.results.files import capture_of, check_is_of, find_result, read_result
     from scenes.errors import InputError
     from scenes.recordings.captures import read_capture
@@ -135,7 +142,6 @@ def _answers(args: argparse.Namespace) -> tuple[Capture, ObjectModel, list[Frame
     prepare = prior_setter(args.prior, args.seed)
     announce_compiling()
     shown = progress(capture.frame_ids, len(capture), "estimating")
-    left_out: dict[int, str] = {}
     done = list(estimates(capture, shown, model, prepare, senses, args.seed, leave_out=left_out.__setitem__))
     warn_of(left_out)
     return capture, model, [frame for frame, _ in done], [answer for _, answer in done]

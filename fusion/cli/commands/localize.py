@@ -115,11 +115,7 @@ def run(args: argparse.Namespace) -> int:
     _show(trials, cloud is not None)
     for note in dict.fromkeys(note for trial in trials for note in trial.get("notes", [])):
         say(note)
-    best = min(range(len(trials)), key=lambda i: trials[i]["index_mm"])
-    said, matrix = pose_lines(trials[best]["pose"])
-    which = f", trial {best}" if len(trials) > 1 else ""
-    say(f"object in the contacts' frame{which}: {said}")
-    say(f"contacts_frame_from_object (m): {matrix}")
+    _show_best(trials, "the contacts' frame", "contacts_frame_from_object")
     content = {"method": args.method, "object": model.name, "contacts": len(contacts), "trials": trials}
     write_json(args.json, content)
     return 1 if verdicts[-1] == "lost" else 0
@@ -127,6 +123,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _run_gels(args: argparse.Namespace) -> int:
     """One frame of a capture by its gels' patches alone; exit code 1 when the last trial is lost."""
+    import numpy as np
+
     from scenes.errors import InputError
     from scenes.geometry import poses
     from scenes.recordings.captures import read_capture
@@ -146,6 +144,7 @@ def _run_gels(args: argparse.Namespace) -> int:
     announce_compiling()
     localize_gels(model, patches, seed=args.seed)  # once, so that no trial's time tells of the compiler
     world_from_camera = poses.inverse(frame.camera_from_world)
+    turn = np.kron(np.eye(2), world_from_camera[:3, :3])
     within = None if args.sure_within is None else 1e-3 * args.sure_within
     trials = []
     for trial in range(args.trials):
@@ -162,10 +161,12 @@ def _run_gels(args: argparse.Namespace) -> int:
                 "verdict": found.verdict,
                 "confidence": found.confidence,
                 "sure_within_mm": 1e3 * found.sure_within,
+                "covariance": (turn @ found.covariance @ turn.T).tolist(),
                 "all_modes": modes,
             }
         )
     _show(trials, False)
+    _show_best(trials, "the world", "world_from_object")
     touching = sum(len(patch) > 0 for patch in patches)
     content = {"method": "gels", "object": model.name, "contacts": touching, "trials": trials}
     write_json(args.json, content)
@@ -284,6 +285,15 @@ def _by_both(
             "sure_within_mm": 1e3 * answer.sure_within,
         }
     return {**senses["fused"], "senses": senses}
+
+
+def _show_best(trials: list[dict[str, Any]], frame: str, name: str) -> None:
+    """The pose of the trial whose index is the least, in words and as numbers."""
+    best = min(range(len(trials)), key=lambda i: trials[i]["index_mm"])
+    said, matrix = pose_lines(trials[best]["pose"])
+    which = f", trial {best}" if len(trials) > 1 else ""
+    say(f"object in {frame}{which}: {said}")
+    say(f"{name} (m): {matrix}")
 
 
 def _show(trials: list[dict[str, Any]], with_cloud: bool) -> None:

@@ -16,17 +16,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("out", metavar="OUT", type=Path, help="folder to write; an older capture is replaced")
     add_object(parser, required=True)
     parser.add_argument("--frames", metavar="N", type=positive, default=1, help="how many (default 1)")
-    parser.add_argument("--occlusion", metavar="F", type=share, default=0.6, help="hidden share (default 0.6)")
+    parser.add_argument("--occlusion", metavar="F", type=share, help="hidden share (default 0.6; 0 of none)")
     parser.add_argument(
         "--hand",
         metavar="NAME",
-        default="five-finger",
         help="five-finger (default), gripper (two flat fingers), a URDF, or none: loose fingers",
     )
     parser.add_argument(
         "--touch", metavar="KINDS", type=names, default=("point",), help="point, wrench, array, gel, empty"
     )
-    parser.add_argument("--taxels", metavar="LAYOUT", default="fingertip", help="fingertip (12, default), pad (3 x 8)")
+    parser.add_argument("--taxels", metavar="LAYOUT", help="of arrays: fingertip (12, default), pad (3 x 8)")
     noises = (
         "none, clean, lab (default), harsh, lab-time-of-flight, lab-stereo;"
         " or a camera imitated from its optics: d435, d455, xtion, azure-kinect, l515"
@@ -50,12 +49,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the capture."""
+    from scenes.errors import InputError
     from scenes.recordings.writing import refuse_foreign_folder
     from scenes.synthesis.recording import synthesize
 
     refuse_foreign_folder(args.out)  # before the work, not after it
     check_folder(args.out)
-    model, hand = load_object(args.object, args.unit), load_hand(args.hand)
+    model, hand = load_object(args.object, args.unit), _grasping(args)
+    if args.taxels is not None and "array" not in args.touch:
+        raise InputError(f"--taxels: expected --touch array beside it, whose layout it is, got {','.join(args.touch)}")
     capture = synthesize(
         args.out,
         model,
@@ -67,18 +69,31 @@ def run(args: argparse.Namespace) -> int:
         args.seed,
         args.occluders,
         motion=args.motion,
-        taxels=args.taxels,
+        taxels=args.taxels or "fingertip",
         scene=args.scene,
         mesh_error=args.mesh_error,
     )
     contacts = [max(len(frame.contacts), len(frame.wrenches), len(frame.tactile), len(frame.gels)) for frame in capture]
-    asked = {"object": model.name, "occlusion": args.occlusion, "noise": args.noise, "seed": args.seed}
+    occlusion = capture.manifest.notes["occlusion"]
+    asked = {"object": model.name, "occlusion": occlusion, "noise": args.noise, "seed": args.seed}
     write_json(args.json, {"capture": str(capture.path), "frames": len(capture), "contacts": contacts, **asked})
     felt = f"{min(contacts)}" if min(contacts) == max(contacts) else f"{min(contacts)} to {max(contacts)}"
-    hidden = f"{100 * args.occlusion:.0f} % hidden"
+    hidden = f"{100 * occlusion:.0f} % hidden"
     felt += " contact" if felt == "1" else " contacts"
     say(f"{capture.path}: {counted(len(capture), 'frame')} of {model.name}, {hidden}, {felt}")
     return 0
+
+
+def _grasping(args: argparse.Namespace):  # type: ignore[no-untyped-def]  # as load_hand
+    """The hand that hides the object, None where something else does; InputError where one is asked for in vain."""
+    from scenes.errors import InputError
+
+    kind = (args.occluders or "hand").partition("+")[0]
+    if kind == "hand":
+        return load_hand(args.hand or "five-finger")
+    if args.hand not in (None, "none"):
+        raise InputError(f"--hand: expected occluders hand, which it is, got {args.hand} with {args.occluders}")
+    return None
 
 
 def load_hand(name: str):  # type: ignore[no-untyped-def]  # naming Hand here would import it for --help

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fusion.advice.grasp import GraspAnswer, GraspMap, Place
 from fusion.estimation.answer import Estimate
 from scenes.geometry.objects import ObjectModel
+from scenes.words import counted
 
 Array = NDArray[np.float64]
 
@@ -47,7 +48,7 @@ def _entry(grasp: GraspAnswer, model: ObjectModel, estimate: Estimate, vertices:
         ],
         ["Volume", f"{quality.volume:.3g} N⁶"],
         ["Volume, 5 to 95 %", f"{grasp.volume.low:.3g} to {grasp.volume.high:.3g} N⁶"],
-        ["Closed in", f"{100 * grasp.closure_probability:.0f} % of {grasp.samples} poses"],
+        ["Closed in", f"{100 * grasp.closure_probability:.0f} % of {counted(max(grasp.samples, 1), 'pose')}"],
         ["Contacts", f"{len(grasp.points)}" + (f", {len(grasp.left_out)} left out" if grasp.left_out else "")],
     ]
     out: dict[str, Any] = {

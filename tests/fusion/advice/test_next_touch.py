@@ -8,6 +8,7 @@ import pytest
 from fusion.advice.next_touch import NextTouchSettings, best_apart, hand_around, nearest_finger, next_touches
 from fusion.estimation.answer import ContactResidual, Estimate, Mode
 from fusion.estimation.verdict import contributions
+from fusion.truth.metrics import model_points
 from scenes.evidence import table as evidence
 from scenes.evidence.align import Prior, terms
 from scenes.evidence.modes import covariance_of
@@ -161,3 +162,16 @@ def test_the_nearest_finger():
     tips = {"far": np.array([0.0, 0.0, 1.0]), "near": np.array([0.0, 0.3, 0.4])}
     assert nearest_finger(tips, np.zeros(3)) == ("near", pytest.approx(0.5))
     assert nearest_finger({}, np.zeros(3)) == (None, None)
+
+
+def test_what_is_told_is_the_callers_own(drill):
+    answer = answer_of(np.eye(4), TIGHT)
+    before = next_touches(drill, answer)
+    told = [place.point.tolist() for place in before]
+    for place in before:
+        for part in (place.point, place.normal, place.camera_point):
+            part *= 1000.0
+    points = model_points(drill, 500)
+    points += 1.0
+    assert [place.point.tolist() for place in next_touches(drill, answer)] == told
+    assert np.abs(model_points(drill, 500)).max() < 1.0

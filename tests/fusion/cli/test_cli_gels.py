@@ -122,10 +122,12 @@ def test_gels_are_made_and_localized(tmp_path, capsys):
     assert run("validate", capture) == 0
     capsys.readouterr()
     assert run("localize", capture, "--json", tmp_path / "j.json") == 0
+    assert "world_from_object (m)" in capsys.readouterr().out
     found = json.loads((tmp_path / "j.json").read_text())
     assert found["method"] == "gels"
     assert found["trials"][0]["verdict"] in ("ok", "ambiguous")
     assert len(found["trials"][0]["all_modes"]) == found["trials"][0]["modes"]
+    assert np.linalg.eigvalsh(found["trials"][0]["covariance"]).min() > 0.0
     capsys.readouterr()
     assert "its gels are used" in refused(capsys, "localize", capture, "--method", "icp")
     plain = tmp_path / "plain"

@@ -47,6 +47,9 @@ def content(folder):
         (("calibrate-gel", "m.ply", "--ball", 4, "--digit", "--like", "k.json", "-o", "k.json"), "OUT"),
         (("fit-confidence", "--from", "a.jsonl", "--write", "a.jsonl"), "--write"),
         (("synth", "new", "--object", "box", "--json", "new/capture.json"), "--json"),
+        (("identify", "c/contacts.csv", "--objects", "s", "--json", "s/m.ply"), "--json"),
+        (("convert", "c/contacts.csv", "p.off", "--frame", 0, "--json", "s/scene_gt.json"), "--json"),
+        (("calibrate-gel", "s", "--ball", 4, "--digit", "-o", "s/background.png"), "OUT"),
     ],
 )
 def test_what_is_read_or_written_already_is_refused(capture, tmp_path, monkeypatch, capsys, argv, option):
@@ -55,6 +58,9 @@ def test_what_is_read_or_written_already_is_refused(capture, tmp_path, monkeypat
     (tmp_path / "m.ply").write_bytes((capture / "models" / "obj_000001.ply").read_bytes())
     for name in ("s.toml", "k.json", "a.jsonl"):
         (tmp_path / name).write_text("")
+    (tmp_path / "s").mkdir()
+    for name in ("m.ply", "scene_gt.json", "background.png"):
+        (tmp_path / "s" / name).write_text("")
     (tmp_path / "r").mkdir()
     (tmp_path / "r" / "poses.csv").write_text("")
     (tmp_path / "r" / "result.json").write_text(f'{{"frames": [], "capture_path": "{capture}"}}')

@@ -139,12 +139,34 @@ def test_only_whole_results_of_the_same_question_count(tmp_path):
     assert finished(task) is None
     out = Path(task.out)
     out.mkdir(parents=True)
+    for name in ("poses.csv", "result.json", "report.html"):
+        (out / name).write_text("")
     (out / MARKER).write_text(json.dumps({"fingerprint": task.fingerprint, "rows": [{"capture": "a"}]}))
     assert finished(task) == [{"capture": "a"}]
     assert finished(replace(task, seed=1)) is None
     assert finished(replace(task, name="b")) is not None  # a folder that was renamed is the same question
-    (out / MARKER).write_text('{"fingerprint":')
-    assert finished(task) is None
+    (out / "report.html").unlink()
+    assert finished(task) is None  # what it wrote is gone
+    quick = replace(task, report=False)
+    for text in ('{"fingerprint":', json.dumps({"fingerprint": quick.fingerprint}), "[]"):
+        (out / MARKER).write_text(text)
+        assert finished(quick) is None
+
+
+@pytest.mark.parametrize("changed", ["capture", "mesh", "start"])
+def test_what_was_changed_since_is_another_question(tmp_path, changed):
+    (tmp_path / "a" / "out").mkdir(parents=True)
+    files = {"capture": tmp_path / "a" / "depth.png", "mesh": tmp_path / "m.ply", "start": tmp_path / "p.json"}
+    for path in files.values():
+        path.write_text("before")
+    task = replace(job(tmp_path, "a"), object=str(files["mesh"]), prior=str(files["start"]))
+    inside = replace(task, out=str(tmp_path / "a" / "out"))
+    before = task.fingerprint, inside.fingerprint
+    (tmp_path / "a" / "out" / "poses.csv").write_text("results that lie in a capture are not read")
+    assert inside.fingerprint == before[1]
+    files[changed].write_text("after that")
+    assert task.fingerprint != before[0]
+    assert replace(task, path=str(tmp_path / "b"), object=None, prior=None).fingerprint  # one that is not there
 
 
 def test_captures_are_found_however_deep(tmp_path):

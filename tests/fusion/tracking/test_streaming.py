@@ -12,7 +12,7 @@ import pytest
 from commands import refused, run
 from long_recordings import there_and_back
 
-from fusion.results.files import read_result
+from fusion.results.files import read_covariances, read_result
 from fusion.results.track import summary
 from fusion.results.track.checkpoints import CHECKPOINT, Checkpoint
 from fusion.results.track.files import FRAMES, POSES, TIMES
@@ -213,6 +213,7 @@ def test_a_long_track_names_the_file_of_its_frames(capture, whole, tmp_path, mon
         short = read_result(whole / "result.json")[1]
         assert [a.frame for a in answers] == [a.frame for a in short]
         assert all(np.array_equal(a.pose, b.pose) for a, b in zip(answers, short))
+        assert sorted(read_covariances(path)) == [a.frame for a in short]
     assert (out / "result.json").stat().st_size < 5_000
 
 

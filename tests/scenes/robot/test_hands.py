@@ -284,6 +284,8 @@ LIMIT = '<limit lower="0" upper="1"/>'
         (BASE.format(LINK + JOINT.format("revolute", "a", "b", LIMIT + '<axis xyz="0 0 0"/>')), "direction"),
         (BASE.format(LINK + JOINT.format("revolute", "a", "b", LIMIT + '<axis xyz="0 0"/>')), "3 numbers, got '0 0'"),
         (BASE.format(LINK + JOINT.format("fixed", "a", "b", '<origin rpy="1e200 0 0"/>')), "expected radians, got 1e"),
+        (BASE.format(LINK + JOINT.format("fixed", "a", "b", '<origin xyz="0 55 0"/>')), "metres, got 55: mm read"),
+        (BASE.format("").replace("0.01", "12"), "'a': expected a shape of 5 m at most, got 12 m: mm read as m"),
         (BASE.format(LINK + JOINT.format("revolute", "a", "b", LIMIT + '<mimic joint="x"/>')), "got 'x'"),
         (BASE.format(LINK + JOINT.format("revolute", "a", "b", LIMIT + '<mimic joint="j"/>')), "circle"),
         (BASE.format(LINK + JOINT.format("fixed", "a", "b", "") + JOINT.format("fixed", "b", "a", "")), "two"),
@@ -318,6 +320,10 @@ def test_mesh_files(tmp_path):
     vertices, faces, _ = Hand.load(tmp_path / "h.urdf").mesh({})
     np.testing.assert_allclose(np.ptp(vertices, axis=0), (0.02, 0.03, 0.04), atol=1e-9)
     assert len(vertices) == 8
+    for scale, message in (("1 1 1", "got 40 m: mm read as m"), ("0 0.001 0.001", "other than 0, got '0 0.001")):
+        (tmp_path / "h.urdf").write_text(text.format(scale))
+        with pytest.raises(InputError, match=message):
+            Hand.load(tmp_path / "h.urdf")
     (tmp_path / "h.urdf").write_text(text.format("-0.001 0.001 0.001"))
     vertices, faces, _ = Hand.load(tmp_path / "h.urdf").mesh({})
     assert trimesh.Trimesh(vertices, faces, process=False).volume > 0

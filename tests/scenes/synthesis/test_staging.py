@@ -210,7 +210,7 @@ def test_bad_scenes_are_refused_in_one_line():
         ("unknown-hand", "fingers", "a hand that grasps for 'unknown-hand'"),
     ):
         with pytest.raises(InputError, match=says):
-            made("box", 0.3, occluders=occluders, scene=scene)
+            made("box", None, occluders=occluders, scene=scene)
 
 
 @pytest.mark.parametrize("name", [*library.tool_names(), *library.held_out_names()])

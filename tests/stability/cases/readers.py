@@ -67,7 +67,7 @@ def _loose(path: Path) -> None:
 
 
 def _covariances(path: Path) -> None:
-    from fusion.truth.evaluate import read_covariances
+    from fusion.results.files import read_covariances
 
     read_covariances(path)
 
