@@ -15,6 +15,7 @@ from scenes.evidence.modes import Mode, displaced
 from scenes.evidence.table import Evidence
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
+from scenes.recordings.validation import check_below_object
 from touch.answers import Localization, LocalizeSettings
 from touch.multistart import find_candidates
 from touch.posterior import Posterior, posterior_of
@@ -26,14 +27,16 @@ Array = NDArray[np.float64]
 DRAWING = 1
 
 
-def asked(settings: LocalizeSettings, sure_within: float | None) -> LocalizeSettings:
+def asked(settings: LocalizeSettings, sure_within: float | None, model: ObjectModel) -> LocalizeSettings:
     """The settings with another tolerance (ADD-S, m) of the confidence; None leaves theirs. Raises InputError for none
-    above 0.
+    above 0 and for one beyond the object's diameter.
     """
     if sure_within is None:
+        check_below_object("sure_within", settings.sure_within, model)
         return settings
     if not (np.isfinite(sure_within) and sure_within > 0):
         raise InputError(f"sure_within: expected metres above 0, got {sure_within}")
+    check_below_object("sure_within", float(sure_within), model)
     return replace(settings, sure_within=float(sure_within))
 
 

@@ -198,7 +198,9 @@ def feel(
     frame, spared = thinned(frame, settings.most_contacts)
     left_out = *left_out, *spared
     readings, patches = readings_of(frame), patches_of(frame, settings.patches)
-    reported = _reported(frame, readings, patches, settings).of_unknown_worth(beliefs.touch.unknown_sigma)
+    pushed = wrench_contacts(frame)
+    left_out = *left_out, *_no_touch(frame, pushed)
+    reported = _reported(frame, pushed, readings, patches, settings).of_unknown_worth(beliefs.touch.unknown_sigma)
     with_hand = _has_hand(frame)
     # where no image shows the object, a contact of unknown worth cannot be told from a false one
     unknown = settings.unknown_gate if beside_vision and frame.depth is not None else tables.NO_GATE
@@ -230,13 +232,38 @@ def places_touched(frame: Frame, settings: TouchSettings | None = None) -> Array
     """
     settings = settings or TouchSettings()
     frame, _ = placed(frame)
-    return _reported(frame, readings_of(frame), patches_of(frame, settings.patches), settings).points
+    patches = patches_of(frame, settings.patches)
+    return _reported(frame, wrench_contacts(frame), readings_of(frame), patches, settings).points
 
 
 def placed(frame: Frame) -> tuple[Frame, tuple[str, ...]]:
     """The frame without the wrenches, arrays and gels of which nothing tells where they are (there is no hand, or its
-    pose or joints are not known), and without wrenches of sensors whose surface nobody tells; and notes of these.
+    pose or joints are not known), without wrenches of sensors whose surface nobody tells, and with every row once; and
+    notes of these.
     """
+    frame, again = each_once(frame)
+    frame, left_out = _with_places(frame)
+    return frame, (*again, *left_out)
+
+
+def each_once(frame: Frame) -> tuple[Frame, tuple[str, ...]]:
+    """The frame without contacts and wrenches that are another one over again in every number, and notes of these: a
+    row that was written twice is no second touch.
+    """
+    notes = []
+    first = frame.contacts.first_of_each
+    if len(first) < len(frame.contacts):
+        notes.append(f"{len(first)} of {len(frame.contacts)} contacts are used, the others repeat them")
+        frame = replace(frame, contacts=frame.contacts.take(first))
+    if len(frame.wrenches) > 1:
+        once = {(w.sensor, w.force.tobytes(), w.torque.tobytes()): w for w in reversed(frame.wrenches)}
+        if len(once) < len(frame.wrenches):
+            notes.append(f"{len(once)} of {len(frame.wrenches)} wrenches are used, the others repeat them")
+            frame = replace(frame, wrenches=tuple(reversed(once.values())))
+    return frame, tuple(notes)
+
+
+def _with_places(frame: Frame) -> tuple[Frame, tuple[str, ...]]:
     if not (frame.wrenches or frame.tactile or frame.gels):
         return frame, ()
     hand = frame.hand
@@ -265,7 +292,8 @@ def thinned(frame: Frame, most: int) -> tuple[Frame, tuple[str, ...]]:
 
 def unused_touch(frame: Frame, settings: TouchSettings) -> tuple[str, ...]:
     """In words, what of a frame's touch `feel` does not use and why, without feeling it."""
-    return *placed(frame)[1], *thinned(frame, settings.most_contacts)[1]
+    frame, left_out = placed(frame)
+    return *left_out, *thinned(frame, settings.most_contacts)[1], *_no_touch(frame, wrench_contacts(frame))
 
 
 def _has_hand(frame: Frame) -> bool:
@@ -273,12 +301,21 @@ def _has_hand(frame: Frame) -> bool:
     return frame.hand is not None and frame.joints is not None and frame.world_from_hand is not None
 
 
-def _reported(frame: Frame, readings: Sequence[Reading], patches: Sequence[Patch], settings: TouchSettings) -> Contacts:
+def _no_touch(frame: Frame, pushed: Contacts) -> tuple[str, ...]:
+    """In words, how many wrenches make no contact."""
+    lost = len(frame.wrenches) - len(pushed)
+    why = "no force, or none that presses on the surface"
+    return (f"{lost} of {len(frame.wrenches)} wrenches make no contact: {why}",) if lost else ()
+
+
+def _reported(
+    frame: Frame, pushed: Contacts, readings: Sequence[Reading], patches: Sequence[Patch], settings: TouchSettings
+) -> Contacts:
     """Contacts of all sensors, camera frame; those of wrenches, arrays and gels on links that no sensor before them
-    reports one of: one touch is one contact.
+    reports one of: one touch is one contact. pushed: contacts of the wrenches, world frame.
     """
     found = frame.contacts.moved(frame.camera_from_world)
-    pushed = wrench_contacts(frame).moved(frame.camera_from_world)
+    pushed = pushed.moved(frame.camera_from_world)
     if len(pushed) and frame.hand is not None:
         sensors = frame.hand.sensors
         spoken = {sensors[name].link for name in found.sensors if name in sensors}

@@ -38,8 +38,9 @@ METHODS = {
     "icp": "touch.published.contact_icp:localize",
 }
 
-# Contacts that spread over so many diameters of the object are not in metres; noise of a metre is a verdict.
-NOT_METRES = 100.0
+# Contacts that spread over so many diameters of the object, most of them too, are not in metres: cm read as m make 100
+# of one, and a hand that is held to the object reaches no farther. Fewer diameters may be noise, which is a verdict.
+NOT_METRES = 20.0
 
 
 def localize(
@@ -59,7 +60,8 @@ def localize(
     method: one of METHODS; settings are those of the default. sure_within (m): the answer's confidence is the
     probability that its ADD-S is below; default 5 mm. Whatever the method, what is drawn from the posterior tells.
     Raises InputError for no contacts, a prior that is no Gaussian, or a sure_within that is not above 0, CaptureError
-    for contacts of another unit than the model.
+    for contacts of a hundred times the model's size and more (cm or mm read as m): these spread over NOT_METRES of its
+    diameters. What is nearer and fits nowhere is `lost`.
     """
     if method not in METHODS:
         raise unknown("method", method, METHODS)
@@ -75,7 +77,7 @@ def localize(
         check_scale(Frame(0, where="contacts", contacts=contacts), model)
     if settings is not None and method != "multistart":
         raise InputError(f"settings: expected none with method {method!r}, they are the default method's")
-    how = asked(settings or LocalizeSettings(), sure_within)
+    how = asked(settings or LocalizeSettings(), sure_within, model)
     if method == "multistart":
         found = multistart(model, contacts, seed, prior, extra, settings)
     else:

@@ -52,7 +52,7 @@ def polish(
         hessian = np.where(better[:, None, None], trial[1], hessian)
         gradient = np.where(better[:, None], trial[2], gradient)
         damping = np.where(better, np.maximum(damping * 0.2, 1e-9), np.minimum(damping * 10.0 + 1e-6, 1e6))
-    rotations = se3.project_to_rotation(rotations)
+    rotations = se3.nearest_rotation(rotations)
     moved = se3.make_poses(rotations, middles - rotations @ model.centroid)
     return distinct_modes(model, Alignment(moved, cost, hessian, np.full(len(modes), STEPS)))
 

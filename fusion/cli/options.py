@@ -380,8 +380,13 @@ def out_folder(args: argparse.Namespace, name: str) -> Path:
     one of the files there.
     """
     from fusion.cli.targets import check_apart
+    from scenes.files.whole import loops
 
-    out = check_folder(args.out or Path("out") / name)
+    out = args.out or Path("out") / name
+    lost = next((part for part in (out, *out.absolute().parents) if part.is_symlink() and not part.exists()), None)
+    if lost is not None and not loops(lost):
+        raise FileNotFoundError(errno.ENOENT, "expected a folder to write to, found a link to nothing", str(lost))
+    check_folder(out)
     check_apart("--json", args.json, out)
     return out
 

@@ -13,9 +13,10 @@ from fusion.estimation.settings import EstimateSettings
 from scenes.errors import InputError
 from scenes.evidence.align import Prior, check_prior
 from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs, usual_beliefs
 from scenes.recordings.frames import Frame
-from scenes.recordings.validation import MILLIMETRES, check_is_model, check_seed
+from scenes.recordings.validation import MILLIMETRES, check_below_object, check_is_model, check_seed
 from vision.filling import as_measured
 from vision.noise import believed_of
 
@@ -99,12 +100,18 @@ def each_frame(frames: Iterable[Frame]) -> Iterator[Frame]:
     return iter(frames)
 
 
-def check_limits(tolerance: tuple[float, float] | None, budget_ms: float | None) -> None:
-    """Raises InputError for a tolerance that is not two positive numbers (m, rad) or a budget below 0 ms."""
+def check_limits(tolerance: tuple[float, float] | None, budget_ms: float | None, model: ObjectModel) -> None:
+    """Raises InputError for a tolerance that is not two positive numbers (m, rad), one that every pose is within (of
+    the object's diameter, half a turn and more), and a budget below 0 ms.
+    """
     if tolerance is not None:
         two = tuple(tolerance) if isinstance(tolerance, Iterable) else ()
         if len(two) != 2 or not all(_is_number(t) and np.isfinite(t) and t > 0 for t in two):
             raise InputError(f"tolerance: expected metres and radians above 0, got {tolerance!r}")
+        length, angle = map(float, two)
+        check_below_object("tolerance", length, model)
+        if angle > np.pi:
+            raise InputError(f"tolerance: expected radians up to half a turn, got {angle:g}: degrees read as rad?")
     if budget_ms is not None and not (_is_number(budget_ms) and budget_ms >= 0):
         raise InputError(f"budget: expected milliseconds from 0, got {budget_ms!r}")
 
@@ -120,10 +127,15 @@ def check_start(frame: Frame, prior: Array | Prior | None) -> None:
         raise InputError(f"prior: expected an object that the camera can see, got one {away:.4g} m away: mm read as m?")
 
 
-def sure_to_be_within(settings: EstimateSettings, sure_within: float | None) -> EstimateSettings:
+def sure_to_be_within(
+    settings: EstimateSettings, sure_within: float | None, model: ObjectModel | None = None
+) -> EstimateSettings:
     """The settings with another tolerance (ADD-S, m) of the confidence; None leaves theirs. Raises InputError for none
-    above 0.
+    above 0, and for one beyond the diameter of the model, where that is known.
     """
+    within = settings.confidence.tolerance if sure_within is None else sure_within
+    if model is not None and _is_number(within):
+        check_below_object("sure_within", float(within), model)
     if sure_within is None:
         return settings
     if not (_is_number(sure_within) and np.isfinite(sure_within) and sure_within > 0):

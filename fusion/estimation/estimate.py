@@ -65,8 +65,8 @@ def estimate(
     """
     check_scale(frame, model)
     check_kinds(model, seed, settings, beliefs)
-    settings = sure_to_be_within(settings or usual_settings(), sure_within)
-    check_limits(tolerance, budget_ms)
+    settings = sure_to_be_within(settings or usual_settings(), sure_within, model)
+    check_limits(tolerance, budget_ms, model)
     check_start(frame, prior)
     check_print(model, settings.texture)
     asked = Asked.of(frame, prior, use, tolerance, seed, settings, beliefs)

@@ -21,6 +21,9 @@ from scenes.recordings.captures import Capture
 from scenes.recordings.frames import Frame
 
 RESULT_VERSION = 1
+VERDICTS = ("ok", "ambiguous", "lost")
+# What sums of shares may be above 1 by rounding (no unit).
+ROUNDING = 1e-6
 
 
 def frame_errors(judge: Judge, frame: Frame, answer: Estimate) -> Errors | None:
@@ -98,6 +101,7 @@ def read_result(path: str | Path) -> tuple[dict[str, Any], list[Estimate]]:
             with (Path(path).parent / content["frames_file"]).open(encoding="utf-8") as file:
                 entries = [parsed(line) for line in file]
         answers = [answer_of(entry) for entry in entries]
+        _check_whole(content, answers)
     except OSError as error:
         raise InputError(f"{path}: expected a result.json, it cannot be opened: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -151,8 +155,25 @@ def check_is_of(result: Path, content: dict[str, Any], answers: Sequence[Estimat
         raise InputError(f"{capture.path}: expected {name}, the capture of {result}, got {capture.name}")
 
 
+def _check_whole(content: dict[str, Any], answers: Sequence[Estimate]) -> None:
+    """Raise InputError where a frame has two answers, or the capture's name or place is no text."""
+    for name in ("capture", "capture_path"):
+        if not isinstance(content.get(name), str | None):
+            raise InputError(f"{name}: expected a text, got {content[name]!r:.60}")
+    seen: set[int] = set()
+    for answer in answers:
+        if answer.frame in seen:
+            raise InputError(f"frames: expected each frame once, got {answer.frame} twice")
+        seen.add(answer.frame)
+
+
 def answer_of(entry: dict[str, Any]) -> Estimate:
-    """The answer that an entry of a result says; a KeyError or ValueError for one that says none."""
+    """The answer that an entry of a result says; an InputError, KeyError or ValueError for one that says none."""
+    frame, verdict = entry["frame"], entry["verdict"]
+    if not isinstance(frame, int) or isinstance(frame, bool) or frame < 0:
+        raise InputError(f"frame: expected a whole number from 0, got {frame!r:.60}")
+    if verdict not in VERDICTS:
+        raise InputError(f"frame {frame}: verdict: expected one of {', '.join(VERDICTS)}, got {verdict!r:.60}")
     pose = _pose(entry["camera_from_object"], "camera_from_object")
     held = entry.get("hand_from_object")
     spread = entry.get("covariance")
@@ -164,18 +185,20 @@ def answer_of(entry: dict[str, Any]) -> Estimate:
     modes = tuple(
         Mode(
             _pose(m["pose"], "mode"),
-            float(m["weight"]),
+            _share(m["weight"], "weight of a mode"),
             _number(m.get("cost")),
             covariance if m.get("covariance") is None else _covariance(m["covariance"]),
         )
         for m in entry.get("modes", [])
     )
+    told = entry.get("confidence")
+    confidence = float("nan") if told is None else _share(told, "confidence")
     return Estimate(
-        frame=int(entry["frame"]),
+        frame=frame,
         pose=pose,
         covariance=covariance,
         modes=modes or (Mode(pose, 1.0, float("nan"), covariance),),  # a file that says none means its pose
-        verdict=str(entry["verdict"]),
+        verdict=verdict,
         unobservable=tuple(map(str, entry.get("unobservable", []))),
         hand_from_object=None if held is None else _pose(held, "hand_from_object"),
         visible_fraction=_number(entry.get("visible_fraction")),
@@ -185,7 +208,7 @@ def answer_of(entry: dict[str, Any]) -> Estimate:
         ),
         contacts=contacts,
         notes=tuple(map(str, entry.get("notes", []))),
-        confidence=_number(entry.get("confidence")),
+        confidence=confidence,
         sure_within=1e-3 * _number(entry.get("sure_within_mm")),
         print_share=_number(entry.get("print_share")),
     )
@@ -199,7 +222,16 @@ def _covariance(rows: Any) -> NDArray[np.float64]:
     array = np.array([[_number(x) for x in row] for row in rows], dtype=np.float64)
     if array.shape != (6, 6):
         raise InputError(f"covariance: expected 6x6 numbers, got {array.shape}")
+    if (np.diag(array) < 0).any():
+        raise InputError(f"covariance: expected variances from 0, got {np.diag(array).min():g}")
     return array
+
+
+def _share(value: Any, what: str) -> float:
+    share = float(value)
+    if not 0.0 <= share <= 1.0 + ROUNDING:  # NaN is not between them either
+        raise InputError(f"{what}: expected a number from 0 to 1, got {value!r:.60}")
+    return share
 
 
 def _number(value: Any) -> float:

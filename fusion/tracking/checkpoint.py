@@ -21,6 +21,7 @@ import importlib
 import io
 import json
 import zipfile
+import zlib
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -44,6 +45,12 @@ PACKAGES = ("scenes", "vision", "touch", "fusion")
 # hand's laid-out mesh of the last joints, what the last frame was looked at for, a search that runs beside the frames.
 REMADE: dict[type, tuple[str, ...]] = {Looker: ("_surface",), Tracker: ("_sensed", "_aside")}
 
+# What bytes that no tracker has written make of reading them; RuntimeError is that of archives with a password and of
+# values nested without end.
+UNREADABLE = (
+    *(ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError, RuntimeError),
+    *(EOFError, OSError, MemoryError, zipfile.BadZipFile, zlib.error),
+)
 _PLAIN = (type(None), bool, int, float, str)
 
 
@@ -78,8 +85,9 @@ def restore_tracker(tracker: Tracker, content: bytes, hand: Hand | None = None) 
         made = _Reader({"model": tracker.model, "hand": hand}, arrays).value(state["tracker"])
     except InputError as error:
         raise InputError(f"a tracker's state: {error}") from error
-    except (ValueError, KeyError, TypeError, IndexError, EOFError, OSError, zipfile.BadZipFile) as error:
-        raise InputError(f"a tracker's state: expected what save_tracker wrote: {error}") from error
+    except UNREADABLE as error:
+        said = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"a tracker's state: expected what save_tracker wrote: {said[:120]}") from error
     if type(made) is not type(tracker):
         raise InputError(f"a tracker's state: expected a {type(tracker).__name__}, got a {type(made).__name__}")
     lacks = sorted(set(vars(tracker)) - set(vars(made)))

@@ -108,7 +108,7 @@ class Tracker:
         check_kinds(model, seed, settings, beliefs, TrackSettings, live)
         self.model, self.live, self.begun = model, live, False
         settings = settings or TrackSettings()
-        first = sure_to_be_within(settings.first, sure_within)
+        first = sure_to_be_within(settings.first, sure_within, model)
         rules = replace(first.verdict, way_round=settings.way_round)
         self.settings = replace(settings, first=replace(first, verdict=rules))
         self._senses = check_senses(use)

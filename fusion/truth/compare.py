@@ -146,12 +146,16 @@ def compare(
 
     model: instead of each capture's own. prepare: changes a frame before it is used (another prior). settings, beliefs:
     of our own methods. leave_out: is told why a frame cannot be used, and the others are compared. Raises InputError
-    for an unknown method, CaptureError for a frame that cannot be used: for the first without leave_out, and where no
-    frame can be.
+    for an unknown method and a capture that is given twice, CaptureError for a frame that cannot be used: for the
+    first without leave_out, and where no frame can be.
     """
     methods = check_methods(methods)
     warm, refused = False, None
     captures = list(captures)
+    places = [capture.path.resolve() for capture in captures]
+    again = next((place for place in places if places.count(place) > 1), None)
+    if again is not None:
+        raise InputError(f"{again}: expected each capture once, got it {places.count(again)} times")
     names = [capture.name for capture in captures]
     for capture in captures:
         # frames of two folders of one name are not the same ones
@@ -179,8 +183,10 @@ def compare(
 def group_of(capture: Capture) -> str:
     """Captures made alike share a group: how they were made when they say it, else their name without its number."""
     notes = capture.manifest.notes
-    if "noise" in notes and "occlusion" in notes:
-        return f"{notes['noise']}, {100 * float(notes['occlusion']):.0f} % hidden"
+    noise, hidden = notes.get("noise"), notes.get("occlusion")
+    # other notes are somebody's own, and say nothing of a group
+    if isinstance(noise, str) and isinstance(hidden, int | float) and 0.0 <= hidden <= 1.0:
+        return f"{noise}, {100 * float(hidden):.0f} % hidden"
     return re.sub(r"[\W_]*\d+$", "", capture.name) or capture.name
 
 

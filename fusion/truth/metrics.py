@@ -135,6 +135,9 @@ def vsd(
     Returns 1 when neither pose shows a pixel.
     """
     images = [np.asarray(image, dtype=np.float64) for image in (estimate_depth, truth_depth, observed_depth)]
+    tolerances = np.atleast_1d(np.asarray(tau, dtype=np.float64))
+    if not tolerances.size or not (np.isfinite([*tolerances.ravel(), delta]).all() and (tolerances > 0).all()):
+        raise InputError(f"vsd: expected tau above 0 and delta, finite metres, got {tau} and {delta}")
     shape = (camera.height, camera.width)
     if any(image.shape != shape for image in images):
         raise InputError(f"vsd: expected three depth images of shape {shape}, got {[image.shape for image in images]}")
@@ -154,7 +157,7 @@ def vsd(
         return 1.0
     gap = np.abs(estimate[both] - truth[both])
     alone = union - int(both.sum())
-    return float(np.mean([(int((gap >= t).sum()) + alone) / union for t in np.atleast_1d(tau)]))
+    return float(np.mean([(int((gap >= t).sum()) + alone) / union for t in tolerances]))
 
 
 def rotation_error(estimate: ArrayLike, truth: ArrayLike, symmetries: Symmetries | None = None) -> float:

@@ -45,6 +45,11 @@ class Camera:
             raise InputError(f"camera: expected numbers as fx, fy, cx, cy, width, height, got {self}")
         if not np.isfinite(values).all() or self.fx <= 0 or self.fy <= 0 or self.width < 1 or self.height < 1:
             raise InputError(f"camera: expected positive finite fx, fy, width, height, got {self}")
+        for name in ("width", "height"):
+            pixels = float(getattr(self, name))
+            if not pixels.is_integer():
+                raise InputError(f"camera: expected a whole number of pixels as {name}, got {pixels:g}")
+            object.__setattr__(self, name, int(pixels))
 
     @staticmethod
     def from_matrix(matrix: Array, width: int, height: int) -> Camera:
@@ -62,7 +67,7 @@ class Camera:
             raise InputError(f"camera: expected a K whose last row is 0 0 1, got {k[2]}{hint}")
         if not (abs(k[0, 1]) <= tiny and abs(k[1, 0]) <= tiny):
             raise InputError(f"camera: expected a K without skew, got {k[0, 1]:.3g} and {k[1, 0]:.3g} beside fx and fy")
-        return Camera(k[0, 0], k[1, 1], k[0, 2], k[1, 2], int(width), int(height))
+        return Camera(k[0, 0], k[1, 1], k[0, 2], k[1, 2], width, height)
 
     @property
     def matrix(self) -> Array:

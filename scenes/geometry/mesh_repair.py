@@ -129,7 +129,14 @@ def close(
 
 
 def _numbers(vertices: ArrayLike, faces: ArrayLike, name: str) -> tuple[Array, Faces]:
-    """The arrays as numbers; raises MeshError for what is none, and for vertex numbers that are not whole."""
+    """The arrays as numbers; raises MeshError for what is none, for what has an imaginary part or is masked, and for
+    vertex numbers that are not whole.
+    """
+    for what, given in (("vertices", vertices), ("triangles", faces)):
+        if np.iscomplexobj(given):
+            raise MeshError(f"{name}: expected {what} as real numbers, got complex ones")
+        if np.ma.is_masked(given):
+            raise MeshError(f"{name}: expected {what} that are all there, got a masked array")
     try:
         points, corners = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
         whole = corners if corners.dtype.kind in "iu" else np.asarray(corners, dtype=np.float64)

@@ -28,6 +28,9 @@ _LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 _LAST_ROW_TOLERANCE = np.array([1e-9, 1e-9, 1e-9, 1e-5])
 # Rotations whose columns are off orthonormal by more than this are refused, not silently repaired.
 ORTHONORMAL_TOLERANCE = 1e-4
+# What is off a rotation by more than this factor in any direction (no unit) was never one: rounding and averaging leave
+# some per cent.
+STRETCH = 2.0
 
 
 def refuse_masked(value: object, what: str) -> None:
@@ -65,12 +68,32 @@ def check_pose(pose: ArrayLike, name: str = "pose") -> Array:
         raise InputError(f"{name}: expected a rotation matrix, got columns off orthonormal by {error:.2g}")
     if np.any(np.linalg.det(rotation) < 0):
         raise InputError(f"{name}: expected a rotation matrix, got a mirrored one (determinant -1)")
-    array[..., :3, :3] = project_to_rotation(rotation)
+    array[..., :3, :3] = nearest_rotation(rotation)
     return array
 
 
 def project_to_rotation(matrix: Array) -> Array:
-    """Nearest rotation (Frobenius) to each (..., 3, 3) matrix, by singular value decomposition."""
+    """Nearest rotation (Frobenius) to each (..., 3, 3) matrix, by singular value decomposition.
+
+    Raises InputError for what no rounding has made of a rotation: a mirrored or flat matrix, one that stretches a
+    direction by more than STRETCH or shrinks it as much, and what is not finite.
+    """
+    matrix = np.asarray(matrix)
+    if matrix.shape[-2:] != (3, 3) or matrix.dtype.kind not in "fiu" or not np.isfinite(matrix).all():
+        raise InputError(f"rotation: expected finite matrices (..., 3, 3), got {matrix.dtype} of shape {matrix.shape}")
+    if (np.linalg.det(matrix) <= 0).any():
+        raise InputError("rotation: expected a determinant of 1, got 0 or below: is an axis mirrored or missing?")
+    stretch = np.linalg.svd(matrix, compute_uv=False)
+    if stretch.size and not (stretch.min() >= 1.0 / STRETCH and stretch.max() <= STRETCH):
+        worst = f"{stretch.min():.3g} to {stretch.max():.3g}"
+        raise InputError(f"rotation: expected lengths kept within a factor of {STRETCH:g}, got {worst}")
+    return nearest_rotation(matrix)
+
+
+def nearest_rotation(matrix: Array) -> Array:
+    """As `project_to_rotation`, of any finite matrix: of a mirrored or flat one, too, as point sets that lie in a plane
+    make of their covariance (Kabsch, Acta Cryst. A 32, 1976).
+    """
     u, _, vt = np.linalg.svd(matrix)
     sign = np.linalg.det(u @ vt)
     u = u.copy()

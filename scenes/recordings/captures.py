@@ -40,7 +40,6 @@ Array = NDArray[np.float64]
 T = TypeVar("T")
 
 _log = logging.getLogger(__name__)
-
 CSV_FILES = {
     "joints.csv": tables.JOINTS,
     "hand_poses.csv": tables.HAND_POSES,
@@ -345,8 +344,9 @@ class Capture:
             if hand is None or name not in hand.sensors:
                 known = "a hand" if hand is None else f"a sensor of hand {hand.name!r} ({', '.join(hand.sensors)})"
                 self.report(Problem(rows.file, number, f"line {line}: expected {known}, got {name!r}"))
-        forces, torques = rows.stack("fx", "fy", "fz"), rows.stack("mx", "my", "mz")
-        return tuple(Wrench(name, f, m) for name, f, m in zip(rows.texts["sensor"], forces, torques))
+        both = np.hstack([rows.stack("fx", "fy", "fz"), rows.stack("mx", "my", "mz")])
+        felt = zip(rows.texts["sensor"], both)  # what is no number is reported by its line
+        return tuple(Wrench(name, row[:3], row[3:]) for name, row in felt if np.isfinite(row).all())
 
     def _taxels(self, number: int) -> dict[str, Array]:
         """Pressure by taxel number (0-based) of each array; NaN where a taxel has no row."""

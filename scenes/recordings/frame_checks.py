@@ -153,14 +153,16 @@ def gel_images(value: object, where: str) -> dict[str, NDArray[np.uint16] | NDAr
     return out
 
 
-def sensor_names(value: Any) -> list[str]:
-    """The names of contacts' sensors. Raises InputError for what is no list of words, and for one word."""
+def sensor_names(value: Any, what: str = "contacts") -> list[str]:
+    """The names of sensors, of contacts or of what else. Raises InputError for what is no list of words, and for one
+    word.
+    """
     if isinstance(value, str | bytes) or not isinstance(value, Iterable):
-        raise InputError(f"contacts: expected a list of sensor names, got {value!r:.60}")
+        raise InputError(f"{what}: expected a list of sensor names, got {value!r:.60}")
     names = list(value)
     if not all(isinstance(name, str) for name in names):
         wrong = next(name for name in names if not isinstance(name, str))
-        raise InputError(f"contacts: expected words as sensor names, got {wrong!r:.60}")
+        raise InputError(f"{what}: expected words as sensor names, got {wrong!r:.60}")
     return names
 
 

@@ -42,7 +42,8 @@ NOWHERE = "pose and joints"
 
 def frame_problems(folder: Path, frame: Frame) -> list[Problem]:
     """Nothing sensed, a depth image without a reading, a hand that is nowhere, joints out of range, contacts far from
-    their sensors or written again and again, a lens beside its image. folder: of the capture.
+    their sensors or written again and again, wrenches of one sensor twice, a lens beside its image.
+    folder: of the capture.
     """
 
     def problem(file: str, message: str) -> Problem:
@@ -69,10 +70,14 @@ def frame_problems(folder: Path, frame: Frame) -> list[Problem]:
     if len(away) and np.median(away) > FARTHEST_CONTACT:
         message = f"expected contacts at the hand's sensors, got {np.median(away):.2g} m off: is its pose inverted?"
         found.append(problem("hand_poses.csv", message))
-    again = _repeated(frame)
+    again = len(frame.contacts) - len(frame.contacts.first_of_each)
     if again:
         message = f"expected contacts that were each felt once, got {again} of {len(frame.contacts)} rows repeated"
         found.append(problem("contacts.csv", message))
+    names = [wrench.sensor for wrench in frame.wrenches]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        found.append(problem("wrenches.csv", f"expected each sensor once, got {twice} {names.count(twice)} times"))
     return found
 
 
@@ -202,14 +207,3 @@ def _from_sensors(frame: Frame) -> Array:
     contacts, places = frame.contacts, frame.hand.hand_from_sensor(frame.joints)
     known = [(point, places[name]) for point, name in zip(contacts.points, contacts.sensors) if name in places]
     return np.array([np.linalg.norm(point - (frame.world_from_hand @ pose)[:3, 3]) for point, pose in known])
-
-
-def _repeated(frame: Frame) -> int:
-    """How many contacts are another one over again, in every field: a row that was written twice is no second touch."""
-    felt = frame.contacts
-    if len(felt) < 2:
-        return 0
-    sigmas = felt.sigma_point[:, None], felt.sigma_normal[:, None]
-    numbers = np.nan_to_num(np.concatenate([felt.points, felt.normals, felt.forces, *sigmas], axis=1), nan=np.inf)
-    rows = {(name, row.tobytes()) for name, row in zip(felt.sensors, numbers)}
-    return len(felt) - len(rows)

@@ -152,6 +152,18 @@ class Contacts:
         """(n,) true where the outward normal is known."""
         return np.isfinite(self.normals[:, 0])
 
+    @property
+    def first_of_each(self) -> NDArray[np.intp]:
+        """(k,) rows of the contacts that are not one before them over again, sensor and every number."""
+        if len(self) < 2:
+            return np.arange(len(self))
+        sigmas = self.sigma_point[:, None], self.sigma_normal[:, None]
+        numbers = np.nan_to_num(np.concatenate([self.points, self.normals, self.forces, *sigmas], axis=1), nan=np.inf)
+        rows: dict[tuple[str, bytes], int] = {}
+        for i, (name, row) in enumerate(zip(self.sensors, numbers)):
+            rows.setdefault((name, row.tobytes()), i)
+        return np.array(list(rows.values()), dtype=np.intp)
+
     def take(self, rows: ArrayLike) -> Contacts:
         """The chosen rows (indices or mask), in that order."""
         chosen = np.asarray(rows)
@@ -173,12 +185,13 @@ class Contacts:
         return out
 
     def moved(self, target_from_source: Array) -> Contacts:
-        """The same contacts in another frame."""
+        """The same contacts in another frame; InputError for what is no rigid transform (4, 4)."""
         out = copy(self)
         out.sensors = list(self.sensors)
         if not len(self):
             return out
-        rotation, translation = target_from_source[:3, :3], target_from_source[:3, 3]
+        pose = checks.rigid(target_from_source, "contacts", "moved")
+        rotation, translation = pose[:3, :3], pose[:3, 3]
         out.points = self.points @ rotation.T + translation
         _check_places(out.points)
         # what is checked already and turned needs its length only
@@ -245,11 +258,25 @@ class EmptyRegions:
 
 @dataclass(frozen=True, eq=False)
 class Wrench:
-    """Raw force (3,) N and torque (3,) N m of one force/torque sensor, in the sensor's frame."""
+    """Raw force (3,) N and torque (3,) N m of one force/torque sensor, in the sensor's frame.
+
+    Raises InputError for other shapes and for what is no number: nothing could be made of it.
+    """
 
     sensor: str
     force: Array
     torque: Array
+
+    def __post_init__(self) -> None:
+        """Check and keep as float64."""
+        checks.sensor_names([self.sensor], "wrench")
+        for name in ("force", "torque"):
+            value = _numbers(getattr(self, name), name, f"wrench of {self.sensor}")
+            if value.shape != (3,):
+                raise InputError(f"wrench of {self.sensor}: expected {name} of shape (3,), got {value.shape}")
+            if not np.isfinite(value).all():
+                raise InputError(f"wrench of {self.sensor}: expected a finite {name}, got {value}")
+            object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,6 +29,7 @@ from scenes.words import counted
 __all__ = [
     "Problem",
     "check_are_contacts",
+    "check_below_object",
     "check_is_frame",
     "check_is_model",
     "check_scale",
@@ -66,6 +67,8 @@ UNIT_STEP = 8
 MOST_POINTS = 20_000
 # About so many pixels around an object tell how far it is.
 MOST_READINGS = 2_000
+# What an answer is sure to be within (m) where nobody says.
+USUAL_ACCURACY = 0.005
 # Fewer points may show a small part of what they are of.
 FEWEST_POINTS = 30
 
@@ -233,6 +236,15 @@ def check_seed(seed: Any) -> None:
     """Raises InputError for what is no whole number from 0."""
     if not isinstance(seed, Integral) or isinstance(seed, bool) or seed < 0:
         raise InputError(f"seed: expected a whole number from 0, got {seed!r}")
+
+
+def check_below_object(what: str, metres: float, model: ObjectModel) -> None:
+    """Raise InputError for an accuracy (m) that the object anywhere in reach has: coarser than its own diameter, and
+    than what is asked for where nobody says.
+    """
+    if metres > max(model.diameter, USUAL_ACCURACY):
+        limit = f"metres up to the object's diameter of {model.diameter:.3g} m"
+        raise InputError(f"{what}: expected {limit}, got {metres:g} m: mm read as m?")
 
 
 def _check_is(what: str, value: object, kind: type, how: str) -> None:

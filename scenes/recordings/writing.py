@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -73,6 +74,7 @@ def write_capture(
     _check_scales(depth_scale)
     if model_unit not in METRES_PER_UNIT:
         raise unknown("unit", model_unit, METRES_PER_UNIT)
+    _check_notes(notes)
     refuse_foreign_folder(folder)
     with draft_folder(folder) as partial:
         _write_model(partial, model, model_unit, object_id)
@@ -140,6 +142,21 @@ def _check_scales(depth_scale: float | Mapping[int, float]) -> None:
         number = isinstance(scale, int | float | np.integer | np.floating) and not isinstance(scale, bool)
         if not (number and low <= scale <= high):
             raise InputError(f"depth_scale: expected millimetres per count from {low:g} to {high:g}, got {scale!r}")
+
+
+def _check_notes(notes: Mapping[str, Any] | None) -> None:
+    """Raise InputError for notes that no JSON file can hold."""
+    if notes is not None and not isinstance(notes, Mapping):
+        raise InputError(f"notes: expected values by name, got {type(notes).__name__}")
+    for name, value in (notes or {}).items():
+        if not isinstance(name, str):
+            raise InputError(f"notes: expected words as names, got {name!r:.60}")
+        try:
+            json.dumps(value, allow_nan=False)
+        except (TypeError, ValueError, RecursionError) as error:
+            hint = ": tolist()?" if isinstance(value, np.ndarray | np.generic) else ""
+            got = " ".join(repr(value).split())[:60]
+            raise InputError(f"notes: {name}: expected what JSON can hold, got {got}{hint}") from error
 
 
 def _write_model(folder: Path, model: ObjectModel, unit: str, object_id: int) -> None:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.errors import InputError, PalpateError
+from scenes.errors import InputError, PalpateError, unknown
 from scenes.files import images
 from scenes.files.inside import stays_inside
 
@@ -29,6 +29,15 @@ MICROMETRE = 1e-6
 SIDES = (8, 4096)
 # Millimetres per pixel of any gel: from a microscope's to a hand's breadth over eight pixels.
 PITCHES = (1e-4, 10.0)
+# Focal lengths and principal points of a pinhole camera, in sides of the image (no unit): from a fisheye's to a
+# telescope's, and no farther beside the image than its own side; other numbers are not in pixels.
+FOCAL_LENGTHS = (0.1, 50.0)
+CENTRES = (-1.0, 2.0)
+# Share of a focal length that is rounding and no skew.
+NEARLY_ZERO = 1e-6
+# What the file may say of a gel, and of its camera.
+KEYS = ("size", "mm_per_pixel", "camera", "surface", "thickness", "background", "calibration")
+CAMERA_KEYS = ("cam_K", "distance")
 # Pixels of the shorter side that are worked with: of a thumbnail-sized gel, every 0.15 mm.
 WORKING_SIDE = 110
 # The same where only what changes slowly is told: lamps, and how deep the skin is on the whole.
@@ -201,6 +210,10 @@ def read_gel(entry: Any, where: str, folder: Path, within: Path | None = None) -
     where = f"{where}: gel"
     if not isinstance(entry, dict):
         raise InputError(f"{where}: expected an object with size and mm_per_pixel or camera, got {entry!r}")
+    for place, known, part in ((where, KEYS, entry), (f"{where}: camera", CAMERA_KEYS, entry.get("camera"))):
+        wrong = next((key for key in part if key not in known), None) if isinstance(part, dict) else None
+        if wrong is not None:
+            raise unknown(place, wrong, known, "keys of")
     size = numbers(entry.get("size"), 2, f"{where}: size")
     if (size != np.rint(size)).any() or not ((size >= SIDES[0]) & (size <= SIDES[1])).all():
         raise InputError(f"{where}: size: expected width and height of {SIDES[0]} to {SIDES[1]} pixels, got {size}")
@@ -219,6 +232,7 @@ def read_gel(entry: Any, where: str, folder: Path, within: Path | None = None) -
         distance = float(numbers(camera.get("distance"), 1, f"{where}: camera: distance")[0])
         if min(matrix[0, 0], matrix[1, 1]) <= 0 or not 0 < distance < 1:
             raise InputError(f"{where}: camera: expected focal lengths (pixels) and distance (m, below 1) above 0")
+        _check_intrinsics(matrix, (width, height), f"{where}: camera: cam_K")
     thickness = float(numbers(entry.get("thickness", USUAL_THICKNESS), 1, f"{where}: thickness")[0])
     if not 0 < thickness <= THICKEST:
         raise InputError(f"{where}: thickness: expected metres above 0, up to {THICKEST:g}, got {thickness:g}")
@@ -233,6 +247,24 @@ def read_gel(entry: Any, where: str, folder: Path, within: Path | None = None) -
     if entry.get("calibration") is not None:
         calibration = _file(entry["calibration"], f"{where}: calibration", folder, within, _read_json)
     return Gel(width, height, surface, pitch, matrix, distance, thickness, background, calibration)
+
+
+def _check_intrinsics(matrix: Array, size: tuple[int, int], where: str) -> None:
+    """Raise InputError for a K (3, 3) that no pinhole camera with images of this size (pixels) has; skew may be."""
+    tiny = NEARLY_ZERO * float(matrix[0, 0])
+    last = (0.0, 0.0, 1.0)
+    if not (np.abs(matrix[2] - last) <= tiny).all():
+        hint = ": is it transposed?" if (np.abs(matrix[:, 2] - last) <= tiny).all() else ""
+        raise InputError(f"{where}: expected a K whose last row is 0 0 1, got {matrix[2]}{hint}")
+    if abs(matrix[1, 0]) > tiny:
+        raise InputError(f"{where}: expected a K with 0 before fy, got {matrix[1, 0]:.3g}")
+    low, high = FOCAL_LENGTHS
+    for name, axis in (("x", 0), ("y", 1)):
+        focal, centre = float(matrix[axis, axis]), float(matrix[axis, 2])
+        if not low <= focal / max(size) <= high:
+            raise InputError(f"{where}: expected f{name} in pixels, got {focal:g} for {size[0]}x{size[1]} pixels")
+        if not CENTRES[0] <= centre / size[axis] <= CENTRES[1]:
+            raise InputError(f"{where}: expected c{name} near the image, got {centre:g} for {size[axis]} pixels")
 
 
 def image_problem(image: NDArray[Any], gel: Gel) -> str | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.cache import Arrays, are_triangles, remembered_of_file
-from scenes.errors import InputError
+from scenes.errors import InputError, unknown
 from scenes.files.inside import stays_inside
 from scenes.files.json_text import parsed
 from scenes.files.meshes import loaded
@@ -29,6 +30,28 @@ HULL_VERSION = 1
 KINDS = ("wrench", "array", "point", "gel")
 # What each surface must say, metres; a mesh's file is named relative to sensors.json, and its convex hull counts.
 SURFACES = {"sphere": ("radius",), "ellipsoid": ("radii",), "cylinder": ("radius", "length"), "mesh": ("file",)}
+# What the file may say of a sensor.
+KEYS = ("link", "kind", "link_from_sensor", "surface", "taxels", "soft_layer", "gel")
+# A sensor sits on its link, however long that is (m); a number of millimetres is beyond.
+FARTHEST_SENSOR = 1.0
+# A taxel's distance (m) from its sensor's origin along each axis: no link of a hand is as large.
+FARTHEST_TAXEL = 0.5
+# Directions are unit vectors to so many parts (no unit); what rounding has left is scaled to one, what is shorter than
+# the least points nowhere.
+UNIT_TOLERANCE = 1e-9
+LEAST_NORMAL = 1e-6
+# What a soft layer may say, from and to: stiffness (N/m), thickness (m: no fingertip's rubber is a hand's breadth),
+# modulus and pressures (Pa), Poisson's ratio and the blur's share of the thickness (no unit). Beyond the lower ends
+# divisions overflow; 1e12 is more than steel and all forces of a hand.
+SOFT_LAYER = {
+    "stiffness": (1e-6, 1e12),
+    "thickness": (1e-6, 0.1),
+    "modulus": (1e-6, 1e12),
+    "poisson": (-0.999, 0.4999),
+    "spread": (0.0, 1e3),
+    "saturation": (1e-6, 1e12),
+    "threshold": (0.0, 1e12),
+}
 
 
 @dataclass(frozen=True)
@@ -52,6 +75,11 @@ class Sensor:
     taxels: Array | None = None
     soft_layer: dict[str, Any] | None = None
     gel: Gel | None = None
+
+    def __post_init__(self) -> None:
+        """Bring the normals of taxels to unit length; InputError for those that point nowhere."""
+        if self.taxels is not None:
+            object.__setattr__(self, "taxels", unit_taxels(self.taxels, f"sensor {self.name!r}: taxels"))
 
     @property
     def radius(self) -> float | None:
@@ -80,7 +108,7 @@ def read_sensors(path: str | Path, within: Path | None = None) -> dict[str, Sens
     if not path.is_file():
         raise InputError(f"{path}: expected a sensors file, found none")
     try:
-        data = parsed(path.read_text(encoding="utf-8"))
+        data = parsed(path.read_text(encoding="utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected JSON, got malformed text: {error}") from error
     if not isinstance(data, dict):
@@ -147,6 +175,7 @@ def _hull_of(path: Path, changed: int, where: str) -> tuple[Array, NDArray[np.in
 def _parse(name: str, entry: Any, where: str, folder: Path, within: Path | None) -> Sensor:
     if not isinstance(entry, dict):
         raise InputError(f"{where}: expected an object with link, kind and link_from_sensor, got {entry!r}")
+    _check_keys(entry, KEYS, where)
     link, kind = entry.get("link"), entry.get("kind")
     if not isinstance(link, str) or not link:
         raise InputError(f"{where}: expected the name of its link, got {link!r}")
@@ -157,20 +186,62 @@ def _parse(name: str, entry: Any, where: str, folder: Path, within: Path | None)
         raise InputError(f"{where}: link_from_sensor: expected 16 numbers, row by row, got {pose.size}")
     taxels = None
     if entry.get("taxels") is not None:
-        taxels = _floats(entry["taxels"], f"{where}: taxels")
-        if taxels.ndim != 2 or taxels.shape[1] != 6:
-            raise InputError(f"{where}: taxels: expected rows of x, y, z, nx, ny, nz, got shape {taxels.shape}")
+        taxels = unit_taxels(entry["taxels"], f"{where}: taxels")
     if kind == "array" and taxels is None:
         raise InputError(f"{where}: expected taxels for an array, got none")
     soft_layer = entry.get("soft_layer")
-    if soft_layer is not None and not isinstance(soft_layer, dict):
-        raise InputError(f"{where}: soft_layer: expected an object, got {soft_layer!r}")
+    if soft_layer is not None:
+        check_soft_layer(soft_layer, f"{where}: soft_layer")
     link_from_sensor = poses.check_pose(pose.reshape(4, 4), f"{where}: link_from_sensor")
+    away = float(np.linalg.norm(link_from_sensor[:3, 3]))
+    if away > FARTHEST_SENSOR:
+        expected = f"expected a sensor within {FARTHEST_SENSOR:g} m of its link"
+        raise InputError(f"{where}: link_from_sensor: {expected}, got one {away:.4g} m off: mm read as m?")
     surface = _surface(entry.get("surface"), where, folder, within)
     if kind == "gel" and entry.get("gel") is None:
         raise InputError(f"{where}: expected the entry gel for a gel, got none")
     gel = read_gel(entry["gel"], where, folder, within) if entry.get("gel") is not None else None
     return Sensor(name, link, kind, link_from_sensor, surface, taxels, soft_layer, gel)
+
+
+def unit_taxels(values: Any, where: str) -> Array:
+    """(k, 6) positions and unit normals. Raises InputError for other shapes, numbers that are not finite, normals that
+    point nowhere and positions that are on no link.
+    """
+    taxels = _floats(values, where)
+    if taxels.ndim != 2 or taxels.shape[1] != 6:
+        raise InputError(f"{where}: expected rows of x, y, z, nx, ny, nz, got shape {taxels.shape}")
+    far = np.abs(taxels[:, :3]).max(axis=1, initial=0.0) > FARTHEST_TAXEL
+    if far.any():
+        row = int(np.argmax(far))
+        got = f"row {row} = {taxels[row, :3].tolist()}"
+        raise InputError(f"{where}: expected positions within {FARTHEST_TAXEL:g} m, got {got}: mm read as m?")
+    length = np.linalg.norm(taxels[:, 3:], axis=1)
+    if not (length > LEAST_NORMAL).all():
+        row = int(np.argmin(length))
+        raise InputError(f"{where}: expected outward normals, got row {row} = {taxels[row, 3:].tolist()}")
+    rough = np.abs(length - 1.0) > UNIT_TOLERANCE
+    taxels[rough, 3:] /= length[rough, None]
+    return taxels
+
+
+def check_soft_layer(entry: Any, where: str) -> None:
+    """Raise InputError for a soft layer that says what has no place, or a number that no material has."""
+    if not isinstance(entry, dict):
+        raise InputError(f"{where}: expected an object, got {entry!r}")
+    _check_keys(entry, SOFT_LAYER, where)
+    for key, value in entry.items():
+        low, high = SOFT_LAYER[key]
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not (number and low <= value <= high):
+            hint = ": mm read as m?" if key == "thickness" and number and value > high else ""
+            raise InputError(f"{where}: {key}: expected a number from {low:g} to {high:g}, got {value!r}{hint}")
+
+
+def _check_keys(entry: dict[str, Any], known: Iterable[str], where: str) -> None:
+    for key in entry:
+        if key not in known:
+            raise unknown(where, key, known, "keys of")
 
 
 def _surface(surface: Any, where: str, folder: Path, within: Path | None) -> dict[str, dict[str, Any]] | None:

@@ -9,6 +9,7 @@ along the finger. Metres, newtons, pascals.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.robot.fingers import Finger, find_fingers
 from scenes.robot.hands import Hand
-from scenes.robot.sensors import Sensor
+from scenes.robot.sensors import Sensor, check_soft_layer
 
 Array = NDArray[np.float64]
 
@@ -63,13 +64,12 @@ class SoftLayer:
     @staticmethod
     def from_json(entry: dict[str, object] | None, where: str = "soft_layer") -> SoftLayer:
         """From a sensors file; what it does not say is as above. Raises InputError for impossible values."""
+        values: dict[str, Any] = dict(entry or {})
+        check_soft_layer(values, where)
         known = {f.name for f in fields(SoftLayer)}
-        values = {key: value for key, value in (entry or {}).items() if key in known}
-        if not all(isinstance(v, (int, float)) and np.isfinite(v) for v in values.values()):
-            raise InputError(f"{where}: expected finite numbers, got {values}")
-        layer = SoftLayer(**{key: float(value) for key, value in values.items()})  # type: ignore[arg-type]
-        if min(layer.thickness, layer.modulus) <= 0 or not -1 < layer.poisson < 0.5 or layer.spread < 0:
-            raise InputError(f"{where}: expected thickness and modulus above 0, poisson below 0.5, got {layer}")
+        layer = SoftLayer(**{key: float(value) for key, value in values.items() if key in known})
+        if layer.threshold >= layer.saturation:
+            raise InputError(f"{where}: expected a threshold below the saturation, got {layer}")
         return layer
 
 

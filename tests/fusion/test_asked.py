@@ -5,7 +5,7 @@ import pytest
 
 from fusion.estimation.estimate import estimate
 from fusion.tracking.tracker import Tracker
-from scenes.errors import InputError
+from scenes.errors import CaptureError, InputError
 from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis import library
 from touch.localization import localize
@@ -62,6 +62,9 @@ def test_any_integer_type_is_a_seed(mug, frame):
         ({"tolerance": (0.001,)}, "tolerance: expected metres and radians above 0, got"),
         ({"budget_ms": "x"}, "budget: expected milliseconds from 0, got 'x'"),
         ({"budget_ms": float("nan")}, "budget: expected milliseconds from 0, got nan"),
+        ({"tolerance": (1, 2)}, "tolerance: expected metres up to the object's diameter .*, got 1 m: mm read as m"),
+        ({"tolerance": (0.001, 6)}, "tolerance: expected radians up to half a turn, got 6: degrees read as rad"),
+        ({"sure_within": 5}, "sure_within: expected metres up to the object's diameter .*, got 5 m: mm read as m"),
         ({"sure_within": "5 mm"}, "sure_within: expected metres above 0, got '5 mm'"),
         ({"use": 3}, "use: expected vision, touch or both, got 3"),
         ({"use": None}, "use: expected vision, touch or both, got None"),
@@ -100,3 +103,12 @@ def test_an_exceeded_budget_is_said_once(budget, said):
     notes = [note for note in estimate(frame, model, budget_ms=budget).notes if "time budget" in note]
     assert len(notes) == said
     assert all(note.startswith("the time budget of 0 ms was exceeded: ") for note in notes)
+
+
+def test_contacts_in_centimetres_are_refused_and_far_ones_are_lost(mug):
+    points = mug.sample_surface(12, seed=0)[0]
+    with pytest.raises(CaptureError, match=r"contacts: expected sizes that agree, .*: cm read as m"):
+        localize(mug, Contacts(100.0 * points), seed=0)
+    with pytest.raises(InputError, match=r"sure_within: expected metres up to the object's diameter .*, got 5 m"):
+        localize(mug, Contacts(points), seed=0, sure_within=5)
+    assert localize(mug, Contacts(5.0 * points), seed=0).verdict == "lost"

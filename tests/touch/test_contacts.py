@@ -9,7 +9,7 @@ from scenes.errors import InputError
 from scenes.evidence import table as evidence
 from scenes.geometry import poses
 from scenes.recordings.beliefs import Beliefs, CalibrationModel
-from scenes.recordings.frames import Contacts, EmptyRegions, Frame
+from scenes.recordings.frames import Contacts, EmptyRegions, Frame, Wrench
 from scenes.synthesis.recording import synthesize_frames
 from touch.contacts import TouchSettings, feel, fingers_of, places_touched
 from touch.wrenches.intrinsic import wrench_contacts
@@ -244,3 +244,23 @@ def test_contacts_that_say_no_sigma_are_told_of(rng):
     assert "7 mm" in feel(Frame(0, contacts=Contacts(points)), beliefs=wider).untold[0]
     assert feel(Frame(0, contacts=Contacts(points, sigma_point=1e-3))).untold == ()
     assert feel(Frame(0)).untold == ()
+
+
+def test_rows_written_twice_are_one_touch(hand, drill, rng):
+    frame = synthesize_frames(drill, hand, 1, 0.3, noise="clean", seed=3, touch=("wrench",))[0]
+    count, once = len(frame.wrenches), feel(frame)
+    twice = feel(replace(frame, wrenches=frame.wrenches + frame.wrenches))
+    assert twice.left_out == (f"{count} of {2 * count} wrenches are used, the others repeat them",)
+    np.testing.assert_array_equal(twice.rows.rows, once.rows.rows)
+    contacts = Contacts(rng.normal(size=(4, 3)), sigma_point=1e-3)
+    felt = feel(Frame(0, contacts=contacts.take([0, 1, 2, 3, 1, 1])))
+    assert felt.left_out == ("4 of 6 contacts are used, the others repeat them",)
+    np.testing.assert_array_equal(felt.rows.rows, feel(Frame(0, contacts=contacts)).rows.rows)
+
+
+def test_wrenches_that_make_no_contact_are_counted(hand, drill):
+    frame = synthesize_frames(drill, hand, 1, 0.3, noise="clean", seed=3, touch=("wrench",))[0]
+    assert feel(frame).left_out == ()
+    pull = replace(frame, wrenches=(*frame.wrenches[1:], Wrench(frame.wrenches[0].sensor, np.zeros(3), np.zeros(3))))
+    why = "no force, or none that presses on the surface"
+    assert feel(pull).left_out == (f"1 of {len(frame.wrenches)} wrenches make no contact: {why}",)

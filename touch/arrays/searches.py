@@ -272,7 +272,7 @@ def finish(problem: ArrayProblem, starts: Array, prior: Prior | None = None, ste
         gradient = np.where(better[:, None], trial[1], gradient)
         hessian = np.where(better[:, None, None], trial[2], hessian)
         damping = np.where(better, np.maximum(damping * 0.2, 1e-9), np.minimum(damping * 8.0, 1e8))
-    poses[:, :3, :3] = se3.project_to_rotation(poses[:, :3, :3])
+    poses[:, :3, :3] = se3.nearest_rotation(poses[:, :3, :3])
     return Alignment(poses, cost, hessian, np.full(len(poses), steps))
 
 

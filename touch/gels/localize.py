@@ -161,4 +161,4 @@ def localize_gels(
     answer = Localization(
         pose, modes, contact_index(model, contacts, pose), sigma, verdict_of(modes, model), seconds, "gels"
     )
-    return judged(model, answer, draws_of(model, modes, rng), asked(settings.verdict, sure_within))
+    return judged(model, answer, draws_of(model, modes, rng), asked(settings.verdict, sure_within, model))

@@ -157,7 +157,7 @@ def fit_shapes(
         # done: next to nothing gained, or no way down however short the step
         done = (better & (gain < 1e-4)) | (~better & (damping[active] > 1e4))
         active = active[~done]
-    poses[:, :3, :3] = se3.project_to_rotation(poses[:, :3, :3]) if len(poses) else poses[:, :3, :3]
+    poses[:, :3, :3] = se3.nearest_rotation(poses[:, :3, :3]) if len(poses) else poses[:, :3, :3]
     return Alignment(poses, cost, hessian, np.full(len(poses), s.iterations, dtype=np.int64))
 
 

@@ -38,7 +38,7 @@ class ContactIcpSettings:
 def rigid_fit(source: Array, target: Array) -> Array:
     """(4, 4) transform that takes points source (n, 3) nearest to target (n, 3) in the least-squares sense."""
     a, b = source.mean(axis=0), target.mean(axis=0)
-    rotation = se3.project_to_rotation((target - b).T @ (source - a))
+    rotation = se3.nearest_rotation((target - b).T @ (source - a))
     return se3.make_pose(rotation, b - rotation @ a)
 
 

@@ -185,7 +185,7 @@ class UnscentedParticleFilter:
             self.covariances = self.covariances[chosen]
             if t % 8 == 0:
                 # products of thousands of turns leave the group by round-off
-                self.rotations = np.ascontiguousarray(se3.project_to_rotation(self.rotations))
+                self.rotations = np.ascontiguousarray(se3.nearest_rotation(self.rotations))
 
     def particles(self) -> Array:
         """(n, 4, 4) contacts_frame_from_object, in no order."""
@@ -207,7 +207,7 @@ class UnscentedParticleFilter:
 
         run_chunks(work, len(asked), smallest=50)
         best = asked[int(np.argmax(density))]
-        rotation = se3.project_to_rotation(rotations[best])
+        rotation = se3.nearest_rotation(rotations[best])
         return se3.make_pose(rotation, middles[best] - rotation @ self.model.centroid)
 
 

@@ -186,7 +186,7 @@ def _by_features(method: str, points: Array, model: ObjectModel, seed: int, sett
 
 
 def _refined(points: Array, model: ObjectModel, object_from_camera: Array, settings: BaselineSettings) -> Array:
-    rotation = poses.project_to_rotation(object_from_camera[None, :3, :3])[0]
+    rotation = poses.nearest_rotation(object_from_camera[None, :3, :3])[0]
     start = poses.inverse(poses.make_pose(rotation, object_from_camera[:3, 3]))
     return icp(points, model, start, settings.icp).pose
 
@@ -235,7 +235,7 @@ def _ppf(points: Array, model: ObjectModel, settings: BaselineSettings) -> Array
         pose = np.array(entry.pose, dtype=np.float64)
         if not np.isfinite(pose).all() or abs(np.linalg.det(pose[:3, :3])) < 1e-6:
             continue
-        rotation = poses.project_to_rotation(pose[None, :3, :3])[0]
+        rotation = poses.nearest_rotation(pose[None, :3, :3])[0]
         centred = poses.make_pose(rotation, unit * pose[:3, 3] + middle)
         candidates.append(centred @ poses.make_pose(translation=-model.centroid))
     results = [icp(points, model, candidate, settings.icp) for candidate in candidates]
@@ -283,5 +283,5 @@ def _small_gicp(points: Array, model: ObjectModel, start: Array, settings: Basel
         )
         if np.isfinite(result.T_target_source).all():
             object_from_camera = np.array(result.T_target_source)
-    rotation = poses.project_to_rotation(object_from_camera[None, :3, :3])[0]
+    rotation = poses.nearest_rotation(object_from_camera[None, :3, :3])[0]
     return poses.inverse(poses.make_pose(rotation, object_from_camera[:3, 3]))

@@ -164,7 +164,7 @@ def open3d_gicp(points: Array, model: ObjectModel, start: Array, most: int = 200
         )
         if np.isfinite(found.transformation).all():
             pose = np.array(found.transformation)
-    rotation = se3.project_to_rotation(pose[None, :3, :3])[0]
+    rotation = se3.nearest_rotation(pose[None, :3, :3])[0]
     return se3.inverse(se3.make_pose(rotation, pose[:3, 3]))
 
 

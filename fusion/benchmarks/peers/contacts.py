@@ -229,7 +229,7 @@ def _chsel(iterations: int) -> Search:
         found, _ = registration.register(iterations=iterations, batch=CHSEL_BATCH, initial_tsf=initial)
         object_from_world = chsel.solution_to_world_to_link_matrix(found).numpy().astype(np.float64)
         best = object_from_world[int(np.argmin(np.asarray(found.rmse)))]
-        rotation = se3.project_to_rotation(best[None, :3, :3])[0]
+        rotation = se3.nearest_rotation(best[None, :3, :3])[0]
         return se3.inverse(se3.make_pose(rotation, best[:3, 3]))
 
     return search

@@ -343,14 +343,16 @@ def _poses(capture: Capture, result: Path | None) -> dict[int, Any]:
 
 
 def _result_poses(path: Path, capture: Capture) -> dict[int, Any]:
-    from fusion.results.files import find_result, read_result
+    from fusion.results.files import check_is_of, find_result, read_result
     from scenes.errors import CaptureError
     from scenes.recordings.bop import read_poses
     from scenes.recordings.pose_rows import best_rows
 
     result = find_result(path)
     if result is not None:
-        return {answer.frame: answer.pose for answer in read_result(result)[1]}
+        content, answers = read_result(result)
+        check_is_of(result, content, answers, capture)
+        return {answer.frame: answer.pose for answer in answers}
     if path.is_dir():
         path = path / "poses.csv"
         if not path.is_file():

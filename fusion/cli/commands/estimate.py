@@ -10,11 +10,11 @@ from fusion.cli.config import add_config, estimate_settings, told
 from fusion.cli.options import (
     add_run,
     add_sure,
+    non_negative,
     number,
     out_folder,
     percent,
     pose_lines,
-    positive_number,
     progress,
     say,
     show_table,
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--frames", metavar="N,A-B", type=frame_numbers, help="these frames only, like 0,10-20 (default all)"
     )
-    parser.add_argument("--budget-ms", metavar="N", type=positive_number, help="milliseconds a frame may take")
+    parser.add_argument("--budget-ms", metavar="N", type=non_negative, help="milliseconds a frame may take")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     """Serve until interrupted, which is how a view ends: exit code 0."""
     import webbrowser
 
-    from fusion.results.files import find_result, read_result
+    from fusion.results.files import check_is_of, find_result, read_result
     from fusion.results.viewer import Viewer
     from scenes.errors import InputError
     from scenes.recordings.captures import read_capture
@@ -41,7 +41,8 @@ def run(args: argparse.Namespace) -> int:
         path = find_result(args.result)
         if path is None:
             raise InputError(f"{args.result}: expected a result.json or a folder with one, found none")
-        _, answers = read_result(path)
+        content, answers = read_result(path)
+        check_is_of(path, content, answers, capture)
     viewer = Viewer(
         capture, model, answers, args.port, lambda problem: warn(f"shown without what is broken: {problem}")
     )

@@ -27,7 +27,7 @@ def capture(tmp_path_factory):
         ("--tolerance 0,0", "argument --tolerance: expected a length and an angle above 0 like 1mm,2deg, got '0,0'"),
         ("--mesh 1e9", "argument --mesh: expected a number above 0 and up to 50 mm, got '1e9'"),
         ("--mesh -.5", "argument --mesh: expected a number above 0, got '-.5'"),
-        ("--budget-ms -3", "argument --budget-ms: expected a number above 0, got '-3'"),
+        ("--budget-ms -3", "argument --budget-ms: expected a number from 0, got '-3'"),
     ],
 )
 def test_numbers_are_answered_as_they_were_written(capsys, capture, words, message):

@@ -1,5 +1,6 @@
 """A tracker's state is all of it, survives as bytes, and is refused when it is not."""
 
+import io
 import pickle
 from collections import deque
 from dataclasses import dataclass, field, replace
@@ -193,3 +194,25 @@ def test_states_of_another_tracker_are_refused(change, message):
     with pytest.raises(InputError, match=message):
         restore_tracker(tracker, edited_state(content, change))
     assert vars(tracker) == before
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        '{"given": 5}',
+        '{"object": 5}',
+        '{"object": "fusion.tracking.tracker:Tracker", "parts": 5}',
+        '{"generator": {"bit_generator": "x"}}',
+        '{"list": [' * 20_000 + "]}" * 20_000,
+    ],
+    ids=["given", "object", "parts", "generator", "deep"],
+)
+def test_crafted_states_are_refused_in_one_line(entry):
+    from scenes.synthesis.library import make
+
+    text = f'{{"format": "palpate-tracker", "version": 1, "tracker": {entry}}}'
+    out = io.BytesIO()
+    np.savez(out, allow_pickle=False, state=np.frombuffer(text.encode(), dtype=np.uint8))
+    with pytest.raises(InputError, match="a tracker's state: expected") as error:
+        restore_tracker(Tracker(make("box")), out.getvalue())
+    assert "\n" not in str(error.value)

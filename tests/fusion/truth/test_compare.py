@@ -256,3 +256,15 @@ def test_lost_frames_tell_of_no_unit_and_are_worth_nothing(tmp_path):
     metres[:3, 3] *= 1e-3
     with pytest.raises(InputError, match=r"got 0\.5 from the camera where the truth is 500: m read as mm"):
         evaluate([*rows[:2], replace(rows[2], pose=metres)], capture)
+
+
+def test_a_capture_given_twice_is_refused(tmp_path):
+    capture = read_capture(write_capture(tmp_path / "c", [plain_view("box")], make("box")))
+    with pytest.raises(InputError, match=r"c: expected each capture once, got it 2 times"):
+        list(compare([capture, capture], ("icp",)))
+
+
+@pytest.mark.parametrize("notes", [{"noise": "x", "occlusion": "much"}, {"noise": [], "occlusion": 3.0}])
+def test_notes_of_one_s_own_are_no_group(tmp_path, notes):
+    capture = read_capture(write_capture(tmp_path / "mine_3", [plain_view("box")], make("box"), notes=notes))
+    assert comparing.group_of(capture) == "mine"

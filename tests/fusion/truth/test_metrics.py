@@ -241,3 +241,10 @@ def test_refuses_points_that_are_not(points):
 def test_refuses_a_pose_that_is_not_finite():
     with pytest.raises(InputError, match="estimate"):
         metrics.add(np.full((4, 4), np.nan), np.eye(4), np.zeros((1, 3)))
+
+
+@pytest.mark.parametrize("tau", [np.nan, 0.0, -0.01, [], [0.01, np.inf]])
+def test_refuses_tolerances_that_are_none(tau):
+    image = np.full((CAMERA.height, CAMERA.width), 0.5)
+    with pytest.raises(InputError, match="vsd: expected tau above 0 and delta, finite metres, got"):
+        metrics.vsd(image, image, image, CAMERA, tau=tau)

@@ -101,7 +101,7 @@ def test_the_poses_of_a_result(capture, tmp_path, capsys):
     capsys.readouterr()
     (result / "result.json").write_text(json.dumps({"frames": [entry | {"frame": 5}]}))
     argv = ("convert", folder, tmp_path / "t.tum", "--result", result)
-    assert "got 5, which it does not have" in refused(capsys, *argv)
+    assert "got one without its frame 5" in refused(capsys, *argv)
     (result / "result.json").write_text("{}")
     assert "expected a result.json as estimate writes it" in refused(capsys, *argv)
     assert "expected result.json or poses.csv in it" in refused(capsys, *argv[:-1], tmp_path)

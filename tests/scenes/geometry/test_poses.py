@@ -310,3 +310,19 @@ def test_a_pose_is_made_of_a_matrix_and_a_place(rotation, translation, told):
     """Three angles were taken for three equal rows."""
     with pytest.raises(InputError, match=told):
         poses.make_pose(rotation, translation)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "message"),
+    [
+        (np.diag([1.0, 1.0, -1.0]), "expected a determinant of 1, got 0 or below: is an axis mirrored"),
+        (np.zeros((3, 3)), "expected a determinant of 1, got 0 or below"),
+        (1e3 * np.eye(3), r"expected lengths kept within a factor of 2, got 1e\+03 to 1e\+03"),
+        (np.full((3, 3), np.nan), r"expected finite matrices \(..., 3, 3\)"),
+        (np.eye(4), r"expected finite matrices \(..., 3, 3\), got float64 of shape \(4, 4\)"),
+    ],
+)
+def test_what_no_rounding_makes_is_no_rotation(matrix, message):
+    with pytest.raises(InputError, match=message):
+        poses.project_to_rotation(matrix)
+    np.testing.assert_allclose(poses.project_to_rotation(1.02 * np.eye(3)), np.eye(3), atol=1e-15)

@@ -13,7 +13,7 @@ from made_frames import hand_with_array, some_frame
 from scenes.errors import CaptureError, InputError
 from scenes.recordings import bop
 from scenes.recordings.captures import read_capture, write_capture
-from scenes.recordings.frames import Contacts, Frame
+from scenes.recordings.frames import Contacts, Frame, Wrench
 from scenes.recordings.manifest import frame_stamps
 from scenes.recordings.validation import check_usable, scale_problem, validate
 from scenes.synthesis.library import make
@@ -221,3 +221,21 @@ def test_a_column_that_is_there_twice(capture):
     twice = [lines[0] + ",x", *(line + ",1.0" for line in lines[1:])]
     (capture / "contacts.csv").write_text("\n".join(twice))
     assert any("contacts.csv: expected each column once, got x 2 times" in line for line in said(capture))
+
+
+def test_a_wrench_that_is_written_twice_is_said(tmp_path, hand):
+    wrench = Wrench(next(iter(hand.sensors)), np.ones(3), np.zeros(3))
+    folder = write_capture(tmp_path / "w", [replace(some_frame(0, hand), wrenches=(wrench,))], make("box"), hand=hand)
+    assert said(folder) == []
+    path = folder / "wrenches.csv"
+    path.write_text(path.read_text() + path.read_text().splitlines()[1] + "\n")
+    (problem,) = said(folder)
+    assert f"wrenches.csv, frame 0: expected each sensor once, got {wrench.sensor} 2 times" in problem
+
+
+@pytest.mark.parametrize("value", [float("nan"), np.eye(2), {"a": {1, 2}}])
+def test_notes_are_what_json_can_hold(tmp_path, value):
+    with pytest.raises(InputError, match="notes: mine: expected what JSON can hold, got") as error:
+        write_capture(tmp_path / "n", [some_frame(0)], make("box"), notes={"mine": value})
+    assert "\n" not in str(error.value)
+    assert not (tmp_path / "n").exists()

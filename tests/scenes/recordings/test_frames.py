@@ -156,7 +156,7 @@ def test_contacts_are_moved_as_if_made_anew(rng):
     assert vars(moved).keys() == vars(anew).keys()
     for name, value in vars(anew).items():
         np.testing.assert_array_equal(getattr(moved, name), value)
-    with pytest.raises(InputError, match="expected finite points, got row 0"):
+    with pytest.raises(InputError, match="contacts: moved: expected a rotation, got columns off"):
         given.moved(np.diag([1e200, 1.0, 1.0, 1.0]))
     none = Contacts.none()
     none.sensors.append("a")  # nobody else's
@@ -184,3 +184,32 @@ def test_empty_regions_that_are_none_are_refused(points, radius, sensors, messag
         EmptyRegions(points, radius, sensors)
     assert message in str(error.value)
     assert EmptyRegions([[0.0, 0.0, 0.1]], [0.01], ["a"]).points.dtype == np.float64
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        (("a", np.zeros(2), np.zeros(3)), r"wrench of a: expected force of shape \(3,\), got \(2,\)"),
+        (("a", None, np.zeros(3)), "wrench of a: expected force of shape"),
+        (("a", np.zeros(3), [0.0, np.nan, 0.0]), "wrench of a: expected a finite torque, got"),
+        ((3, np.zeros(3), np.zeros(3)), "wrench: expected words as sensor names, got 3"),
+    ],
+)
+def test_wrenches_that_are_none_are_refused(parts, message):
+    with pytest.raises(InputError, match=message):
+        Wrench(*parts)
+
+
+@pytest.mark.parametrize(
+    ("pose", "message"),
+    [
+        (np.diag([1e3, 1e3, 1e3, 1.0]), "contacts: moved: expected a rotation, got columns off"),
+        (np.diag([1.0, 1.0, -1.0, 1.0]), "contacts: moved: expected a rotation, got a mirrored one"),
+        (np.eye(3), r"contacts: moved: expected a 4x4 transform, got shape \(3, 3\)"),
+    ],
+)
+def test_contacts_are_moved_by_rigid_transforms_alone(pose, message):
+    contacts = Contacts(np.eye(3))
+    with pytest.raises(InputError, match=message):
+        contacts.moved(pose)
+    np.testing.assert_array_equal(contacts.moved(np.eye(4).tolist()).points, np.eye(3))

@@ -136,7 +136,7 @@ def test_a_layout_of_one_s_own_and_bad_ones():
         tactile.with_arrays(hand, "carpet")
     with pytest.raises(InputError, match="rows of x"):
         tactile.with_arrays(hand, np.zeros((2, 3)))
-    with pytest.raises(InputError, match="poisson below"):
+    with pytest.raises(InputError, match="poisson: expected a number from"):
         SoftLayer.from_json({"poisson": 0.5})
     with pytest.raises(InputError, match="tip sensor"):
         tactile.with_arrays(Hand(hand.robot, {}))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
-from cases.registry import Cases, apart, at_most, is_rigid, is_sound, need
+from cases.registry import Cases, apart, at_most, is_rigid, is_sound, need, refuses
 from scenes.evidence.align import Prior, align, terms
 from scenes.evidence.table import empty, from_contacts
 from scenes.geometry import poses as se3
@@ -36,11 +38,13 @@ def _vectors() -> Array:
 
 @CASES("rotations", "off orthonormal")
 def nearest_rotation_of_a_mirror() -> float:
-    """Mirrors, flat and noisy matrices go to a rotation, never to a mirror."""
+    """Noisy matrices go to a rotation; mirrors and flat ones are refused."""
     rng = np.random.default_rng(5)
     turned = se3.random_rotations(50, rng)
     flat, mirrors = turned * [1.0, 1.0, 0.0], turned * [1.0, 1.0, -1.0]
-    matrices = np.concatenate([mirrors, flat, turned + 0.1 * rng.normal(size=turned.shape)])
+    for matrix in (*mirrors, *flat):
+        refuses(partial(se3.project_to_rotation, matrix), "a mirror or a flat matrix")
+    matrices = turned + 0.1 * rng.normal(size=turned.shape)
     return is_rigid(se3.make_poses(se3.project_to_rotation(matrices), np.zeros((len(matrices), 3))))
 
 
