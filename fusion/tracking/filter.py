@@ -107,6 +107,16 @@ def _spectral(matrices: Array, scale: Array) -> tuple[Array, Array]:
     return (vectors * values) @ turned * unit, (vectors * np.sqrt(values)) @ turned
 
 
+def surplus(model: ObjectModel, measured: Measurement, shared: Array) -> Array:
+    """(6, 6) by how much more a frame shares with others of its sense alone than is `shared` (6, 6) with those before
+    it: where images have said where an object is, a calibration that is off moves what fingers say, and no object. 0 of
+    a frame that an image tells of, whose depth bias is another's, too.
+    """
+    if measured.biased.any():
+        return np.zeros((6, 6))
+    return positive_part(measured.shared - shared, scales(model))
+
+
 def update(model: ObjectModel, predicted: Belief, measured: Measurement) -> Belief:
     """The belief after a frame's own answer.
 
@@ -231,11 +241,13 @@ class SlipTest:
         changed = 2.0 * (1.0 - self._correlation(pixel)) * measured.biased
         floor = np.diag(np.repeat([s.floor_angle, s.floor_distance], 3) ** 2)
         # a handle out of sight may be anywhere, and what is said of it tells of no motion
-        noise = measured.own + changed + measured.hidden + floor
+        # nor does what frames of one sense share and others do not, where the last was of another
+        other = surplus(self.model, measured, self._held.shared)
+        noise = measured.own + changed + measured.hidden + other + floor
         innovation = se3.difference(measured.pose, self._held.pose, centre)
         square = float(innovation @ np.linalg.solve(self._held.own + noise, innovation))
         self._sum = max(0.0, self._sum + square - s.allowance)
-        squared, step = self._spans.add(measured.pose, measured.own, measured.biased, measured.hidden, pixel)
+        squared, step = self._spans.add(measured.pose, measured.own, measured.biased, measured.hidden, pixel, other)
         held = min(max(square / s.alarm, self._sum / s.limit), self._moved(innovation))
         self.statistic = max(held, min(squared / s.spans.limit, self._moved(step)), self._slid / s.sliding)
         if self.statistic > 1.0:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate, Mode
-from fusion.tracking.filter import block
+from fusion.tracking.filter import Belief, block
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 
@@ -115,7 +115,8 @@ class HypothesisSettings:
 class Hypothesis:
     """pose (4, 4) camera_from_object; covariance (6, 6) about the centroid; score: accumulated nats, higher is
     likelier, up to a constant that all share; votes: frames that surely found it by themselves; age: frames; odds: nats
-    for how likely it was when it was thought of, which are not forgotten.
+    for how likely it was when it was thought of, which are not forgotten; felt: as score, of frames without an image
+    that come between images, of which many say the same: they take no part of what images have said.
     """
 
     pose: Array
@@ -124,6 +125,7 @@ class Hypothesis:
     votes: float = 0.0
     age: int = 0
     odds: float = 0.0
+    felt: float = 0.0
 
 
 Hypotheses = tuple[Hypothesis, ...]
@@ -170,8 +172,8 @@ def moved(hypotheses: Hypotheses, motion: Array) -> Hypotheses:
 
 
 def strengths(hypotheses: Hypotheses, settings: HypothesisSettings) -> Array:
-    """(n,) nats of score, votes and odds, the greatest 0."""
-    nats = np.array([h.score + settings.vote * h.votes + h.odds for h in hypotheses])
+    """(n,) nats of scores, votes and odds, the greatest 0."""
+    nats = np.array([h.score + h.felt + settings.vote * h.votes + h.odds for h in hypotheses])
     return np.asarray(nats - nats.max(initial=-np.inf))
 
 
@@ -187,20 +189,22 @@ def weighed(
     costs: Array,
     settings: HypothesisSettings,
     told_apart: bool = True,
+    between: bool = False,
 ) -> Hypotheses:
     """After a frame: refined poses found, n of (4, 4), and their costs (n,) in nats of the whole frame. The leader is
     first; it stays the leader until another is clearly ahead, and, where nothing tells what hides the object
-    (told_apart), until searches speak for another as much as for it.
+    (told_apart), until searches speak for another as much as for it. between: a frame without an image that comes
+    between images; fingers alone take the lead from none that was seen.
     """
-    scores = np.array([settings.memory * h.score for h in hypotheses]) - settings.worth * costs
+    scores = np.array([settings.memory * (h.felt if between else h.score) for h in hypotheses]) - settings.worth * costs
     scores -= scores.max()
-    after = tuple(
-        replace(h, pose=pose, score=float(score), age=h.age + 1) for h, pose, score in zip(hypotheses, found, scores)
-    )
+    aged = [replace(h, pose=pose, age=h.age + 1) for h, pose in zip(hypotheses, found)]
+    told = zip(aged, scores.tolist())
+    after = tuple(replace(h, felt=score) if between else replace(h, score=score) for h, score in told)
     ahead = strengths(after, settings)
     may = [told_apart or h.votes >= min(settings.enough, hypotheses[0].votes) for h in hypotheses]
     best = int(np.argmax(np.where(may, ahead, -np.inf)))
-    if best == 0 or ahead[best] - ahead[0] < settings.ahead:
+    if between or ahead[best] - ahead[0] < settings.ahead:
         best = 0
     order = [best, *(int(i) for i in np.argsort(-ahead, kind="stable") if i != best)]
     return tuple(after[i] for i in order)
@@ -258,6 +262,11 @@ def with_ways(
             less = before[k].score - before[ways[same]].score
             out.append(replace(beside, score=first.score + less, votes=first.votes, odds=first.odds, age=0))
     return tuple(out[: settings.most])
+
+
+def leading(hypotheses: Hypotheses, belief: Belief) -> Hypotheses:
+    """Hypotheses, at least one, the first of them as it is believed."""
+    return replace(hypotheses[0], pose=belief.pose, covariance=belief.covariance), *hypotheses[1:]
 
 
 def sifted(model: ObjectModel, hypotheses: Hypotheses, settings: HypothesisSettings) -> Hypotheses:
@@ -332,7 +341,7 @@ def voted(
         at = next((k for k, h in enumerate(out) if alike(model, mode, h, settings)), None)
         if at is None:
             below = settings.birth - float(np.log(max(mode.weight, 1e-9)))
-            out.append(Hypothesis(mode.pose, mode.covariance, base - below, odds=odds))
+            out.append(Hypothesis(mode.pose, mode.covariance, base - below, odds=odds, felt=out[0].felt))
             at = len(out) - 1
         elif rank == 0 and at > 0:
             out[at] = replace(out[at], odds=max(out[at].odds, odds))

@@ -19,7 +19,7 @@ import numpy as np
 
 from fusion.estimation.answer import ContactResidual
 from fusion.estimation.solve.joint import JointResult
-from fusion.tracking.filter import Belief, Measurement
+from fusion.tracking.filter import Belief, Measurement, surplus
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 
@@ -138,7 +138,7 @@ class Jumps:
         """After a frame that was expected at `predicted`, and in which the object does not slip."""
         s = settings
         step = se3.difference(measured.pose, predicted.pose, model.centroid)
-        wide, count = predicted.own + measured.own, 6.0
+        wide, count = predicted.own + measured.own + surplus(model, measured, predicted.shared), 6.0
         if not model.symmetries.is_trivial:
             known = model.symmetries.quotient(measured.pose[:3, :3], model.centroid)
             free = np.eye(6) - known  # a turn about its own axis tells nothing

@@ -62,6 +62,8 @@ class SpanTest:
         self._poses = np.zeros((0, 4, 4))
         self._own, self._biased, self._hidden, self._noise = (np.zeros((0, 6, 6)) for _ in range(4))
         self._drift, self._pixels = np.zeros((0, 6)), np.zeros((0, 2))
+        # of what frames of one sense share, and those of another do not
+        self._other = np.zeros((0, 6, 6))
 
     def predict(self, camera_from_camera: Array, delta: Array, noise: Array, drift: Array) -> None:
         """Move with the hand (4, 4) and by what the fingers do (6,), known to noise (6, 6); drift (6,): standard
@@ -73,11 +75,15 @@ class SpanTest:
         turn = np.kron(np.eye(2), camera_from_camera[:3, :3])
         self._own, self._biased = turn @ self._own @ turn.T, turn @ self._biased @ turn.T
         self._hidden, self._noise = turn @ self._hidden @ turn.T, turn @ self._noise @ turn.T + noise
+        self._other = turn @ self._other @ turn.T
         self._drift = self._drift + drift
 
-    def add(self, pose: Array, own: Array, biased: Array, hidden: Array, pixel: Array | None) -> tuple[float, Array]:
-        """Take a frame's own answer (4, 4) with its covariances (6, 6), seen at pixel (2,); the squared difference of
-        the spans (chi-square, 0 while there are too few frames), and the difference (6,).
+    def add(
+        self, pose: Array, own: Array, biased: Array, hidden: Array, pixel: Array | None, other: Array
+    ) -> tuple[float, Array]:
+        """Take a frame's own answer (4, 4) with its covariances (6, 6), seen at pixel (2,), and by how much (6, 6) what
+        it shares with frames of its sense is more than what those before it do; the squared difference of the spans
+        (chi-square, 0 while there are too few frames), and the difference (6,).
         """
         s = self.settings
         most = s.after + s.between + s.before
@@ -89,6 +95,7 @@ class SpanTest:
         self._poses, self._pixels = longer(self._poses, pose), longer(self._pixels, where)
         self._own, self._biased = longer(self._own, own), longer(self._biased, biased)
         self._hidden, self._noise = longer(self._hidden, hidden), longer(self._noise, np.zeros((6, 6)))
+        self._other = longer(self._other, other)
         self._drift = longer(self._drift, np.zeros(6))
         count = len(self._poses) - s.after - s.between
         if count < s.fewest:
@@ -99,6 +106,11 @@ class SpanTest:
         wide += s.bias * 2.0 * (1.0 - self._correlation(count)) * self._biased[-s.after :].mean(axis=0)
         wide += self._hidden[-s.after :].mean(axis=0)
         wide += self._noise[:count].mean(axis=0) - self._noise[-s.after :].mean(axis=0)
+        # of a sense that more of the one span's frames are of than of the other's
+        of_it = self._other.trace(axis1=1, axis2=2) > 0.0
+        if of_it.any():
+            share = float(of_it[-s.after :].mean() - of_it[:count].mean())
+            wide += share**2 * self._other[of_it].mean(axis=0)
         floor = np.repeat([s.floor_angle, s.floor_distance], 3)
         drifted = s.drift * (self._drift[:count].mean(axis=0) - self._drift[-s.after :].mean(axis=0))
         wide += np.diag(floor**2 + drifted**2)

@@ -8,7 +8,9 @@ when something else gives cause for doubt. The rate is bounded on both sides.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,18 +18,25 @@ from numpy.typing import NDArray
 from fusion.estimation.solve.settings import Level
 from fusion.estimation.verdict import VerdictSettings
 from fusion.tracking.filter import Belief, Measurement, block
-from fusion.tracking.hypotheses import Hypotheses
-from fusion.tracking.motion import HandState
+from fusion.tracking.hypotheses import Hypotheses, moved
+from fusion.tracking.motion import HandState, palm_motion
 from fusion.tracking.occluders import Occluders
 from fusion.tracking.sizes import Jumps, Sizes, SizeSettings
 from fusion.tracking.touched import Touched
 from fusion.tracking.untold import Untold, leaves_turn
 from scenes.geometry import poses as se3
+from scenes.geometry.cameras import Camera, is_reading
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings.frames import Contacts, Frame
 from vision.tracking.by_image import Marks
 from vision.tracking.by_vision import FASTEST, FASTEST_TURN, VelocitySettings
 
 Array = NDArray[np.float64]
+
+
+def is_empty(frame: Frame) -> bool:
+    """Whether there is nothing in a frame that an object could be looked for in: no reading of any camera."""
+    return (frame.depth is None or not is_reading(frame.depth).any()) and frame.cloud is None
 
 
 @dataclass(frozen=True)
@@ -191,7 +200,8 @@ class TrackState:
     solution has it where no pixels of the hand tell: a calibration stays; None before; lens (4,): focal lengths (px,
     and shares of the image) of the last image looked at, and lens_for: images since, which had others; touched: what
     the fingers have felt of it last, None where there is no hand or they have not; marks: on its surface in the last
-    colour image, where no hand tells how it moves; released: the hand has let go.
+    colour image, where no hand tells how it moves; released: the hand has let go; camera: of the last image, None
+    before; imaged: whether an image has shown it; glanced: glances since the last look in full at an image.
     """
 
     belief: Belief | None = None
@@ -218,6 +228,56 @@ class TrackState:
     touched: Touched | None = None
     marks: Marks | None = None
     released: bool = False
+    camera: Camera | None = None
+    imaged: bool = False
+    glanced: int = 0
+
+    def before_its_camera(self, frame: Frame) -> Frame:
+        """A frame between images, before the camera of the last one: it has not gone, and what is felt is off by what
+        its calibration is off.
+        """
+        if frame.depth is not None:
+            self.camera = frame.camera
+        elif frame.camera is None and frame.cloud is None and self.camera is not None:
+            return replace(frame, camera=self.camera)
+        return frame
+
+    def waits_for_image(self, frame: Frame) -> bool:
+        """Whether a frame is not searched by itself though that is due: it has nothing that an object could be looked
+        for in, and others have. Fingers alone seldom tell a pose, and would spend the search that an image is due.
+        """
+        return self.imaged and is_empty(frame)
+
+    @contextmanager
+    def as_of(self, frame: Frame, seen: Array | None) -> Iterator[bool]:
+        """The state at the time of a frame that came late, and at the present again after; whether the hand tells how
+        it has moved since. What begins anew meanwhile stays in that time. seen: as in `corrected`.
+        """
+        if frame.index >= self.index:
+            yield True
+            return
+        on, now = self.since(HandState.of(frame, Contacts.none()), seen), self.index
+        if on is None or self.belief is None:
+            yield False
+            return
+        self._move(se3.inverse(on))
+        try:
+            yield True
+        finally:
+            if self.index == now:
+                self._move(on)
+
+    def since(self, then: HandState | None, seen: Array | None) -> Array | None:
+        """(4, 4) the motion of what is held from where the hand was `then` to the present; None where nothing tells.
+        seen: as in `corrected`.
+        """
+        if then is None or self.hand is None:
+            return None
+        return palm_motion(then, self.hand, self.corrected(seen))
+
+    def _move(self, motion: Array) -> None:
+        assert self.belief is not None
+        self.belief, self.hypotheses = self.belief.moved(motion), moved(self.hypotheses, motion)
 
     def forget(self, model: ObjectModel, pose: Array, covariance: Array, settings: SizeSettings) -> None:
         """What looks at an object have taught that begins anew at pose (4, 4), known to a covariance (6, 6)."""

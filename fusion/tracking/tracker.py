@@ -3,12 +3,12 @@
     for answer in track(read_capture("captures/drill"), model):
         print(answer.frame, answer.verdict, answer.slip, answer.pose)
 
-The first frame is `fusion.estimation.estimate.estimate`. Later ones skip the search: the object moves with the palm
-and the fingertips, so a few steps from the prediction find it, and one joint solution with the depth camera's and the
-robot's errors follows. Where a frame leaves several poses open all are followed until frames decide (`hypotheses`), and
-now and then a frame is searched as if nothing were known, so that a track that began wrong finds out (`state`). Where
-all goes as expected a glance is enough (`steps.glancing`). A frame may lack either sense, come late, or hold nothing.
-When an answer explains too little, `estimate` looks for the object again. Camera frame, metres, radians.
+The first frame is `fusion.estimation.estimate.estimate`. Later ones skip the search: the object moves with palm and
+fingertips, a few steps from the prediction find it, and one joint solution with camera's and robot's errors follows.
+Where a frame leaves several poses open all are followed until frames decide (`hypotheses`), and now and then one is
+searched as if nothing were known, so that a track that began wrong finds out (`state`). Where all goes as expected a
+glance is enough (`steps.glancing`). A frame may lack either sense, come late, or hold nothing; an object that is lost
+is looked for again. Camera frame, metres, radians.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from fusion.tracking import hypotheses as several
 from fusion.tracking.answer import NOTHING_SENSED, OUT_OF_SIGHT, TrackedEstimate, TrackSettings, as_carried, as_tracked
 from fusion.tracking.filter import Belief, Measurement, after_slip, update
 from fusion.tracking.hypotheses import Hypotheses
-from fusion.tracking.motion import HandMotion, HandState, palm_motion
+from fusion.tracking.motion import HandMotion, HandState
 from fusion.tracking.slip import SlipWatch, Watched
-from fusion.tracking.state import TrackState
+from fusion.tracking.state import TrackState, is_empty
 from fusion.tracking.steps import searching
 from fusion.tracking.steps.aside import ANEW, AROUND, Aside
 from fusion.tracking.steps.contradicting import NOT_HERE, without_strangers
@@ -42,7 +42,7 @@ from fusion.tracking.steps.marking import mark, seen_motion
 from fusion.tracking.steps.outlining import with_outline
 from fusion.tracking.steps.predicting import SHOWN_ELSEWHERE, as_moved, predict, where_shown
 from fusion.tracking.steps.printed import as_before, as_printed
-from fusion.tracking.steps.refining import loose, measurement_of, middle_of, refine, shift, solve_leader
+from fusion.tracking.steps.refining import loose, measurement_of, middle_of, pixel_of, refine, shift, solve_leader
 from fusion.tracking.steps.sensing import Sensed, feel_near, learn_things, pool_near
 from fusion.tracking.touched import Touched
 from scenes.errors import CaptureError
@@ -148,7 +148,8 @@ class Tracker:
             state.lost_for += 1
             answer = self._recover(frame, answer, heard)
         elif answer.how == "tracked":
-            answer = self._search(frame, answer, heard)
+            with state.as_of(frame, self._looker.correction) as told:
+                answer = self._search(frame, answer, heard) if told else answer
         answer = as_printed(self.model, self._sensed, state, (self._velocity, self._watch), answer, self.settings)
         if state.sure and answer.verdict != "ok":
             state.renewal.hurry(frame.index, self.settings.renewal)
@@ -181,7 +182,7 @@ class Tracker:
             self._aside.forget()
         near = near_enough(self.model, answer.modes[0], s.first.confidence)
         state.right = min(1.0, several.sure_of(answer) / near) if near > 1e-9 else 0.0
-        self.begun, state.sure = True, answer.verdict == "ok"
+        self.begun, state.sure, state.imaged = True, answer.verdict == "ok", state.imaged or not is_empty(frame)
         self._velocity.restart(frame.index, answer.pose)
         self._watch.let_go()
         self._skins(frame, felt)
@@ -192,8 +193,7 @@ class Tracker:
         apart = np.zeros(6) if tracked is None else se3.difference(answer.pose, tracked, self.model.centroid)
         state.belief = belief = Belief(answer.pose, (1 - share) * own + np.outer(apart, apart), share * own)
         if tracked is not None and state.hand is None:  # only its velocity says where it goes from there
-            leader = replace(state.hypotheses[0], pose=belief.pose, covariance=belief.covariance)
-            state.hypotheses, state.known = (leader, *state.hypotheses[1:]), None
+            state.hypotheses, state.known = several.leading(state.hypotheses, belief), None
             self._velocity.corrected(belief.pose)
 
     def _recover(self, frame: Frame, lost: TrackedEstimate, heard: str) -> TrackedEstimate:
@@ -240,7 +240,7 @@ class Tracker:
         if heard == AROUND:
             searching.search_around(self.model, frame, *asks, searched, s)
             answer = self._believed(answer)
-        elif frame.index >= state.renewal.due:
+        elif frame.index >= state.renewal.due and not state.waits_for_image(frame):
             answer = self._believed(searching.renew(self.model, frame, *asks, searched, self._anchor, s))
         if aside is not None:
             aside.heard(heard)
@@ -298,7 +298,7 @@ class Tracker:
             self._sensed = sensed = Sensed(viewed, looked, seen, felt, pool, state.things, s.occluders, placed)
         with trace.stage("align", True, "") as stage:
             prior = loose(predicted.pose, predicted.own, s)
-            found = refine(model, carried, prior, sensed, s)
+            found = refine(model, carried, prior, sensed, state.imaged, s)
             of = f"{len(carried)} hypotheses" if len(carried) > 1 else "a few steps from the prediction"
             stage.note(len(found.seen) + felt_rows, "another hypothesis leads" if found.switched else of)
         with trace.stage("solve together", True, "") as stage:
@@ -342,8 +342,9 @@ class Tracker:
             state.right, state.untold, state.sizes = said.right, untold, said.sizes
             if felt_rows and not placed and looked.hand is None:
                 state.correction = felt.correction
-            settled = not found.switched and frame.index == state.index
-            state.known = known_of(model, common, now, said, beliefs, s) if settled else None
+            if found.switched or viewed.depth is not None:  # frames between images say nothing of what looks share
+                state.known = None if found.switched else known_of(model, common, now, said, beliefs, s)
+                state.glanced = 0
             learn_things(model, sensed, state, belief.pose, found.switched, s)
             mark(model, sensed, belief.pose, None if found.switched else flow, state, s.marks)
         answer = as_followed(frame, belief, predicted, said, watched, replace(sensed, felt=felt), trace.stages, s)
@@ -366,6 +367,7 @@ class Tracker:
             if found.otherwise or not len(seen):
                 return None
             belief, watched = self._updated(frame, predicted, found.measured, False, felt)
+            state.glanced += 1
             said = as_judged(self.model, known, carried, state.told(belief, s.sizes), found, s)
         self._accept(frame, felt, belief, carried, found.share)
         mark(self.model, found.sensed, belief.pose, flow, state, s.marks)
@@ -392,8 +394,7 @@ class Tracker:
     ) -> tuple[Belief, Watched]:
         """The belief after the frame, and whether the object slips."""
         model, state = self.model, self._state
-        pixel = None if frame.camera is None else frame.camera.project(middle_of(model, measured.pose)[None])[0][0]
-        pixel = pixel if pixel is not None and np.isfinite(pixel).all() else None  # behind the camera
+        pixel = pixel_of(frame, middle_of(model, measured.pose))
         alone = Belief(measured.pose, measured.own, measured.shared, measured.hidden)
         belief = alone if switched else update(model, predicted, measured)
         late = frame.index < state.index
@@ -416,16 +417,15 @@ class Tracker:
         state = self._state
         state.lost_for = state.unseen = 0
         if np.isfinite(share):
+            state.imaged = True
             state.usual = share if state.usual is None else 0.9 * state.usual + 0.1 * share
-        leader = replace(found[0], pose=belief.pose, covariance=belief.covariance)
-        kept = several.sifted(self.model, (leader, *found[1:]), self.settings.hypotheses)
+        kept = several.sifted(self.model, several.leading(found, belief), self.settings.hypotheses)
         hand = self._holding(frame, felt, belief.pose)
         if frame.index < state.index:
-            if state.hand is None or hand is None:
-                return
-            motion = palm_motion(hand, state.hand, state.corrected(self._looker.correction))
-            state.belief, state.hypotheses = belief.moved(motion), several.moved(kept, motion)
-            self._watch.carry(motion)
+            motion = state.since(hand, self._looker.correction)
+            if motion is not None:
+                state.belief, state.hypotheses = belief.moved(motion), several.moved(kept, motion)
+                self._watch.carry(motion)
             return
         state.belief, state.hypotheses, state.index, state.hand = belief, kept, frame.index, hand
         if hand is not None and len(felt.reported_contacts):

@@ -83,7 +83,7 @@ def without_strangers(
         felt, reported_contacts=felt.reported_contacts.take(none), reported_rows=felt.reported_rows.take(none)
     )
     alone = replace(sensed, felt=unfelt, pool=replace(sensed.pool, felt=unfelt.rows, contacts=0, fingers=0))
-    by_image = refine(model, (replace(found.hypotheses[0], pose=prior.pose),), prior, alone, settings)
+    by_image = refine(model, (replace(found.hypotheses[0], pose=prior.pose),), prior, alone, state.imaged, settings)
     start, levels = by_image.hypotheses[0].pose, list(state.levels)
     shown = solve_leader(model, frame.without_touch(), start, prior, by_image, alone, levels, beliefs, settings)
     joint, image = sensed.pool.predictor.costs(np.array([solved.as_seen, shown.as_seen]))

@@ -101,7 +101,7 @@ def may_glance(
     parts = weights(carried, settings.hypotheses)
     share = float(parts[0] + sum(parts[k] for k in ways_of(model, carried, settings.hypotheses)))
     every = s.every if share >= s.alone else min(s.every, s.every_open)
-    if not 0 < frame.index - state.index <= s.gap or frame.index - known.index >= every:
+    if not 0 < frame.index - state.index <= s.gap or state.glanced + 1 >= every:
         return False
     if frame.index >= state.renewal.due or carried[0].age < s.settled:
         return False

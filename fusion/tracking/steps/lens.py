@@ -20,6 +20,7 @@ def through_one_lens(frame: Frame, state: TrackState, settings: TrackSettings) -
     Raises InputError for what is no frame.
     """
     check_is_frame(frame)
+    frame = state.before_its_camera(frame)
     camera = frame.camera
     if camera is None or frame.depth is None:
         return frame, ()

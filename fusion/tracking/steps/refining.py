@@ -56,9 +56,11 @@ def loose(pose: Array, covariance: Array, settings: TrackSettings) -> Prior:
 
 
 def refine(
-    model: ObjectModel, hypotheses: Hypotheses, leading: Prior, sensed: Sensed, settings: TrackSettings
+    model: ObjectModel, hypotheses: Hypotheses, leading: Prior, sensed: Sensed, imaged: bool, settings: TrackSettings
 ) -> Refined:
-    """The hypotheses, the leader first and with its own prior, fitted to the frame and weighed by it."""
+    """The hypotheses, the leader first and with its own prior, fitted to the frame and weighed by it. imaged: whether
+    an image has shown them before.
+    """
     priors = [leading, *(loose(h.pose, h.covariance, settings) for h in hypotheses[1:])]
     found, shown, widths, by_rows = [], [], [], []
     for k, prior in enumerate(priors):
@@ -84,7 +86,8 @@ def refine(
     if len(poses) > 1:
         nats = as_ways(model, found, nats, settings.hypotheses)
     wide = tuple(h if k == 0 else replace(h, covariance=widths[k]) for k, h in enumerate(hypotheses))
-    after = weighed(wide, found, nats, settings.hypotheses, sensed.told_apart)
+    between = imaged and not len(sensed.looked.pixels)
+    after = weighed(wide, found, nats, settings.hypotheses, sensed.told_apart, between)
     first = next(k for k, pose in enumerate(found) if pose is after[0].pose)
     return Refined(after, shown[first], first != 0)
 
@@ -233,11 +236,12 @@ def measurement_of(
 ) -> tuple[Measurement, Untold]:
     """The frame's own answer, the symmetric twin near `nearest` (4, 4), as wide as an estimate's: all of it stays from
     frame to frame but most of the independent noise. Where little is seen of an object that nothing tells from what
-    hides it, the next frame's is no better. blind: told by the robot alone, whose error it has; corrected: a camera has
-    once said what that is. Beside it what frames do not tell after this one (of that index): where evidence is no
-    Gaussian about the answer (a handle out of sight may turn as far as it would show).
+    hides it, the next frame's is no better. blind: told by the robot alone, whose error it has, as every frame between
+    images has it; corrected: a camera has once said what that is. Beside it what frames do not tell after this one (of
+    that index): where evidence is no Gaussian about it (a handle out of sight may turn as far as it would show).
     """
     s, calibration = settings, beliefs.calibration
+    by_robot = blind or (state.imaged and sensed.viewed.cloud is None and not len(sensed.looked.pixels))
     gaussian = solved.independent + solved.shared + solved.unsolved
     rows, how = tables.stack(sensed.seen, sensed.felt.rows), s.first.moments
     spread = moments(model, rows, solved.pose, gaussian, 0, None, how)
@@ -250,7 +254,7 @@ def measurement_of(
         gaussian = as_shown(mode, picture, None, s.first.confidence, least=1.0).covariance
     shared = gaussian - solved.independent
     pose = model.symmetries.nearest(solved.pose, nearest)
-    if blind:
+    if by_robot:
         angle = s.left_angle if corrected else calibration.rotation_sigma
         lever = float(np.linalg.norm(se3.apply(pose, model.centroid[None])[0]))
         distance = float(np.hypot(calibration.translation_sigma, calibration.rotation_sigma * lever))
@@ -264,6 +268,14 @@ def measurement_of(
 def shift(correction: Array, point: Array) -> float:
     """How far a correction (4, 4) moves a point (3,), metres."""
     return float(np.linalg.norm(se3.apply(correction, point[None])[0] - point))
+
+
+def pixel_of(frame: Frame, point: Array) -> Array | None:
+    """(2,) where the image of a frame has a point (3,); None without a camera, and behind it."""
+    if frame.camera is None:
+        return None
+    pixel = frame.camera.project(point[None])[0][0]
+    return pixel if np.isfinite(pixel).all() else None
 
 
 def middle_of(model: ObjectModel, pose: Array) -> Array:

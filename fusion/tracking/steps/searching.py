@@ -214,7 +214,7 @@ def renew(
         # one that looks like it, elsewhere in the image: nothing says that it is the one that was followed until now
         state.renewal.found(frame.index, None, s.renewal)
         why = f"another beside it, {several.sure_of(alone):.0%} sure; {better:+.0f} nats for the track"
-        stage = replace(alone.trace[-1], name="search anew", ms=alone.time_ms, why=why)
+        stage = replace(alone.trace[-1], ran=True, name="search anew", ms=alone.time_ms, why=why)
         return replace(answer, trace=(*answer.trace, stage))
     carried = (leader, *state.hypotheses[1:])
     # what a frame is not sure of undoes nothing that fingers have felt before it
@@ -244,7 +244,7 @@ def renew(
         why += "; it goes on from there"
     if not believed or not (told_apart or answer.verdict == "ok"):
         why += search_around(model, frame, answer, sensed, state, searched, s)
-    stage = replace(alone.trace[-1], name="search anew", ms=alone.time_ms, why=why)
+    stage = replace(alone.trace[-1], ran=True, name="search anew", ms=alone.time_ms, why=why)
     return replace(answer, trace=(*answer.trace, stage))
 
 
@@ -276,7 +276,7 @@ def surer_alone(
         return answer, found
     renewal.in_vain(frame.index, s.renewal)
     why = f"{sure:.0%} sure, {before:.0%} before: nothing surer"
-    stage = replace(found.trace[-1], name="search alone", ms=found.time_ms, why=why)
+    stage = replace(found.trace[-1], ran=True, name="search alone", ms=found.time_ms, why=why)
     return replace(answer, trace=(*answer.trace, stage)), None
 
 
@@ -311,7 +311,7 @@ def look_closer(
     if found.verdict != "lost" and sure > before and better > 0.0:
         anchor(replace(found, pose=mode.pose), answer.pose)
         why += "; it goes on from there"
-    stage = replace(found.trace[-1], name="look closer", ms=found.time_ms, why=why)
+    stage = replace(found.trace[-1], ran=True, name="look closer", ms=found.time_ms, why=why)
     return replace(answer, trace=(*answer.trace, stage))
 
 

@@ -52,6 +52,22 @@ def test_data_decide_slowly_and_what_is_far_behind_is_dropped(mug):
     np.testing.assert_allclose(several.weights(now, S), [1.0])
 
 
+def test_frames_between_images_add_to_what_images_said_and_take_the_lead_from_none():
+    now = several.weighed(pair(), [h.pose for h in pair()], np.array([0.0, 12.0]), S)
+    said, share = [h.score for h in now], several.weights(now, S)[0]
+    assert share > 0.98
+    for _ in range(60):
+        now = several.weighed(now, [h.pose for h in now], np.zeros(2), S, between=True)
+    assert [h.score for h in now] == said  # a second of touch forgets nothing
+    assert several.weights(now, S)[0] == pytest.approx(share)
+    for _ in range(20):
+        now = several.weighed(now, [h.pose for h in now], np.array([30.0, 0.0]), S, between=True)
+    assert now[0].pose[0, 0] == 1.0  # doubted, and still what was seen
+    assert several.weights(now, S)[0] < 0.5
+    now = several.weighed(now, [h.pose for h in now], np.zeros(2), S)
+    assert now[0].pose[0, 0] != 1.0  # the next image takes it up
+
+
 def test_a_frame_counts_less_than_its_nats_and_is_forgotten():
     now = several.weighed(pair(), [h.pose for h in pair()], np.array([0.0, 5.0]), S)
     assert several.weights(now, S)[0] == pytest.approx(1 / (1 + np.exp(-5.0 * S.worth)))

@@ -129,6 +129,54 @@ def test_senses_that_take_turns_and_a_late_frame(mug, carried):
     assert tracker._state.index == 9  # a late frame does not turn time back
 
 
+@pytest.mark.parametrize("camera", [True, False], ids=["its camera is told", "no camera is told"])
+def test_touch_between_images_is_quick_and_takes_nothing_from_them(mug, carried, camera):
+    tracker, every = Tracker(mug), 4
+    between, searched = [], []
+    for frame in carried:
+        image = frame.index % every == 0
+        part = frame if image else replace(frame, depth=None, rgb=None, mask=None)
+        part = part if image or camera else replace(part, camera=None)
+        tracker._state.renewal.due = frame.index  # a search is due in every frame
+        answer = tracker.step(part)
+        turn, move = off_by(answer, frame, mug)
+        assert turn < 3.0
+        assert move < 2.5
+        if frame.index:
+            stages = {stage.name for stage in answer.trace if stage.ran}
+            searched.append((image, "search anew" in stages))
+        if not image:
+            between.append(answer.covariance)
+        if frame.index > every:
+            assert tracker._state.known is not None  # of what looks have in common touch says nothing
+    assert not any(done for image, done in searched if not image)
+    assert all(done for image, done in searched if image)
+    # what fingers say is off by what the camera's place is off
+    assert all(np.sqrt(np.linalg.eigvalsh(spread[3:, 3:]).max()) > 2e-4 for spread in between)
+
+
+def test_a_late_image_is_searched_at_its_own_time(mug, carried):
+    tracker, asked = Tracker(mug), []
+    for frame in carried[:6]:
+        tracker.step(frame)
+    tracker.step(carried[8])
+    before = tracker._state.belief.pose.copy()
+    search = tracker._search
+
+    def looked_at(frame, answer, heard):
+        asked.append(off_by(replace(answer, pose=tracker._state.belief.pose), carried[frame.index], mug))
+        return search(frame, answer, heard)
+
+    tracker._search = looked_at
+    tracker.step(carried[6])
+    assert asked[0][0] < 3.0  # the track is where the object was then
+    assert asked[0][1] < 2.5
+    assert tracker._state.index == 8
+    turn, move = off_by(replace(tracker.step(carried[9]), pose=before), carried[8], mug)
+    assert turn < 3.0
+    assert move < 2.5
+
+
 def test_a_slip_is_said_and_followed(mug):
     slip = {i: np.array([0.03, 0.0, 0.0, 0.0, 0.0012, 0.0]) for i in (7, 8, 9)}
     frames = recording(mug, slip=slip)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion.estimation.solve.settings import JointSettings, Rig
-from fusion.tracking.filter import Belief, Measurement, SlipTest, block, positive_part, scales, update
+from fusion.tracking.filter import Belief, Measurement, SlipTest, block, positive_part, scales, surplus, update
 from fusion.tracking.motion import (
     HandMotion,
     HandMotionSettings,
@@ -290,7 +290,7 @@ def test_a_small_step_is_told_from_a_drift_that_is_as_large(mug, slips):
             begun = hand @ begun
             step = np.r_[0.2, 0, 0, 0, 0.0016, 0] * far if slips else np.r_[0, 0, 0, 0, 0.0006, 0] * far
             noisy = poses.perturb(begun, step + np.sqrt(np.diag(own)) * rng.normal(size=6), mug.centroid)
-            held.append(test.add(noisy, own, 0 * own, 0 * own, None)[0])
+            held.append(test.add(noisy, own, 0 * own, 0 * own, None, 0 * own)[0])
         assert held[:9] == [0.0] * 9
         said.append(max(held[:30]) > test.settings.limit)
     assert np.mean(said) > 0.9 if slips else np.mean(said) < 0.3
@@ -306,10 +306,27 @@ def test_spans_go_with_the_hand_and_the_fingers(mug):
             motion, delta = poses.exp(0.01 * rng.normal(size=6)), 0.002 * rng.normal(size=6)
             test.predict(motion, delta, 1e-12 * np.eye(6), np.zeros(6))
             pose = pose if stays else poses.perturb(motion @ pose, delta, mug.centroid)
-            found, step = test.add(pose, own, 0 * own, 0 * own, np.array([10.0, 10.0]))
+            found, step = test.add(pose, own, 0 * own, 0 * own, np.array([10.0, 10.0]), 0 * own)
         assert (found > 100.0) == stays
         if not stays:
             np.testing.assert_allclose(step, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("by_touch", [True, False])
+def test_a_calibration_that_touch_alone_has_moves_nothing_in_the_hand(mug, by_touch):
+    """Images, and between them frames of touch that a calibration has put four millimetres beside."""
+    test, own, none = SlipTest(mug, 40.0), np.diag(np.repeat([0.003, 0.0002], 3) ** 2), np.zeros((6, 6))
+    bias, calibration = 1e-8 * np.eye(6), np.diag(np.repeat([0.01, 0.004], 3) ** 2)
+    beside = poses.perturb(np.eye(4), np.r_[0.0, 0.0, 0.0, 0.004, 0.0, 0.0], mug.centroid)
+    image = Measurement(np.eye(4), own, bias, bias)
+    between = Measurement(beside, own, bias + calibration, none if by_touch else bias)
+    assert surplus(mug, between, bias).any() == by_touch
+    said = []
+    for index in range(24):
+        test.predict(np.eye(4), np.zeros(6), 1e-12 * np.eye(6))
+        measured = between if index % 3 else image
+        said.append(test.step(measured, Belief(np.eye(4), own, bias), np.array([10.0, 10.0])))
+    assert any(said) != by_touch  # what an image has moved has moved
 
 
 def test_fingertips_that_no_rigid_motion_explains_slide(mug):

@@ -49,7 +49,7 @@ def test_another_way_round_goes_with_the_leader(carton, monkeypatch, turn, as_li
     before = poses.make_pose(None, [0.0, 0.0, 0.5])
     both = Hypothesis(before, NARROW, 0.0), Hypothesis(before @ half, NARROW, 0.0)
     sensed = SimpleNamespace(pool=object(), told_apart=False, rows_at=lambda *_: None)
-    after = refine(carton, both, loose(before, NARROW, settings), sensed, settings).hypotheses
+    after = refine(carton, both, loose(before, NARROW, settings), sensed, False, settings).hypotheses
     share = weights(after, settings.hypotheses)
     if as_likely:
         np.testing.assert_allclose(share, [0.5, 0.5], atol=0.02)
