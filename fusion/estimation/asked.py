@@ -133,13 +133,13 @@ def sure_to_be_within(
     """The settings with another tolerance (ADD-S, m) of the confidence; None leaves theirs. Raises InputError for none
     above 0, and for one beyond the diameter of the model, where that is known.
     """
-    within = settings.confidence.tolerance if sure_within is None else sure_within
-    if model is not None and _is_number(within):
+    if sure_within is not None and not (_is_number(sure_within) and np.isfinite(sure_within) and sure_within > 0):
+        raise InputError(f"sure_within: expected metres above 0, got {sure_within!r}")
+    if model is not None:
+        within = settings.confidence.tolerance if sure_within is None else sure_within
         check_below_object("sure_within", float(within), model)
     if sure_within is None:
         return settings
-    if not (_is_number(sure_within) and np.isfinite(sure_within) and sure_within > 0):
-        raise InputError(f"sure_within: expected metres above 0, got {sure_within!r}")
     return replace(settings, confidence=replace(settings.confidence, tolerance=float(sure_within)))
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings.bop import PoseRow, numbers, write_json, write_poses
 from scenes.recordings.captures import Capture
 from scenes.recordings.frames import Frame
+
+Array = NDArray[np.float64]
+Made = TypeVar("Made")
 
 RESULT_VERSION = 1
 VERDICTS = ("ok", "ambiguous", "lost")
@@ -94,14 +97,38 @@ def read_result(path: str | Path) -> tuple[dict[str, Any], list[Estimate]]:
     Modes of a file that does not say their covariances have that of the whole. Of a long track the frames are in a
     file beside it.
     """
+
+    def whole(content: dict[str, Any], entries: Iterable[dict[str, Any]]) -> list[Estimate]:
+        answers = [answer_of(entry) for entry in entries]
+        _check_whole(content, answers)
+        return answers
+
+    return _read(path, whole)
+
+
+def read_covariances(path: str | Path) -> dict[int, Array]:
+    """The covariances (6, 6) of a result.json by frame, of frames that have one, whatever else it lacks; raises
+    InputError for a file that is none.
+    """
+
+    def spreads(_: dict[str, Any], entries: Iterable[dict[str, Any]]) -> dict[int, Array]:
+        told = [(entry["frame"], entry["covariance"]) for entry in entries]
+        return {int(frame): _covariance(spread) for frame, spread in told if spread is not None}
+
+    return _read(path, spreads)[1]
+
+
+def _read(
+    path: str | Path, make: Callable[[dict[str, Any], Iterable[dict[str, Any]]], Made]
+) -> tuple[dict[str, Any], Made]:
+    """The content of a result.json, and what is made of it and of its frames' entries."""
     try:
         content = parsed(Path(path).read_text(encoding="utf-8-sig"))
         entries: Iterable[dict[str, Any]] = content["frames"]
         if content.get("frames_file"):
             with (Path(path).parent / content["frames_file"]).open(encoding="utf-8") as file:
                 entries = [parsed(line) for line in file]
-        answers = [answer_of(entry) for entry in entries]
-        _check_whole(content, answers)
+        made = make(content, entries)
     except OSError as error:
         raise InputError(f"{path}: expected a result.json, it cannot be opened: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -111,13 +138,7 @@ def read_result(path: str | Path) -> tuple[dict[str, Any], list[Estimate]]:
         raise InputError(f"{path}: expected a result.json as estimate writes it: {why}") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    return content, answers
-
-
-def read_covariances(path: str | Path) -> dict[int, NDArray[np.float64]]:
-    """The covariances (6, 6) of a result.json by frame, of frames that have one; raises InputError as `read_result`."""
-    _, answers = read_result(path)
-    return {one.frame: one.covariance for one in answers if np.isfinite(one.covariance).all()}
+    return content, made
 
 
 def capture_of(result: Path, content: dict[str, Any], given: Path | None = None) -> Path:
@@ -169,12 +190,12 @@ def _check_whole(content: dict[str, Any], answers: Sequence[Estimate]) -> None:
 
 def answer_of(entry: dict[str, Any]) -> Estimate:
     """The answer that an entry of a result says; an InputError, KeyError or ValueError for one that says none."""
+    pose = _pose(entry["camera_from_object"], "camera_from_object")
     frame, verdict = entry["frame"], entry["verdict"]
     if not isinstance(frame, int) or isinstance(frame, bool) or frame < 0:
         raise InputError(f"frame: expected a whole number from 0, got {frame!r:.60}")
     if verdict not in VERDICTS:
         raise InputError(f"frame {frame}: verdict: expected one of {', '.join(VERDICTS)}, got {verdict!r:.60}")
-    pose = _pose(entry["camera_from_object"], "camera_from_object")
     held = entry.get("hand_from_object")
     spread = entry.get("covariance")
     covariance = np.full((6, 6), np.nan) if spread is None else _covariance(spread)

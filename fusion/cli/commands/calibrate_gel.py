@@ -67,6 +67,8 @@ def run(args: argparse.Namespace) -> int:
     from touch.gels.photometry import mean_of, read_photometry
 
     check_target(args.out)
+    if args.sensor is not None and args.sensors is None:
+        raise InputError(f"--sensor: expected --sensors FILE beside it, whose gel it is, got {args.sensor} alone")
     paths = _images(args.images)
     background = args.background or next((p for p in paths if p.stem == BACKGROUND), None)
     presses = [path for path in paths if path != background and path.stem != BACKGROUND]
@@ -135,8 +137,6 @@ def _gel(args: argparse.Namespace, background) -> Gel:  # type: ignore[no-untype
 
     if sum([args.sensors is not None, args.mm_per_pixel is not None, args.digit]) != 1:
         raise InputError("calibrate-gel: expected one of --sensors FILE, --mm-per-pixel MM and --digit")
-    if args.sensor is not None and args.sensors is None:
-        raise InputError(f"--sensor: expected --sensors FILE beside it, whose gel it is, got {args.sensor} alone")
     if args.sensors is not None:
         gels = {name: sensor.gel for name, sensor in read_sensors(args.sensors).items() if sensor.gel is not None}
         if args.sensor is None and len(gels) != 1:

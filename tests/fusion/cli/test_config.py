@@ -211,9 +211,10 @@ def test_numbers_that_break_what_is_computed_are_refused(tmp_path, table, line, 
         read_config(written(tmp_path, f"[{table}]\n{line}\n"))
 
 
-@pytest.mark.parametrize("flags", [("--tolerance", "1e157,1"), ("--sure-within", "1e160")])
-def test_limits_that_hold_everything_are_taken(capture, tmp_path, flags):
-    assert main(["estimate", str(capture), "--out", str(tmp_path), "--no-report", "-q", *flags]) == 0
+@pytest.mark.parametrize("flags", [("--tolerance", "1e157,1"), ("--sure-within", "1e160"), ("--sure-within", "5000")])
+def test_limits_that_hold_everything_are_refused(capture, tmp_path, capsys, flags):
+    said = refused(capsys, "estimate", str(capture), "--out", str(tmp_path), "--no-report", "-q", *flags)
+    assert "expected metres up to the object's diameter" in said
 
 
 def test_a_result_without_modes_means_its_pose(capture, tmp_path, capsys):

@@ -123,7 +123,7 @@ def test_other_ways_round_in_the_leaders_place_do_not_keep_it_from_being_glanced
     model, settings, sensed, known = looked
     settings = replace(settings, glance=GlanceSettings())
     frame, pose = replace(sensed.viewed, index=known.index + 1), known.pose
-    state = SimpleNamespace(known=known, index=known.index, renewal=SimpleNamespace(due=known.index + 9))
+    state = SimpleNamespace(known=known, index=known.index, renewal=SimpleNamespace(due=known.index + 9), glanced=0)
     leader = Hypothesis(pose, 1e-6 * np.eye(6), 0.0, age=9)
 
     def beside(moved):
