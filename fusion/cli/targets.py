@@ -43,7 +43,8 @@ def check_targets(args: argparse.Namespace) -> None:
     """
     files = list(_files(args))
     for option, target in files:
-        if _is_data(option, target):
+        converted = option == "OUT" and args.command == OUT_IS_EITHER  # whose kind it is
+        if not converted and _is_data(option, target):
             raise InputError(f"{option}: expected a new file, or an older one of its kind, got {target}, which is data")
     out = None if _is_file(args) else getattr(args, "out", None)
     if not files and args.command != OUT_IS_EITHER:
@@ -89,8 +90,6 @@ def _is_data(option: str, target: Path) -> bool:
     """Whether a file to write is there and holds what was recorded or modelled, as its name tells: of a data set, more
     is read than the arguments name.
     """
-    if option == "OUT" and target.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-        return False  # of a converted recording, whose kind it is
     data = target.name in (*CAPTURES, *TABLES) or target.suffix.lower() in DATA
     return data and target.suffix.lower() not in WRITTEN.get(option, ()) and target.is_file()
 

@@ -115,7 +115,7 @@ def read_covariances(path: str | Path) -> dict[int, Array]:
         told = [(entry["frame"], entry["covariance"]) for entry in entries]
         return {int(frame): _covariance(spread) for frame, spread in told if spread is not None}
 
-    return _read(path, spreads)[1]
+    return {frame: spread for frame, spread in _read(path, spreads)[1].items() if np.isfinite(spread).all()}
 
 
 def _read(

@@ -16,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("out", metavar="OUT", type=Path, help="folder to write; an older capture is replaced")
     add_object(parser, required=True)
     parser.add_argument("--frames", metavar="N", type=positive, default=1, help="how many (default 1)")
-    parser.add_argument("--occlusion", metavar="F", type=share, help="hidden share (default 0.6; 0 of none)")
+    parser.add_argument("--occlusion", metavar="F", type=share, help="hidden share (default 0.6; occluders none: 0)")
     parser.add_argument(
         "--hand",
         metavar="NAME",

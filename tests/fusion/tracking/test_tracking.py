@@ -129,10 +129,18 @@ def test_senses_that_take_turns_and_a_late_frame(mug, carried):
     assert tracker._state.index == 9  # a late frame does not turn time back
 
 
-@pytest.mark.parametrize("camera", [True, False], ids=["its camera is told", "no camera is told"])
-def test_touch_between_images_is_quick_and_takes_nothing_from_them(mug, carried, camera):
+def test_touch_between_images_is_quick_and_takes_nothing_from_them(mug, carried):
+    told, untold = (followed_between_images(mug, carried, camera) for camera in (True, False))
+    # what fingers say is off by what the camera's place is off, whether a frame tells of it or not
+    for one, other in zip(told, untold):
+        np.testing.assert_array_equal(one.pose, other.pose)
+        np.testing.assert_array_equal(one.covariance, other.covariance)
+
+
+def followed_between_images(mug, carried, camera):
+    """Answers where every fourth frame has an image, and the others its camera or none."""
     tracker, every = Tracker(mug), 4
-    between, searched = [], []
+    answers, searched = [], []
     for frame in carried:
         image = frame.index % every == 0
         part = frame if image else replace(frame, depth=None, rgb=None, mask=None)
@@ -145,14 +153,12 @@ def test_touch_between_images_is_quick_and_takes_nothing_from_them(mug, carried,
         if frame.index:
             stages = {stage.name for stage in answer.trace if stage.ran}
             searched.append((image, "search anew" in stages))
-        if not image:
-            between.append(answer.covariance)
+        answers.append(answer)
         if frame.index > every:
             assert tracker._state.known is not None  # of what looks have in common touch says nothing
     assert not any(done for image, done in searched if not image)
     assert all(done for image, done in searched if image)
-    # what fingers say is off by what the camera's place is off
-    assert all(np.sqrt(np.linalg.eigvalsh(spread[3:, 3:]).max()) > 2e-4 for spread in between)
+    return answers
 
 
 def test_a_late_image_is_searched_at_its_own_time(mug, carried):
@@ -160,7 +166,6 @@ def test_a_late_image_is_searched_at_its_own_time(mug, carried):
     for frame in carried[:6]:
         tracker.step(frame)
     tracker.step(carried[8])
-    before = tracker._state.belief.pose.copy()
     search = tracker._search
 
     def looked_at(frame, answer, heard):
@@ -168,11 +173,11 @@ def test_a_late_image_is_searched_at_its_own_time(mug, carried):
         return search(frame, answer, heard)
 
     tracker._search = looked_at
-    tracker.step(carried[6])
+    late = tracker.step(carried[6])
     assert asked[0][0] < 3.0  # the track is where the object was then
     assert asked[0][1] < 2.5
     assert tracker._state.index == 8
-    turn, move = off_by(replace(tracker.step(carried[9]), pose=before), carried[8], mug)
+    turn, move = off_by(replace(late, pose=tracker._state.belief.pose), carried[8], mug)  # and in the present again
     assert turn < 3.0
     assert move < 2.5
 
