@@ -69,7 +69,7 @@ ROOMS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
             "scenes.recordings.frames": ("EmptyRegions", "Wrench"),
             "scenes.recordings.beliefs": ("Beliefs", "DepthModel", "CalibrationModel", "TouchModel", "ImageModel"),
             "scenes.recordings.telling": ("believed", "depth_camera"),
-            "scenes.recordings.validation": ("validate", "check_usable"),
+            "scenes.recordings.checking.validation": ("validate", "check_usable"),
             "scenes.geometry.cameras": ("Camera",),
             "scenes.robot.hands": ("Hand",),
             "scenes.robot.sensors": ("Sensor",),

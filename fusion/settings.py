@@ -34,18 +34,18 @@ from scenes.synthesis.noise.presets import PRESETS, NoisePreset
 from scenes.synthesis.settings import SynthesisSettings
 from touch.answers import LocalizeSettings
 from touch.arrays.searches import ArraySearchSettings, PressureSettings
-from touch.gels.calibration import GelCalibrationSettings
 from touch.gels.localize import GelSearchSettings
+from touch.gels.skin.calibration import GelCalibrationSettings
 from touch.published.answers import AnswerSettings
 from touch.published.contact_icp import ContactIcpSettings
-from touch.published.direct import BoxSettings
-from touch.published.gradient_descent import GradientDescentSettings
-from touch.published.levenberg_marquardt import LevenbergMarquardtSettings
-from touch.published.memory_unscented_particle_filter import UnscentedSettings
-from touch.published.monte_carlo import MonteCarloSettings
-from touch.published.particle_filters import ParticleFilterSettings
-from touch.published.recursion import StoppingSettings
-from touch.published.scaling_series import ScalingSettings
+from touch.published.optimisers.direct import BoxSettings
+from touch.published.optimisers.gradient_descent import GradientDescentSettings
+from touch.published.optimisers.levenberg_marquardt import LevenbergMarquardtSettings
+from touch.published.optimisers.monte_carlo import MonteCarloSettings
+from touch.published.particles.memory_unscented_particle_filter import UnscentedSettings
+from touch.published.particles.particle_filters import ParticleFilterSettings
+from touch.published.particles.recursion import StoppingSettings
+from touch.published.particles.scaling_series import ScalingSettings
 from touch.recognition import RecognitionSettings
 from touch.wrenches.sphere import IntrinsicSettings
 from vision.published.registration import BaselineSettings

@@ -14,8 +14,8 @@ from scenes.evidence.alike import alike
 from scenes.evidence.modes import Mode, displaced
 from scenes.evidence.table import Evidence
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings.checking.validation import check_below_object
 from scenes.recordings.frames import Contacts
-from scenes.recordings.validation import check_below_object
 from touch.answers import Localization, LocalizeSettings
 from touch.multistart import find_candidates
 from touch.posterior import Posterior, posterior_of

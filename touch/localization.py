@@ -13,8 +13,8 @@ from scenes.evidence.align import Prior, check_prior
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings.checking.validation import check_are_contacts, check_is_model, check_scale, check_seed
 from scenes.recordings.frames import Contacts, Frame
-from scenes.recordings.validation import check_are_contacts, check_is_model, check_scale, check_seed
 from touch.answers import Localization, LocalizeSettings
 from touch.confidence import DRAWING, asked, judged, posterior_about, worth_a_look
 from touch.multistart import multistart
@@ -25,16 +25,16 @@ GAUSSIAN = 1.48
 # Every method by name -> module:function(model, contacts, seed, prior, extra) -> Localization, imported when asked for.
 METHODS = {
     "multistart": "touch.multistart:multistart",
-    "gradient-descent": "touch.published.gradient_descent:localize",
-    "levenberg-marquardt": "touch.published.levenberg_marquardt:localize",
-    "monte-carlo": "touch.published.monte_carlo:localize",
-    "direct": "touch.published.direct:localize",
-    "annealing": "touch.published.annealing:localize",
-    "mupf": "touch.published.memory_unscented_particle_filter:localize",
-    "upf": "touch.published.memory_unscented_particle_filter:upf",
-    "particle-filter": "touch.published.particle_filters:plain",
-    "annealed-particle-filter": "touch.published.particle_filters:annealed",
-    "scaling-series": "touch.published.scaling_series:localize",
+    "gradient-descent": "touch.published.optimisers.gradient_descent:localize",
+    "levenberg-marquardt": "touch.published.optimisers.levenberg_marquardt:localize",
+    "monte-carlo": "touch.published.optimisers.monte_carlo:localize",
+    "direct": "touch.published.optimisers.direct:localize",
+    "annealing": "touch.published.optimisers.annealing:localize",
+    "mupf": "touch.published.particles.memory_unscented_particle_filter:localize",
+    "upf": "touch.published.particles.memory_unscented_particle_filter:upf",
+    "particle-filter": "touch.published.particles.particle_filters:plain",
+    "annealed-particle-filter": "touch.published.particles.particle_filters:annealed",
+    "scaling-series": "touch.published.particles.scaling_series:localize",
     "icp": "touch.published.contact_icp:localize",
 }
 

@@ -26,8 +26,8 @@ from scenes.evidence.search import SearchStage, distinct_first, search
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
+from scenes.recordings.checking.validation import check_are_contacts, check_is_model, check_seed
 from scenes.recordings.frames import Contacts
-from scenes.recordings.validation import check_are_contacts, check_is_model, check_seed
 from touch.identity.evidence import EvidenceSettings, likelihoods, log_evidence
 from touch.identity.noise import Noise
 from touch.misfit import MisfitSettings, log_odds_of_another

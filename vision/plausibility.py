@@ -8,7 +8,7 @@ import numpy as np
 
 from scenes.geometry.cameras import FARTHEST_READING, is_reading
 from scenes.recordings.beliefs import CalibrationModel, usual_beliefs
-from scenes.recordings.frame_problems import centre_problems
+from scenes.recordings.checking.frame_problems import centre_problems
 from scenes.recordings.frames import Frame
 from scenes.words import counted
 from vision.look.hand.hand import HandView, camera_from_hand, prior_information

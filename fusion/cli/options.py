@@ -234,7 +234,7 @@ def warn_of(left_out: Mapping[int, str]) -> None:
 
 def warn_neglected(capture: Capture) -> None:
     """Say what in a capture is passed over though something is wrong with it; of much the first few."""
-    from scenes.recordings.validation import neglected
+    from scenes.recordings.checking.validation import neglected
 
     found = neglected(capture)
     for problem in found[:MOST_LEFT_OUT]:

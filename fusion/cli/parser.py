@@ -9,27 +9,10 @@ from collections.abc import Sequence
 from types import ModuleType
 from typing import Any, NoReturn
 
-from fusion.cli.commands import (
-    batch,
-    bench,
-    calibrate_gel,
-    compare,
-    completion,
-    convert,
-    demo,
-    doctor,
-    estimate,
-    evaluate,
-    fit_confidence,
-    grasp,
-    identify,
-    localize,
-    model,
-    synth,
-    track,
-    validate,
-    view,
-)
+from fusion.cli.commands.answers import batch, estimate, grasp, identify, localize, track
+from fusion.cli.commands.data import convert, model, synth, validate, view
+from fusion.cli.commands.install import completion, demo, doctor
+from fusion.cli.commands.measures import bench, calibrate_gel, compare, evaluate, fit_confidence
 from fusion.cli.options import add_common
 from scenes.errors import InputError, unknown
 

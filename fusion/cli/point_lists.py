@@ -67,7 +67,7 @@ def _read_contacts(source: Path, frame: int | None, dropped: Dropped) -> OffData
     """Points of contacts, with their normals where all have one; what else is said of them is counted as dropped."""
     import numpy as np
 
-    from fusion.cli.commands.localize import read_contacts
+    from fusion.cli.commands.answers.localize import read_contacts
     from scenes.files import tables
     from scenes.files.off import OffData
     from scenes.files.problems import refuse

@@ -15,8 +15,8 @@ from scenes.evidence.align import Prior, check_prior
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs, usual_beliefs
+from scenes.recordings.checking.validation import MILLIMETRES, check_below_object, check_is_model, check_seed
 from scenes.recordings.frames import Frame
-from scenes.recordings.validation import MILLIMETRES, check_below_object, check_is_model, check_seed
 from vision.filling import as_measured
 from vision.noise import believed_of
 

@@ -29,8 +29,8 @@ from scenes.evidence.point_pairs import built_pair_table
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
+from scenes.recordings.checking.validation import check_scale
 from scenes.recordings.frames import Frame
-from scenes.recordings.validation import check_scale
 from scenes.threads import one_blas_thread
 from touch.gels.localize import build_tables
 from vision.look.looked import Looked

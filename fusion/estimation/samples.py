@@ -9,7 +9,7 @@ from fusion.estimation.answer import Estimate
 from scenes.errors import InputError
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
-from scenes.recordings.validation import check_is_model
+from scenes.recordings.checking.validation import check_is_model
 from touch.answers import Localization
 
 Array = NDArray[np.float64]

@@ -158,7 +158,7 @@ def estimates(
     """
     from fusion.estimation.estimate import estimate
     from scenes.errors import CaptureError
-    from scenes.recordings.validation import usable
+    from scenes.recordings.checking.validation import usable
 
     log = logging.getLogger(__name__)
 

@@ -28,8 +28,8 @@ from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.captures import Capture
+from scenes.recordings.checking.validation import usable
 from scenes.recordings.frames import Frame
-from scenes.recordings.validation import usable
 from touch.contacts import places_touched
 from vision.look.look import object_points
 from vision.look.points import all_points, crop_points

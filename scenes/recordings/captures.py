@@ -2,7 +2,7 @@
 
 The layout is BOP's where BOP has one (scene_camera.json, scene_gt.json, depth/, rgb/, mask_visib/, models/), with CSVs
 for what a hand knows. Every optional part may be missing. Whatever is malformed goes to a `report` with its file and
-frame: reading refuses at the first problem, `scenes.recordings.validation` collects them all with the same code.
+frame: reading refuses at the first, `scenes.recordings.checking.validation` collects them all by the same code.
 """
 
 from __future__ import annotations

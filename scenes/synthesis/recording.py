@@ -23,11 +23,11 @@ from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.depth_cameras import DEPTH_CAMERAS
 from scenes.recordings.frames import Contacts, EmptyRegions, Frame, GelImage, Wrench
 from scenes.synthesis.grasping.hiding import Placement, place
-from scenes.synthesis.loose_fingers import object_renderer, random_contacts
 from scenes.synthesis.noise import presets as noise_models
 from scenes.synthesis.noise.presets import LastingErrors, NoisePreset
 from scenes.synthesis.photography import photograph, smeared
 from scenes.synthesis.settings import SynthesisSettings
+from scenes.synthesis.staging.loose_fingers import object_renderer, random_contacts
 from scenes.synthesis.staging.mesh_errors import believed
 from scenes.synthesis.staging.mounts import hand_mesh
 from scenes.synthesis.staging.pieces import Staging, staged
@@ -280,7 +280,7 @@ class _Recording:
         return {"object": camera_from_hand @ grasp.hand_from_object, "hand": camera_from_hand}
 
     def _stand_about(self, scene: dict[str, Array], rng: np.random.Generator) -> dict[str, Array]:
-        from scenes.synthesis.clutter import stand_about
+        from scenes.synthesis.staging.clutter import stand_about
 
         return stand_about(self.renderer, scene, self.settings.camera, rng, self.settings)
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from scenes.geometry.cameras import Camera
-from scenes.synthesis.loose_fingers import LooseFingerSettings
+from scenes.synthesis.staging.loose_fingers import LooseFingerSettings
 from scenes.synthesis.staging.tables import TableSettings
-from scenes.synthesis.views import ViewSettings
+from scenes.synthesis.staging.views import ViewSettings
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,9 @@ from scenes.recordings.frames import Contacts
 from scenes.synthesis import library
 from touch.answers import contact_index
 from touch.localization import METHODS, localize
-from touch.published import costs as published
-from touch.published import gradient_descent, levenberg_marquardt, monte_carlo
-from touch.published.direct import BoxSettings, objective
+from touch.published.optimisers import costs as published
+from touch.published.optimisers import gradient_descent, levenberg_marquardt, monte_carlo
+from touch.published.optimisers.direct import BoxSettings, objective
 
 seeds = st.integers(0, 2**32 - 1)
 MINE = ("gradient-descent", "levenberg-marquardt", "monte-carlo", "direct", "annealing")

@@ -15,7 +15,7 @@ from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
 from scenes.synthesis import library
-from touch.published.recursion import StoppingRule, localize_online
+from touch.published.particles.recursion import StoppingRule, localize_online
 from touch.recognition import identify
 
 NAMES = ("l_block", "box", "cylinder", "pencil")

@@ -11,15 +11,16 @@ from scenes.geometry import poses
 from scenes.recordings.frames import Contacts
 from scenes.synthesis import library
 from touch.localization import METHODS, localize
-from touch.published import contact_icp, particle_filters, scaling_series
-from touch.published import memory_unscented_particle_filter as unscented
-from touch.published import unscented_kernels as kernels
-from touch.published.memory_unscented_particle_filter import (
+from touch.published import contact_icp
+from touch.published.particles import memory_unscented_particle_filter as unscented
+from touch.published.particles import particle_filters, scaling_series
+from touch.published.particles import unscented_kernels as kernels
+from touch.published.particles.memory_unscented_particle_filter import (
     UnscentedParticleFilter,
     UnscentedSettings,
     scattered_order,
 )
-from touch.published.resampling import normalised, systematic
+from touch.published.particles.resampling import normalised, systematic
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -16,8 +16,8 @@ from scenes.errors import CaptureError
 from scenes.geometry import poses as se3
 from scenes.recordings.frames import Frame
 from scenes.robot.gels import Gel
-from touch.gels.heights import HeightSettings, Indentation, indentation_of
-from touch.gels.kernels import most_telling
+from touch.gels.skin.heights import HeightSettings, Indentation, indentation_of
+from touch.gels.skin.kernels import most_telling
 
 Array = NDArray[np.float64]
 

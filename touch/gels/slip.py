@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from scenes.geometry import poses as se3
 from scenes.recordings.frames import Frame
-from touch.gels.heights import Indentation
 from touch.gels.patches import Patch
+from touch.gels.skin.heights import Indentation
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]

@@ -18,8 +18,8 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
 from touch.answers import Localization
 from touch.localization import localize
-from touch.published import memory_unscented_particle_filter as unscented
-from touch.published.recursion import StoppingRule, localize_online
+from touch.published.particles import memory_unscented_particle_filter as unscented
+from touch.published.particles.recursion import StoppingRule, localize_online
 
 Array = NDArray[np.float64]
 

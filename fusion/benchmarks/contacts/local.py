@@ -45,7 +45,7 @@ def run(settings: BenchSettings) -> Report:
 
 
 def _gradient_descent(model: ObjectModel, contacts: Contacts, start: Array, w_n: float, seed: int) -> tuple[Array, int]:
-    from touch.published.gradient_descent import GradientDescentSettings, refine
+    from touch.published.optimisers.gradient_descent import GradientDescentSettings, refine
 
     # without normals the cost has no steep walls and bears a larger step
     rate = 1e-3 if w_n == 0 else GradientDescentSettings().rate
@@ -55,7 +55,7 @@ def _gradient_descent(model: ObjectModel, contacts: Contacts, start: Array, w_n:
 def _levenberg_marquardt(
     model: ObjectModel, contacts: Contacts, start: Array, w_n: float, seed: int
 ) -> tuple[Array, int]:
-    from touch.published.levenberg_marquardt import LevenbergMarquardtSettings, refine
+    from touch.published.optimisers.levenberg_marquardt import LevenbergMarquardtSettings, refine
 
     return refine(model, contacts, start, seed, LevenbergMarquardtSettings(normal_weight=w_n))
 
@@ -88,7 +88,7 @@ REFINERS: dict[str, Refiner] = {
 
 def _table_31(report: Report, settings: BenchSettings, count: int) -> None:
     """Four exact contacts, starts up to 15 degrees and 1.4 cm away; T1 table 3.1 has centimetres and seconds."""
-    from touch.published.costs import regions_about
+    from touch.published.optimisers.costs import regions_about
 
     columns = [Column("method"), Column("w_n", 0), Column("shape"), Column("iterations", 1)]
     columns += [Column("MDTS cm", 3), Column("MATN °", 2), Column("RME cm", 3), Column("MAE °", 2)]

@@ -23,10 +23,10 @@ from scenes.robot.gels import Gel
 from scenes.synthesis import library
 from scenes.synthesis.gels import bridged, pressed_by, see
 from scenes.threads import one_blas_thread
-from touch.gels.heights import indentation_of
 from touch.gels.localize import localize_gels
 from touch.gels.patches import patch_of, patches_of
 from touch.gels.rows import patch_rows
+from touch.gels.skin.heights import indentation_of
 from touch.localization import Localization, localize
 
 Array = NDArray[np.float64]

@@ -19,10 +19,10 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
 from scenes.robot.gels import Gel
 from scenes.synthesis.gels import LitGel, ball_presses, lit_digit, pressed_by, see
-from touch.gels.calibration import calibrate
-from touch.gels.heights import indentation_of
 from touch.gels.patches import Patch, patch_of
-from touch.gels.photometry import Photometry, mean_of
+from touch.gels.skin.calibration import calibrate
+from touch.gels.skin.heights import indentation_of
+from touch.gels.skin.photometry import Photometry, mean_of
 
 Array = NDArray[np.float64]
 

@@ -19,8 +19,8 @@ from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.synthesis import library
 from scenes.synthesis.gels import bridged, pressed_by, see
-from touch.gels.heights import from_depth, indentation_of
 from touch.gels.patches import PatchSettings, patch_of
+from touch.gels.skin.heights import from_depth, indentation_of
 from touch.gels.slip import PatchSlipSettings, PatchWatch, in_palm, patch_motion
 
 if TYPE_CHECKING:

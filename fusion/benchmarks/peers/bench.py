@@ -157,7 +157,7 @@ def _absent(table: Table, name: str, how: str) -> None:
 
 
 def _settings_table() -> Table:
-    from touch.published.direct import BoxSettings
+    from touch.published.optimisers.direct import BoxSettings
     from vision.published.icp import CloudIcpSettings
     from vision.published.registration import BaselineSettings
 

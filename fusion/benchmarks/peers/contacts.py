@@ -34,7 +34,7 @@ from scenes.synthesis import library
 from touch.answers import LocalizeSettings
 from touch.localization import localize
 from touch.multistart import refine_contacts
-from touch.published.direct import BoxSettings, objective
+from touch.published.optimisers.direct import BoxSettings, objective
 
 Array = NDArray[np.float64]
 Search = Callable[[ObjectModel, Contacts, int], Array]
@@ -87,9 +87,9 @@ def _ours() -> Iterator[Peer]:
 
 def _published() -> Iterator[Peer]:
     """Of the theses: the Monte-Carlo search of T1 (its best poses polished) and, without normals, the MUPF of T2."""
-    from touch.published import memory_unscented_particle_filter as unscented
-    from touch.published.monte_carlo import MonteCarloSettings
-    from touch.published.monte_carlo import search as evolved
+    from touch.published.optimisers.monte_carlo import MonteCarloSettings
+    from touch.published.optimisers.monte_carlo import search as evolved
+    from touch.published.particles import memory_unscented_particle_filter as unscented
 
     def monte_carlo(runs: int) -> Search:
         settings = replace(MonteCarloSettings.global_search(), runs=runs)

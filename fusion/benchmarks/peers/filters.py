@@ -69,7 +69,7 @@ def _ours() -> Iterator[Peer]:
 
 
 def _unscented() -> Iterator[Peer]:
-    from touch.published import memory_unscented_particle_filter as unscented
+    from touch.published.particles import memory_unscented_particle_filter as unscented
 
     for name, window in (("MUPF (T2)", None), ("UPF", 1)):
         for particles in (100, 300, 700, 2000):
@@ -84,7 +84,8 @@ def _unscented() -> Iterator[Peer]:
 
 
 def _others() -> Iterator[Peer]:
-    from touch.published import contact_icp, particle_filters, scaling_series
+    from touch.published import contact_icp
+    from touch.published.particles import particle_filters, scaling_series
 
     for most in (1000, 8000):
         scaling = scaling_series.ScalingSettings(fewest=most // 2, most=most)

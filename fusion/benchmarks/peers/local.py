@@ -61,7 +61,8 @@ def _ours() -> Iterator[Peer]:
 
 
 def _gradients() -> Iterator[Peer]:
-    from touch.published import contact_icp, gradient_descent, levenberg_marquardt
+    from touch.published import contact_icp
+    from touch.published.optimisers import gradient_descent, levenberg_marquardt
 
     def descent(steps: int) -> Refine:
         settings = gradient_descent.GradientDescentSettings(iterations=steps)
@@ -86,9 +87,9 @@ def _gradients() -> Iterator[Peer]:
 def _searches() -> Iterator[Peer]:
     from scipy.optimize import direct
 
-    from touch.published.direct import BoxSettings, objective
-    from touch.published.monte_carlo import MonteCarloSettings
-    from touch.published.monte_carlo import search as evolved
+    from touch.published.optimisers.direct import BoxSettings, objective
+    from touch.published.optimisers.monte_carlo import MonteCarloSettings
+    from touch.published.optimisers.monte_carlo import search as evolved
 
     def monte_carlo(runs: int, particles: int) -> Refine:
         usual = MonteCarloSettings.correction()

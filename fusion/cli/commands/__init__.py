@@ -1,1 +1,1 @@
-"""One file a command: `add_arguments` and `run`, and the first line of its docstring is its help."""
+"""One file a command, by what they are for: `add_arguments` and `run`; its docstring begins with its help."""

@@ -22,8 +22,8 @@ from scenes.geometry import poses as se3
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import CalibrationModel, usual_beliefs
+from scenes.recordings.checking.validation import FARTHEST_HELD
 from scenes.recordings.frames import Contacts, Frame
-from scenes.recordings.validation import FARTHEST_HELD
 from scenes.words import counted
 from vision.contour.evidence import UNREGISTERED
 from vision.look.hand.hand import HandView

@@ -21,8 +21,8 @@ from scenes.evidence.align import AlignSettings, Prior, align
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
+from scenes.recordings.checking.validation import check_scale
 from scenes.recordings.frames import Frame
-from scenes.recordings.validation import check_scale
 from scenes.threads import one_blas_thread
 
 Array = NDArray[np.float64]

@@ -29,8 +29,8 @@ from scenes.files.problems import Problem, refuse
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.captures import Capture
+from scenes.recordings.checking.validation import check_scale
 from scenes.recordings.frames import Frame
-from scenes.recordings.validation import check_scale
 
 _log = logging.getLogger(__name__)
 

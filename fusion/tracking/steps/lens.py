@@ -10,8 +10,8 @@ import numpy as np
 
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.state import TrackState
+from scenes.recordings.checking.validation import check_is_frame
 from scenes.recordings.frames import Frame
-from scenes.recordings.validation import check_is_frame
 
 
 def through_one_lens(frame: Frame, state: TrackState, settings: TrackSettings) -> tuple[Frame, tuple[str, ...]]:

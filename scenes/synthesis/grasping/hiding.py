@@ -19,7 +19,7 @@ from scenes.synthesis.grasping.gripping import has_flat_pads, plan_grip
 from scenes.synthesis.grasping.placement import is_gripper
 from scenes.synthesis.settings import SynthesisSettings
 from scenes.synthesis.staging.mounts import hand_mesh
-from scenes.synthesis.views import find_view
+from scenes.synthesis.staging.views import find_view
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from scenes.synthesis.optics.cameras import take
 from scenes.synthesis.optics.known_cameras import KNOWN_CAMERAS
+from scenes.synthesis.optics.light.things import Material
 from scenes.synthesis.optics.settings import OpticalCamera, PatternCamera, StereoCamera, TimeOfFlightCamera
 from scenes.synthesis.optics.shots import Shot
-from scenes.synthesis.optics.things import Material
 from scenes.synthesis.optics.units import CameraUnit, draw_unit
 
 __all__ = [

@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike
 
 from scenes.geometry.cameras import Camera
 from scenes.geometry.rendering import Renderer
+from scenes.synthesis.optics.light.things import Material, material_table
+from scenes.synthesis.optics.light.views import Scene
 from scenes.synthesis.optics.settings import OpticalCamera, PatternCamera, StereoCamera
 from scenes.synthesis.optics.shots import Shot
-from scenes.synthesis.optics.things import Material, material_table
 from scenes.synthesis.optics.units import CameraUnit, draw_unit
-from scenes.synthesis.optics.views import Scene
 
 
 def take(

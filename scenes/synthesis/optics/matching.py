@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.synthesis.optics.infrared import Counts
+from scenes.synthesis.optics.light.infrared import Counts
 from scenes.synthesis.optics.settings import Matcher
 
 Image = NDArray[np.float32]

@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
-from scenes.synthesis.optics.infrared import Counts, as_grey, bent, blurred, expose, exposure, project, read_out
+from scenes.synthesis.optics.light.infrared import Counts, as_grey, bent, blurred, expose, exposure, project, read_out
+from scenes.synthesis.optics.light.views import Scene, see
 from scenes.synthesis.optics.matching import disparity
 from scenes.synthesis.optics.settings import Build, PatternCamera, StereoCamera
 from scenes.synthesis.optics.shots import Shot
 from scenes.synthesis.optics.units import CameraUnit
-from scenes.synthesis.optics.views import Scene, see
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]

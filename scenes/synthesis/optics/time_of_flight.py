@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.geometry.cameras import Camera
-from scenes.synthesis.optics import bounce_kernels as kernels
-from scenes.synthesis.optics.infrared import as_grey, blurred
-from scenes.synthesis.optics.light_kernels import reflectance
+from scenes.synthesis.optics.light import bounce_kernels as kernels
+from scenes.synthesis.optics.light.infrared import as_grey, blurred
+from scenes.synthesis.optics.light.light_kernels import reflectance
+from scenes.synthesis.optics.light.views import Scene, View, see
 from scenes.synthesis.optics.settings import TimeOfFlightCamera
 from scenes.synthesis.optics.shots import Shot
 from scenes.synthesis.optics.units import CameraUnit
-from scenes.synthesis.optics.views import Scene, View, see
 from scenes.threads import run_chunks
 
 Array = NDArray[np.float64]

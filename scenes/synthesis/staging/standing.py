@@ -11,14 +11,13 @@ from scenes.errors import InputError
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
-from scenes.synthesis import clutter
-from scenes.synthesis.loose_fingers import lay_fingers
 from scenes.synthesis.photography import add_background
 from scenes.synthesis.settings import SynthesisSettings
-from scenes.synthesis.staging import tables
+from scenes.synthesis.staging import clutter, tables
+from scenes.synthesis.staging.loose_fingers import lay_fingers
 from scenes.synthesis.staging.neighbours import touching
 from scenes.synthesis.staging.pieces import Staging
-from scenes.synthesis.views import draw_views
+from scenes.synthesis.staging.views import draw_views
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
-from scenes.synthesis.views import ViewSettings
+from scenes.synthesis.staging.views import ViewSettings
 
 Array = NDArray[np.float64]
 

@@ -113,7 +113,7 @@ def test_basinhopping_keeps_to_its_evaluations():
         used.append(1)
         return float(np.sum((x - 0.3) ** 2))
 
-    from touch.published.direct import BoxSettings
+    from touch.published.optimisers.direct import BoxSettings
 
     best = peers_contacts._basinhopping(cost, [(-1.0, 1.0)] * 6, 0, BoxSettings(evaluations=150))
     assert len(used) == 150

@@ -15,7 +15,7 @@ from scenes.files import images
 from scenes.recordings.captures import read_capture
 from scenes.robot.sensors import Sensor, write_sensors
 from scenes.synthesis.gels import ball_presses, lit_digit
-from touch.gels.photometry import Photometry
+from touch.gels.skin.photometry import Photometry
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import subprocess
 
 import pytest
 
-from fusion.cli.commands.completion import SHELLS, commands, script
+from fusion.cli.commands.install.completion import SHELLS, commands, script
 from fusion.cli.main import main
 from fusion.cli.parser import COMMANDS, build_parser
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from commands import refused, run
 
-from fusion.cli.commands.localize import read_contacts
+from fusion.cli.commands.answers.localize import read_contacts
 from scenes.files.off import read_off, write_off
 from scenes.files.ply import read_cloud, write_ply
 

@@ -412,7 +412,7 @@ def test_a_number_is_the_same_wherever_it_is_told(lab_frame, drill):
     """Headline, what each source added and the next touch start from the one covariance of the answer; the terminal's
     contacts are those of result.json.
     """
-    from fusion.cli.commands.estimate import _contacts_mm
+    from fusion.cli.commands.answers.estimate import _contacts_mm
     from fusion.estimation.estimate import estimate
 
     answer = estimate(lab_frame, drill, lab_frame.camera_from_object_truth)

@@ -16,8 +16,8 @@ from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.recording import SynthesisSettings, synthesize_frames
 from touch.arrays.readings import Reading
 from touch.arrays.slip import PatternSettings, PatternWatch
-from touch.gels.heights import indentation_of
 from touch.gels.patches import patch_of
+from touch.gels.skin.heights import indentation_of
 
 FLAT = grasps.pad(8, 3, 0.0032, None)
 LAYER = grasps.LAYER

@@ -16,7 +16,7 @@ from scenes.errors import PalpateError
 from scenes.files.schema import NAMES, complaints, kind_of, schema
 from scenes.formats.ros.topics import ROLES, read_map
 from scenes.recordings.captures import write_capture
-from scenes.recordings.validation import validate
+from scenes.recordings.checking.validation import validate
 from scenes.robot.sensors import read_sensors
 from scenes.robot.tactile import with_arrays
 from scenes.synthesis.hands import TIPS, HandShape, five_finger_hand

@@ -21,7 +21,7 @@ from scenes.files.ply import write_ply
 from scenes.geometry import poses
 from scenes.recordings.bop import read_poses
 from scenes.recordings.captures import read_capture, write_capture
-from scenes.recordings.validation import validate
+from scenes.recordings.checking.validation import validate
 from scenes.synthesis.library import make
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "formats.md"
@@ -140,7 +140,7 @@ def test_every_command_of_the_page_works(place, monkeypatch, capsys):
 
 
 def test_the_page_names_every_format_and_option():
-    from fusion.cli.commands.convert import SOURCES, TARGETS
+    from fusion.cli.commands.data.convert import SOURCES, TARGETS
     from fusion.cli.parser import build_parser
     from scenes.formats.ros.topics import FRAMES, KEYS, REQUIRABLE, ROLES
 

@@ -17,7 +17,7 @@ from scenes.files.off import write_off
 from scenes.files.pickles import read_plain
 from scenes.geometry import poses
 from scenes.recordings.captures import read_capture
-from scenes.recordings.validation import validate
+from scenes.recordings.checking.validation import validate
 from scenes.robot.digit import digit_gel, model_from_sensor
 from scenes.robot.hands import Hand
 from scenes.robot.sensors import Sensor

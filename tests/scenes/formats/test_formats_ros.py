@@ -14,7 +14,7 @@ from made_frames import hand_with_array
 
 from scenes.geometry import poses
 from scenes.recordings.captures import read_capture
-from scenes.recordings.validation import validate
+from scenes.recordings.checking.validation import validate
 from scenes.robot.hands import Hand
 
 TOPICS = {

@@ -14,10 +14,10 @@ from scenes.files.schema import schema
 from scenes.recordings import beliefs as module
 from scenes.recordings.beliefs import Beliefs, CalibrationModel, DepthModel, ImageModel, TouchModel
 from scenes.recordings.captures import read_capture, write_capture
+from scenes.recordings.checking.validation import validate
 from scenes.recordings.depth_cameras import DEPTH_CAMERAS
 from scenes.recordings.frames import Frame
 from scenes.recordings.telling import beliefs_json, believed, of_joints
-from scenes.recordings.validation import validate
 from scenes.synthesis.library import make
 from vision.sight import Sight
 

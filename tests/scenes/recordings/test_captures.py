@@ -16,8 +16,8 @@ from scenes.errors import CaptureError, InputError, PalpateError
 from scenes.files.images import read_mask
 from scenes.files.ply import read_cloud, write_ply
 from scenes.recordings.captures import read_capture, write_capture
+from scenes.recordings.checking.validation import validate
 from scenes.recordings.frames import Contacts, Frame
-from scenes.recordings.validation import validate
 from scenes.synthesis.library import make
 
 

@@ -12,7 +12,7 @@ from made_frames import some_frame
 
 from scenes.files import images
 from scenes.recordings.captures import write_capture
-from scenes.recordings.validation import validate
+from scenes.recordings.checking.validation import validate
 from scenes.synthesis.library import make
 
 

@@ -13,9 +13,9 @@ from made_frames import hand_with_array, some_frame
 from scenes.errors import CaptureError, InputError
 from scenes.recordings import bop
 from scenes.recordings.captures import read_capture, write_capture
+from scenes.recordings.checking.validation import check_usable, scale_problem, validate
 from scenes.recordings.frames import Contacts, Frame, Wrench
 from scenes.recordings.manifest import frame_stamps
-from scenes.recordings.validation import check_usable, scale_problem, validate
 from scenes.synthesis.library import make
 
 

@@ -12,8 +12,8 @@ import pytest
 
 from scenes.errors import CaptureError, InputError
 from scenes.recordings.captures import read_capture, write_capture
+from scenes.recordings.checking.validation import validate
 from scenes.recordings.frames import Frame
-from scenes.recordings.validation import validate
 from scenes.robot.digit import digit_gel
 from scenes.robot.gels import Gel
 from scenes.robot.hands import Hand

@@ -10,7 +10,7 @@ from made_frames import some_frame
 
 from scenes.files.json_text import parsed
 from scenes.recordings.captures import write_capture
-from scenes.recordings.validation import validate
+from scenes.recordings.checking.validation import validate
 from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.library import make
 

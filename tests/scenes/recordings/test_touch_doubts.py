@@ -12,8 +12,8 @@ from made_frames import plain_view, some_frame
 
 from scenes.files import images
 from scenes.recordings.captures import write_capture
+from scenes.recordings.checking.validation import validate
 from scenes.recordings.frames import Contacts, EmptyRegions
-from scenes.recordings.validation import validate
 from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.library import make
 

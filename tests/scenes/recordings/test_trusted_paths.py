@@ -12,7 +12,7 @@ from made_frames import some_frame
 
 from scenes.errors import CaptureError
 from scenes.recordings.captures import read_capture, write_capture
-from scenes.recordings.validation import validate
+from scenes.recordings.checking.validation import validate
 from scenes.robot.hands import Hand
 from scenes.synthesis.hands import HandShape, five_finger_hand
 from scenes.synthesis.library import make

@@ -12,8 +12,8 @@ from scenes.errors import CaptureError
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.recordings.captures import write_capture
+from scenes.recordings.checking.validation import check_scale, scale_problem, validate
 from scenes.recordings.frames import Contacts, Frame
-from scenes.recordings.validation import check_scale, scale_problem, validate
 from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.library import make
 

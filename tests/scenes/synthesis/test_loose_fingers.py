@@ -10,8 +10,8 @@ from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.geometry.rendering import Renderer
 from scenes.synthesis import library
-from scenes.synthesis.loose_fingers import capsule_mesh, lay_fingers, random_contacts
-from scenes.synthesis.views import look_at
+from scenes.synthesis.staging.loose_fingers import capsule_mesh, lay_fingers, random_contacts
+from scenes.synthesis.staging.views import look_at
 
 CAMERA = Camera(570.0, 570.0, 319.5, 239.5, 640, 480)
 

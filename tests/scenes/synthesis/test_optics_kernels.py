@@ -5,12 +5,12 @@ import pytest
 
 from scenes.geometry.cameras import Camera
 from scenes.geometry.rendering import Renderer
-from scenes.synthesis.optics import bounce_kernels, light_kernels
-from scenes.synthesis.optics.infrared import Projector, expose
-from scenes.synthesis.optics.pattern import Texture, _add_dots, pattern_texture
+from scenes.synthesis.optics.light import bounce_kernels, light_kernels
+from scenes.synthesis.optics.light.infrared import Projector, expose
+from scenes.synthesis.optics.light.pattern import Texture, _add_dots, pattern_texture
+from scenes.synthesis.optics.light.things import Material, draw_material, material_table
+from scenes.synthesis.optics.light.views import Scene, see
 from scenes.synthesis.optics.settings import Imager, Pattern
-from scenes.synthesis.optics.things import Material, draw_material, material_table
-from scenes.synthesis.optics.views import Scene, see
 
 LIGHT = 299792458.0
 
@@ -69,7 +69,7 @@ def test_what_stands_before_the_projector_throws_a_shadow():
     }
     white = {name: Material() for name in meshes}
     scene = Scene(Renderer(meshes), dict.fromkeys(meshes, np.eye(4)), material_table(list(meshes), 0, white))
-    from scenes.synthesis.optics.infrared import project
+    from scenes.synthesis.optics.light.infrared import project
 
     projector = project(scene, camera, Pattern(density=4000.0, radius=0.002, haze=0.5), 0.05, 0.5, 3)
     laser, _ = expose(

@@ -15,9 +15,9 @@ from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings import bop
 from scenes.recordings.captures import contacts_of, read_capture, write_capture
+from scenes.recordings.checking.validation import validate
 from scenes.recordings.frames import Contacts, EmptyRegions, Frame, Wrench
 from scenes.recordings.manifest import read_manifest, read_model
-from scenes.recordings.validation import validate
 from scenes.robot.hands import Hand
 from scenes.robot.sensors import read_sensors, surface_hull
 from scenes.robot.urdf import read_urdf
@@ -61,7 +61,7 @@ def _sensors(path: Path) -> None:
 
 
 def _loose(path: Path) -> None:
-    from fusion.cli.commands.localize import read_contacts
+    from fusion.cli.commands.answers.localize import read_contacts
 
     read_contacts(path, 0 if path.suffix == ".csv" else None)
 

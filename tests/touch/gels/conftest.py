@@ -9,7 +9,7 @@ import pytest
 from pressed_gels import BALL
 
 from scenes.synthesis.gels import ball_presses, lit_digit
-from touch.gels.calibration import calibrate
+from touch.gels.skin.calibration import calibrate
 
 
 @pytest.fixture(scope="session")

@@ -10,11 +10,11 @@ from pressed_gels import BALL, ball_depth, flat_gel
 
 from scenes.errors import InputError
 from scenes.synthesis.gels import ball_presses, bridged, lit, lit_digit, photograph_gel
-from touch.gels.calibration import DOUBTED, calibrate, largest_ball
-from touch.gels.colour import Moved
-from touch.gels.heights import heights, indentation_of
-from touch.gels.lamps import LampSettings, lamps_of, slopes_of
-from touch.gels.photometry import Photometry
+from touch.gels.skin.calibration import DOUBTED, calibrate, largest_ball
+from touch.gels.skin.colour import Moved
+from touch.gels.skin.heights import heights, indentation_of
+from touch.gels.skin.lamps import LampSettings, lamps_of, slopes_of
+from touch.gels.skin.photometry import Photometry
 
 
 def test_an_image_tells_how_its_lamps_mix(digit):

@@ -7,10 +7,19 @@ import pytest
 from pressed_gels import flat_gel
 
 from scenes.robot.digit import digit_gel
-from touch.gels.colour import _median_gap
-from touch.gels.colour_kernels import judge, most_frequent
-from touch.gels.kernels import _by_slope, equations, face, facing, following, most_telling, relax, slopes_by_colours
-from touch.gels.surfaces import fitted, slopes, slopes_of_waves, surface_of
+from touch.gels.skin.colour import _median_gap
+from touch.gels.skin.colour_kernels import judge, most_frequent
+from touch.gels.skin.kernels import (
+    _by_slope,
+    equations,
+    face,
+    facing,
+    following,
+    most_telling,
+    relax,
+    slopes_by_colours,
+)
+from touch.gels.skin.surfaces import fitted, slopes, slopes_of_waves, surface_of
 
 
 @pytest.mark.parametrize("gel", [digit_gel((60, 80)), flat_gel(60, 2e-4)], ids=["curved, pinhole", "flat, parallel"])

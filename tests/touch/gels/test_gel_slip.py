@@ -9,8 +9,8 @@ import pytest
 
 from scenes.geometry import poses as se3
 from scenes.robot.gels import Gel
-from touch.gels.heights import indentation_of
 from touch.gels.patches import patch_of
+from touch.gels.skin.heights import indentation_of
 from touch.gels.slip import PatchSlipSettings, PatchWatch, patch_motion, sigmas_off
 
 PITCH = 0.0001

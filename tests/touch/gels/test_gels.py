@@ -19,12 +19,12 @@ from scenes.robot.sensors import Sensor
 from scenes.synthesis import library
 from scenes.synthesis.gels import bridged, lit_digit, photograph_gel, pressed_by, with_gels
 from touch.contacts import feel
-from touch.gels.heights import harmonic, indentation_of, membrane
 from touch.gels.localize import localize_gels, off_middle
 from touch.gels.patches import Patch, patch_of, patches_of
 from touch.gels.proposals import bend_of, propose
 from touch.gels.rows import gel_contacts, patch_rows
-from touch.gels.surfaces import integrate, slopes
+from touch.gels.skin.heights import harmonic, indentation_of, membrane
+from touch.gels.skin.surfaces import integrate, slopes
 
 # ---- integration
 

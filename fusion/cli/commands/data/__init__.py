@@ -1,0 +1,1 @@
+"""Commands that make, change, check and show captures and meshes."""

@@ -1,0 +1,1 @@
+"""Commands that measure answers against truths, and fit what is measured."""

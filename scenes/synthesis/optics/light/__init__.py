@@ -1,0 +1,1 @@
+"""Infra-red light: how it is thrown, swung back and forth between surfaces, and falls into pixels."""

@@ -1,0 +1,1 @@
+"""Particles over poses: filters contact by contact, and searches that grow finer."""
