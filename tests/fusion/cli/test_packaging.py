@@ -68,11 +68,12 @@ def test_the_wheel_works_where_nothing_of_the_source_is(wheel, tmp_path):
     """In a new environment: the wheel as a user installs it; what it needs is borrowed from this one."""
     subprocess.run([sys.executable, "-m", "venv", str(tmp_path / "env")], check=True)
     python, palpate = (tmp_path / "env" / "bin" / name for name in ("python", "palpate"))
+    # a source on the path would be an installed palpate to pip
+    kept = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     install = [python, "-m", "pip", "install", "--quiet", "--no-deps", str(wheel)]
-    subprocess.run(install, check=True, capture_output=True)
+    subprocess.run(install, check=True, capture_output=True, env=kept)
     site = next((tmp_path / "env" / "lib").glob("python3*/site-packages"))
     (site / "borrowed.pth").write_text(f"{sysconfig.get_paths()['purelib']}\n")  # its own .pth files are not read
-    kept = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
 
     def run(*argv: object) -> subprocess.CompletedProcess[str]:
         done = subprocess.run(list(map(str, argv)), cwd=tmp_path, env=kept, capture_output=True, text=True, check=False)
