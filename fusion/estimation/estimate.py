@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import Asked, check_kinds, check_limits, check_start, sure_to_be_within
 from fusion.estimation.settings import EstimateSettings, usual_settings
-from fusion.estimation.steps.doubted import Question, doubted, on_the_hand
+from fusion.estimation.steps.doubts.doubted import Question, doubted, on_the_hand
 from fusion.estimation.steps.facing import check_print
 from fusion.estimation.steps.finished import finished
 from fusion.estimation.steps.searched import search_on, searched, searched_twice
-from fusion.estimation.steps.sense import look_again, look_once, sense, without_copy
+from fusion.estimation.steps.sense import Sensed, look_again, look_once, sense, without_copy
 from fusion.estimation.steps.told import nothing_told, told
 from fusion.estimation.tolerance import good_enough
 from fusion.estimation.trace import Trace
@@ -87,48 +87,50 @@ def estimate(
         if tolerance is not None and asked.senses == {"vision", "touch"} and frame.depth is not None:
             light = replace(settings, plan=replace(settings.plan, refined=settings.plan.tolerant))
             by_vision = replace(asked, senses=frozenset({"vision"}), settings=light, or_none=True)
-            alone = _estimate(frame, model, by_vision, trace, looked)
+            alone = _estimate(sense(frame, model, by_vision, trace, looked), by_vision, trace)
             if alone is not None and good_enough(model, alone, tolerance, settings):
                 return trace.noting_budget(trace.skipping(alone, "feel", "vision alone is within the tolerance"))
         question, astray = on_the_hand(Question(frame, asked), looked)
         if astray:
             looked = look_once(model, question.asked, trace)
-        answer = _answer(model, question, trace, looked)
+        answered = _answer(model, question, trace, looked)
 
-        def ask(other: Question) -> Estimate:
+        def ask(other: Question) -> tuple[Estimate, Sensed]:
             return _answer(model, other, trace, look_once(model, other.asked, trace))
 
-        answer = doubted(model, question, looked, answer, ask, trace)
+        answer = doubted(model, question, looked, answered, ask, trace)
         answer = replace(answer, trace=trace.stages, notes=(*answer.notes, *astray))
     return trace.noting_budget(answer)
 
 
-def _answer(model: ObjectModel, question: Question, trace: Trace, looked: Looked) -> Estimate:
-    """One question's answer, looked for again where it leaves much of what was looked at unexplained."""
+def _answer(model: ObjectModel, question: Question, trace: Trace, looked: Looked) -> tuple[Estimate, Sensed]:
+    """One question's answer, looked for again where it leaves much of what was looked at unexplained; and what was
+    sensed at first.
+    """
     frame, asked = question.frame, question.asked
-    answer = _estimate(frame, model, asked, trace, looked)
+    sensed = sense(frame, model, asked, trace, looked)
+    answer = _estimate(sensed, asked, trace)
     assert answer is not None
     left = without_copy(model, asked, looked, answer, trace)
     if left is not None:
         rest = look_once(model, left, trace)
-        other = _estimate(frame, model, left, trace, rest)
+        other = _estimate(sense(frame, model, left, trace, rest), left, trace)
         assert other is not None
         apart = se3.apply(other.pose, model.centroid[None]) - se3.apply(answer.pose, model.centroid[None])
         if other.verdict != "lost" and np.linalg.norm(apart) > model.radius:
             asked, looked, answer = left, rest, other
     again = look_again(model, asked, trace, looked, answer)
     if again is None:
-        return answer
-    other = _estimate(frame, model, asked, trace, again)
+        return answer, sensed
+    other = _estimate(sense(frame, model, asked, trace, again), asked, trace)
     assert other is not None
     # where what is felt contradicts every pose, a look at more of the image has to be sure of one
     if other.verdict == "ok" or not (looked.at_touch and answer.verdict == "lost"):
         answer = max(answer, other, key=lambda one: (one.verdict == "ok", one.confidence))
-    return answer
+    return answer, sensed
 
 
-def _estimate(frame: Frame, model: ObjectModel, asked: Asked, trace: Trace, looked: Looked) -> Estimate | None:
-    sensed = sense(frame, model, asked, trace, looked)
+def _estimate(sensed: Sensed, asked: Asked, trace: Trace) -> Estimate | None:
     if sensed.nothing:
         return nothing_told(sensed, asked, trace)
     found = searched(sensed, asked, trace)

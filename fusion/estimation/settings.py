@@ -17,7 +17,7 @@ from fusion.estimation.search.pool_settings import PoolSettings
 from fusion.estimation.search.proposals import ProposalSettings
 from fusion.estimation.solve.settings import JointSettings
 from fusion.estimation.steps.another import AnotherSettings
-from fusion.estimation.steps.doubt_settings import DoubtSettings
+from fusion.estimation.steps.doubts.settings import DoubtSettings
 from fusion.estimation.steps.picture import PictureMeanSettings
 from fusion.estimation.verdict import VerdictSettings
 from scenes.evidence.modes import ModeSettings

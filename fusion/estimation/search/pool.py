@@ -186,17 +186,19 @@ class Pool:
         at = self.costs(ends)
         return ends[at < at.min() + self.settings.promising]
 
-    def turned(self, best: Mode) -> Array:
+    def turned(self, best: Mode, most: int | None = None) -> Array:
         """(n, 4, 4) poses that turn the object from the best mode's by quarters about its principal axes, or by what
         leaves most of it where it is, each laid onto what is seen and felt there; those that may compete.
 
-        What is seen of an object often fits another side of it.
+        What is seen of an object often fits another side of it. most: so many are laid, those that fit best before.
         """
         s, model = self.settings, self.model
         rows = thin(tables.stack(self.evidence(best.pose, s.sides[0]), self.felt), s.turned_rows)
         alike = np.concatenate([quarter_turns(model), near_symmetries(model)])
         turned = self._believable(best.pose, best.pose @ alike)
         how = AlignSettings(blur=0.5 * self.proposals.blur(model), iterations=s.turned_steps)
+        if most is not None and len(turned) > most:
+            turned = turned[np.argsort(costs(model, rows, turned, self.prior), kind="stable")[:most]]
         if len(rows) and len(turned):
             turned = align(model, rows, turned, self.prior, how).poses
         return turned[self.walking(turned) < best.cost + s.promising]
@@ -225,6 +227,8 @@ class Pool:
         """`evidence` of each of poses (n, 4, 4). most: at most so many pixels and half as much of what is free,
         carrying the weight of all; 0: all.
         """
+        if not self.predictor.sees:
+            return [tables.empty()] * len(poses)
         free, least = self.looked.free(self.rows), self.settings.least_pixels
         shown = shown_rows(self.predictor, poses, free, self.rows, least, side, most)
         if self.prior is not None:

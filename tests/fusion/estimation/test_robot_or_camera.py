@@ -208,7 +208,7 @@ def test_what_contacts_contradict_stays_lost_unless_another_look_is_sure(monkeyp
     left, look = iter(answers), module.look_once
     monkeypatch.setattr(module, "_estimate", lambda *_: next(left))
     monkeypatch.setattr(module, "look_once", lambda *asked: replace(look(*asked), at_touch=touched))
-    monkeypatch.setattr(module, "doubted", lambda model, first, looked, answer, *_: answer)
+    monkeypatch.setattr(module, "doubted", lambda model, first, looked, answered, *_: answered[0])
     monkeypatch.setattr(module, "look_again", lambda model, asked, trace, looked, answer: looked)
     answer = estimate(frame, model)
     assert (answer.verdict, answer.confidence) == (words[told], answers[told].confidence)

@@ -9,7 +9,7 @@ from made_frames import plain_view
 from fusion import estimate
 from fusion.estimation.asked import Asked, believing
 from fusion.estimation.settings import EstimateSettings
-from fusion.estimation.steps.doubted import Question, _may_stand
+from fusion.estimation.steps.doubts.doubted import Question, _may_stand
 from fusion.estimation.steps.sense import look_once
 from fusion.estimation.trace import Trace
 from fusion.truth import metrics
@@ -117,6 +117,16 @@ def test_a_start_of_another_place(bare_frame, drill):
     for degrees, distance in ((180.0, 0.15), (120.0, 0.25)):
         found = estimate(bare_frame, drill, turned(bare_frame, drill, degrees, distance))
         is_right(drill, bare_frame, found, "the start is not believed: the object is found ")
+
+
+@pytest.mark.parametrize("use", [BOTH, ("vision",), ("touch",)])
+def test_a_start_of_another_way_round_keeps_no_sure_answer_there(bare_frame, drill, use):
+    """To be elsewhere costs a Gaussian hundreds of nats, and a start may be wrong all the same: told wide or narrow."""
+    for axis in np.eye(3):
+        other = turned(bare_frame, drill, 180.0, 0.0, axis)
+        for start in (other, Prior.isotropic(other, np.deg2rad(3.0), 0.005)):
+            found = estimate(bare_frame, drill, start, use)
+            assert found.verdict != "ok" or off(drill, bare_frame, found) < 0.005, (axis, found.notes)
 
 
 def test_no_start_is_left_for_what_nothing_says_is_meant(bare_frame, drill):

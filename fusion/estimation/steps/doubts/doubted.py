@@ -7,22 +7,36 @@ radians.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate
-from fusion.estimation.asked import Asked, as_prior
-from fusion.estimation.steps.doubt_settings import DoubtSettings
+from fusion.estimation.asked import Asked
+from fusion.estimation.steps.doubts.question import Ask, Change, Question
+from fusion.estimation.steps.doubts.settings import DoubtSettings
+from fusion.estimation.steps.doubts.start import (
+    far_from,
+    in_doubt,
+    in_view,
+    is_same,
+    is_surer,
+    least_by,
+    off_start,
+    start_of,
+    with_usual_start,
+    without_its_start,
+    without_start,
+)
+from fusion.estimation.steps.sense import Sensed
 from fusion.estimation.trace import Trace
-from scenes.evidence.align import Prior
+from scenes.evidence.modes import Mode
 from scenes.geometry import poses as se3
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import CalibrationModel, usual_beliefs
-from scenes.recordings.checking.validation import FARTHEST_HELD
 from scenes.recordings.frames import Contacts, Frame
 from scenes.words import counted
 from vision.contour.evidence import UNREGISTERED
@@ -33,28 +47,33 @@ from vision.visibility import visibility
 
 Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True)
-class Question:
-    """A frame and what is asked about it; said: of what is not believed in it any more, in words, at an answer."""
-
-    frame: Frame
-    asked: Asked
-    said: Callable[[Estimate], str] = lambda answer: ""
+# Statements by name, as the trace has them.
+SO_SURE, THE_START = "so sure a start", "the start"
+# Why an answer is in doubt, in words.
+ALONE = "the start alone speaks for it: without one it is likelier elsewhere, or turned"
+UNSURE = "it is not where the start has it, and without one it may be elsewhere"
 
 
-Ask = Callable[[Question], Estimate]
-Change = Callable[[Question], Question]
+def doubted(
+    model: ObjectModel, first: Question, looked: Looked, answered: tuple[Estimate, Sensed], ask: Ask, trace: Trace
+) -> Estimate:
+    """The answer, or one without what it contradicts: each statement alone is left out first, then all of them.
 
-
-def doubted(model: ObjectModel, first: Question, looked: Looked, answer: Estimate, ask: Ask, trace: Trace) -> Estimate:
-    """The answer, or one without what it contradicts: each statement alone is left out first, then all of them."""
-    changes = dict(_doubts(model, first, looked, answer)) if not trace.over_budget else {}
+    looked: before anything was left out. answered: the answer, and what it is from.
+    """
+    answer, sensed = answered
+    rival = without_its_start(model, first.asked, sensed, answer, trace)
+    changes = dict(_doubts(model, first, looked, answer, rival)) if not trace.over_budget else {}
     why_not = "" if changes else "nothing that was told is contradicted"
+    likelier: Estimate | None = None
+    unsure: Estimate | None = None
+    confirmed, taken = False, None
     with trace.stage("doubt", bool(changes), why_not) as stage:
         tried: list[tuple[Change, ...]] = [(change,) for change in changes.values()]
-        if len(tried) > 1:
-            tried.append(tuple(changes.values()))
+        # a start that is left is not believed less, too
+        every = tuple(change for name, change in changes.items() if name != SO_SURE or THE_START not in changes)
+        if len(every) > 1:
+            tried.append(every)
         for among in tried:
             if trace.over_budget:
                 break
@@ -62,20 +81,36 @@ def doubted(model: ObjectModel, first: Question, looked: Looked, answer: Estimat
             for change in among:
                 question = change(question)
                 said.append(question.said)
-            other = ask(question)
-            if other.verdict == "ok" and _may_stand(model, first, looked, question, answer, other):
+            other, of_other = ask(question)
+            noted = replace(other, notes=(*other.notes, *(words(other) for words in said)))
+            bare, elsewhere = question.asked.prior is None, not is_same(model, first.asked, answer, other)
+            # a start that leads where none leads is not left for what its own search has missed
+            likely = (elsewhere or rival is None) and _is_likelier(model, first, question, answer, other)
+            stands = likely and _may_stand(model, first, looked, question, answer, other, rival is not None)
+            confirmed = confirmed or (rival is not None and likely and bare)
+            if bare and elsewhere and other.verdict == "ambiguous" and _may_be(model, first.asked, answer, other):
+                unsure = noted if stands else in_doubt(model, first.asked, answer, other.modes[0], UNSURE)
+            if stands and other.verdict == "ok":
                 stage.note(0, f"without {' and '.join(n for n, c in changes.items() if c in among)}")
-                return replace(other, notes=(*other.notes, *(words(other) for words in said)))
-        stage.note(0, f"no surer without {', '.join(changes)}")
-    start = _start(first.asked)
-    if start is None or answer.verdict != "ok" or _off(model, answer.pose, start) <= first.asked.settings.doubt.start:
+                taken = question, (noted, of_other)
+                break
+            if stands and rival is not None and other.verdict == "ambiguous":
+                near = not bare or is_same(model, first.asked, rival, other)
+                likelier = likelier or (noted if near else None)
+        if taken is None:
+            stage.note(0, f"no surer without {', '.join(changes)}")
+    if taken is not None:
+        # of a start that is believed less, the same is asked again
+        less = taken[0].asked.prior is not None and taken[0].asked.prior is not first.asked.prior
+        return doubted(model, taken[0], looked, taken[1], ask, trace) if less else taken[1][0]
+    if rival is not None and confirmed:
+        return in_doubt(model, first.asked, answer, rival, ALONE) if likelier is None else likelier
+    start, most = start_of(first.asked), first.asked.settings.doubt.start
+    if start is None or answer.verdict != "ok" or off_start(model, answer.pose, start) <= most:
         return answer
-    return replace(answer, notes=(*answer.notes, f"the start is wrong: {_far(model, answer, start)}"))
-
-
-def _start(asked: Asked) -> Prior | None:
-    """The start, where there is one that may be doubted."""
-    return asked.prior if np.isfinite(asked.settings.doubt.start) else None
+    if unsure is not None:
+        return unsure
+    return replace(answer, notes=(*answer.notes, f"the start is wrong: {far_from(model, answer, start)}"))
 
 
 def on_the_hand(question: Question, looked: Looked) -> tuple[Question, tuple[str, ...]]:
@@ -97,18 +132,20 @@ def on_the_hand(question: Question, looked: Looked) -> tuple[Question, tuple[str
     return Question(kept(frame), replace(asked, viewed=kept(asked.viewed))), (note,)
 
 
-def _doubts(model: ObjectModel, question: Question, looked: Looked, answer: Estimate) -> Iterable[tuple[str, Change]]:
+def _doubts(
+    model: ObjectModel, question: Question, looked: Looked, answer: Estimate, rival: Mode | None = None
+) -> Iterable[tuple[str, Change]]:
     """What is contradicted, by name, and how to ask without it; what is cheapest to believe otherwise first."""
     frame, asked, s = question.frame, question.asked, question.asked.settings.doubt
-    start = _start(asked)
-    off = _off(model, answer.pose, start) if start is not None else 0.0
-    contradicted = start is not None and off > s.start
+    start = start_of(asked)
+    off = off_start(model, answer.pose, start) if start is not None else 0.0
+    contradicted = start is not None and (off > s.start or rival is not None)
     if answer.verdict == "ok" and not contradicted:
         return
-    if start is not None and (contradicted or answer.verdict != "ok") and _is_surer(start, asked):
-        yield "so sure a start", _with_usual_start(model)
+    if start is not None and (contradicted or answer.verdict != "ok") and is_surer(start, asked):
+        yield SO_SURE, with_usual_start(model)
     if answer.verdict == "ok":
-        yield "the start", _without_start(model)
+        yield THE_START, without_start(model)
         return
     if _inward(model, frame, answer, s) and "touch" in asked.senses:
         yield "the normals' sign", _with_normals_turned
@@ -118,70 +155,8 @@ def _doubts(model: ObjectModel, question: Question, looked: Looked, answer: Esti
         yield "the hand", _without_hand
     if answer.verdict == "lost" and "touch" in asked.senses and _with_usual_calibration(question) is not question:
         yield "so sure a calibration", _with_usual_calibration
-    if start is not None and (contradicted or answer.verdict == "lost") and _in_view(model, frame, start):
-        yield "the start", _without_start(model)
-
-
-def _off(model: ObjectModel, pose: Array, start: Prior) -> float:
-    """Squared distance of a pose from a start, in its standard deviations; the nearest of the object's symmetries."""
-    delta = _from_start(model, pose, start)
-    return float(delta @ start.information @ delta)
-
-
-def _from_start(model: ObjectModel, pose: Array, start: Prior) -> Array:
-    """(6,) how far, by turn and move, a pose is from a start; the nearest of the object's symmetries."""
-    if model.symmetries.is_spherical:  # turns tell nothing of a ball
-        return np.asarray(se3.difference(pose, start.pose, model.centroid)) * np.repeat([0.0, 1.0], 3)
-    delta = se3.difference(pose @ model.symmetries.poses(), start.pose, model.centroid)
-    return np.asarray(delta[np.argmin(np.einsum("ni,ij,nj->n", delta, start.information, delta))])
-
-
-def _in_view(model: ObjectModel, frame: Frame, start: Prior) -> bool:
-    """Whether a start is where a camera can see the object: behind it, or at its lens, it is no place but a mistake."""
-    depth = float(se3.apply(start.pose, model.centroid[None])[0, 2])
-    return frame.camera is None or model.radius < depth < FARTHEST_HELD
-
-
-def _usual(start: Prior, asked: Asked) -> Prior:
-    """The same start, as wide as one of which nothing is told."""
-    usual = as_prior(start.pose, asked.settings)
-    assert usual is not None
-    return usual
-
-
-def _is_surer(start: Prior, asked: Asked) -> bool:
-    """Whether a start says more, in some direction, than one of which nothing is told; by more than half of it."""
-    usual = np.sqrt(np.diag(_usual(start, asked).information))
-    return bool(np.linalg.eigvalsh(start.information / usual / usual[:, None])[-1] > 4.0)
-
-
-def _with_usual_start(model: ObjectModel) -> Change:
-    def change(question: Question) -> Question:
-        start = question.asked.prior
-        assert start is not None
-        asked = replace(question.asked, prior=_usual(start, question.asked))
-        return Question(
-            question.frame, asked, lambda answer: f"the start is not as sure as told: {_far(model, answer, start)}"
-        )
-
-    return change
-
-
-def _without_start(model: ObjectModel) -> Change:
-    def change(question: Question) -> Question:
-        start = question.asked.prior
-        assert start is not None
-        frame, viewed = (replace(one, prior=None) for one in (question.frame, question.asked.viewed))
-        asked = replace(question.asked, prior=None, viewed=viewed)
-        return Question(frame, asked, lambda answer: f"the start is not believed: {_far(model, answer, start)}")
-
-    return change
-
-
-def _far(model: ObjectModel, answer: Estimate, start: Prior) -> str:
-    delta = _from_start(model, answer.pose, start)
-    turn, move = np.rad2deg(np.linalg.norm(delta[:3])), 1e3 * np.linalg.norm(delta[3:])
-    return f"the object is found {move:.0f} mm and {turn:.0f} degrees from it"
+    if start is not None and (contradicted or answer.verdict == "lost") and in_view(model, frame, start):
+        yield THE_START, without_start(model)
 
 
 def _inward(model: ObjectModel, frame: Frame, answer: Estimate, s: DoubtSettings) -> bool:
@@ -271,29 +246,61 @@ def _with_usual_calibration(question: Question) -> Question:
     return Question(question.frame, asked, lambda answer: said)
 
 
-def _may_stand(
-    model: ObjectModel, first: Question, looked: Looked, question: Question, answer: Estimate, other: Estimate
-) -> bool:
-    """Whether another question's answer may stand for the first: likelier than a sure one, where it is the start alone
-    that speaks for that; and of the thing that was meant: felt, near a start, in the mask, or in the hand.
+def _is_likelier(model: ObjectModel, first: Question, question: Question, answer: Estimate, other: Estimate) -> bool:
+    """Whether another question's answer is likelier, by all but the start, than one that it alone may speak for; one
+    that is not sure, or has the start's own sigmas contradicted, need not be.
     """
-    start, settings = _start(first.asked), first.asked.settings.doubt
-    if answer.verdict == "ok" and start is not None and question.asked.prior is None:
-        sensed = answer.modes[0].cost - 0.5 * _off(model, answer.pose, start)
-        if other.modes[0].cost > sensed - settings.likelier:
-            return False
+    start, left, s = start_of(first.asked), question.asked.prior, first.asked.settings.doubt
+    if start is None or left is first.asked.prior or (answer.verdict != "ok" and other.verdict == "ok"):
+        return True
+    off = off_start(model, answer.pose, start)
+    if left is not None and off > s.start:
+        return True
+    least = s.likelier if left is not None else least_by(model, answer, start, s)
+    others = other.modes[0].cost - (0.0 if left is None else 0.5 * off_start(model, other.pose, left))
+    return others <= answer.modes[0].cost - 0.5 * off - least
+
+
+def _may_be(model: ObjectModel, asked: Asked, answer: Estimate, other: Estimate) -> bool:
+    """Whether an answer without a start is, by all but that, as likely as one with it, or nearly."""
+    start = start_of(asked)
+    sensed = answer.modes[0].cost - (0.0 if start is None else 0.5 * off_start(model, answer.pose, start))
+    return other.modes[0].cost <= sensed + asked.settings.doubt.likelier
+
+
+def _may_stand(
+    model: ObjectModel,
+    first: Question,
+    looked: Looked,
+    question: Question,
+    answer: Estimate,
+    other: Estimate,
+    kept: bool = False,
+) -> bool:
+    """Whether another question's answer is of the thing that was meant: felt, near a start, in the mask or in the hand;
+    where the start alone keeps an answer where it is (kept), the same thing another way round.
+    """
+    settings = first.asked.settings.doubt
     mask = first.asked.viewed.mask
     said_by_mask, said_by_start = mask is not question.asked.viewed.mask, question.asked.prior is not first.asked.prior
     if said_by_mask and any(UNREGISTERED in note for note in other.notes):
         return False  # image and mask together say that it is depth that lies beside
     if other.contacts or question.asked.prior is not None or not (said_by_mask or said_by_start):
         return True
+    if kept and _between(model, answer.pose, other.pose) < model.radius:
+        return True  # the same thing, another way round
     seen_at = other.pose if other.as_seen is None else other.as_seen
     points = se3.apply(seen_at, model.vertices[:: max(1, len(model.vertices) // 500)])
     if mask is not None and mask.any():
         return _share_within(mask, first.asked.viewed.camera, points) >= settings.within_mask
     hand = looked.seen_hand
     return hand is not None and hand.gap(points) < settings.in_hand
+
+
+def _between(model: ObjectModel, pose: Array, other: Array) -> float:
+    """Metres between the object's middle at two poses (4, 4)."""
+    here, there = (se3.apply(one, model.centroid[None])[0] for one in (pose, other))
+    return float(np.linalg.norm(here - there))
 
 
 def _share_within(mask: NDArray[np.bool_], camera: Camera | None, points: Array) -> float:

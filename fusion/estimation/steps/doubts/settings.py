@@ -17,6 +17,10 @@ class DoubtSettings:
     # Nats by which an answer without a start must be likelier, by all but the start, than a sure one that is so far
     # from it: what explains the senses as well is no reason to leave it. As `PoolSettings.as_likely`.
     likelier: float = 3.0
+    # Turned poses among which one likelier than an answer by all but the start is looked for: 12 found 36 of the 38
+    # that all did in frames of another generator, in half the time. And so many are fitted: one did as well as all.
+    turned: int = 12
+    turned_fitted: int = 1
     # Normals (rad) farther than this from the surface's are the other way round; so many of a frame's (share), of so
     # many fingers at least, are not turned by a wrong pose.
     inward: float = float(np.deg2rad(140.0))

@@ -1,0 +1,1 @@
+"""What came with a frame, and whether the rest of it contradicts that."""
