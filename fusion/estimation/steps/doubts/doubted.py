@@ -8,7 +8,7 @@ radians.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,31 @@ ALONE = "the start alone speaks for it: without one it is likelier elsewhere, or
 UNSURE = "it is not where the start has it, and without one it may be elsewhere"
 
 
+@dataclass(frozen=True)
+class _Tried:
+    """A question without some statements: its answer, what that is from, and the answer whose notes say what is not
+    believed; whether it is elsewhere than the first, likelier than that, and may stand for it.
+    """
+
+    question: Question
+    other: Estimate
+    sensed: Sensed
+    noted: Estimate
+    elsewhere: bool
+    likely: bool
+    stands: bool
+
+    @property
+    def bare(self) -> bool:
+        """Whether it was asked without a start."""
+        return self.question.asked.prior is None
+
+    @property
+    def sure(self) -> bool:
+        """Whether it takes the first answer's place."""
+        return self.stands and self.other.verdict == "ok"
+
+
 def doubted(
     model: ObjectModel, first: Question, looked: Looked, answered: tuple[Estimate, Sensed], ask: Ask, trace: Trace
 ) -> Estimate:
@@ -65,52 +90,55 @@ def doubted(
     rival = without_its_start(model, first.asked, sensed, answer, trace)
     changes = dict(_doubts(model, first, looked, answer, rival)) if not trace.over_budget else {}
     why_not = "" if changes else "nothing that was told is contradicted"
-    likelier: Estimate | None = None
-    unsure: Estimate | None = None
-    confirmed, taken = False, None
+    tried: list[_Tried] = []
     with trace.stage("doubt", bool(changes), why_not) as stage:
-        tried: list[tuple[Change, ...]] = [(change,) for change in changes.values()]
+        orders = [(name,) for name in changes]
         # a start that is left is not believed less, too
-        every = tuple(change for name, change in changes.items() if name != SO_SURE or THE_START not in changes)
-        if len(every) > 1:
-            tried.append(every)
-        for among in tried:
-            if trace.over_budget:
+        every = tuple(name for name in changes if name != SO_SURE or THE_START not in changes)
+        for names in (*orders, every) if len(every) > 1 else orders:
+            if trace.over_budget or (tried and tried[-1].sure):
                 break
-            question, said = first, []
-            for change in among:
-                question = change(question)
-                said.append(question.said)
-            other, of_other = ask(question)
-            noted = replace(other, notes=(*other.notes, *(words(other) for words in said)))
-            bare, elsewhere = question.asked.prior is None, not is_same(model, first.asked, answer, other)
-            # a start that leads where none leads is not left for what its own search has missed
-            likely = (elsewhere or rival is None) and _is_likelier(model, first, question, answer, other)
-            stands = likely and _may_stand(model, first, looked, question, answer, other, rival is not None)
-            confirmed = confirmed or (rival is not None and likely and bare)
-            if bare and elsewhere and other.verdict == "ambiguous" and _may_be(model, first.asked, answer, other):
-                unsure = noted if stands else in_doubt(model, first.asked, answer, other.modes[0], UNSURE)
-            if stands and other.verdict == "ok":
-                stage.note(0, f"without {' and '.join(n for n, c in changes.items() if c in among)}")
-                taken = question, (noted, of_other)
-                break
-            if stands and rival is not None and other.verdict == "ambiguous":
-                near = not bare or is_same(model, first.asked, rival, other)
-                likelier = likelier or (noted if near else None)
-        if taken is None:
+            tried.append(_try(model, first, looked, answer, [changes[name] for name in names], ask, rival is not None))
+            if tried[-1].sure:
+                stage.note(0, f"without {' and '.join(names)}")
+        if not (tried and tried[-1].sure):
             stage.note(0, f"no surer without {', '.join(changes)}")
-    if taken is not None:
+    if tried and tried[-1].sure:
+        last = tried[-1]
         # of a start that is believed less, the same is asked again
-        less = taken[0].asked.prior is not None and taken[0].asked.prior is not first.asked.prior
-        return doubted(model, taken[0], looked, taken[1], ask, trace) if less else taken[1][0]
-    if rival is not None and confirmed:
-        return in_doubt(model, first.asked, answer, rival, ALONE) if likelier is None else likelier
+        less = not last.bare and last.question.asked.prior is not first.asked.prior
+        return doubted(model, last.question, looked, (last.noted, last.sensed), ask, trace) if less else last.noted
+    unsure = [one for one in tried if one.other.verdict == "ambiguous"]
+    if rival is not None and any(one.likely and one.bare for one in tried):
+        for one in unsure:
+            if one.stands and (not one.bare or is_same(model, first.asked, rival, one.other)):
+                return one.noted
+        return in_doubt(model, first.asked, answer, rival, ALONE)
     start, most = start_of(first.asked), first.asked.settings.doubt.start
     if start is None or answer.verdict != "ok" or off_start(model, answer.pose, start) <= most:
         return answer
-    if unsure is not None:
-        return unsure
+    for one in unsure:
+        likely = one.other.modes[0].cost <= _by_rest(model, first.asked, answer) + first.asked.settings.doubt.likelier
+        if one.bare and one.elsewhere and likely:
+            return one.noted if one.stands else in_doubt(model, first.asked, answer, one.other.modes[0], UNSURE)
     return replace(answer, notes=(*answer.notes, f"the start is wrong: {far_from(model, answer, start)}"))
+
+
+def _try(
+    model: ObjectModel, first: Question, looked: Looked, answer: Estimate, changes: list[Change], ask: Ask, rival: bool
+) -> _Tried:
+    """The first question, changed, and its answer beside the first. rival: whether something else is likelier there."""
+    question, said = first, []
+    for change in changes:
+        question = change(question)
+        said.append(question.said)
+    other, sensed = ask(question)
+    noted = replace(other, notes=(*other.notes, *(words(other) for words in said)))
+    elsewhere = not is_same(model, first.asked, answer, other)
+    # a start that leads where none leads is not left for what its own search has missed
+    likely = (elsewhere or not rival) and _is_likelier(model, first, question, answer, other)
+    stands = likely and _may_stand(model, first, looked, question, answer, other, rival)
+    return _Tried(question, other, sensed, noted, elsewhere, likely, stands)
 
 
 def on_the_hand(question: Question, looked: Looked) -> tuple[Question, tuple[str, ...]]:
@@ -257,15 +285,13 @@ def _is_likelier(model: ObjectModel, first: Question, question: Question, answer
     if left is not None and off > s.start:
         return True
     least = s.likelier if left is not None else least_by(model, answer, start, s)
-    others = other.modes[0].cost - (0.0 if left is None else 0.5 * off_start(model, other.pose, left))
-    return others <= answer.modes[0].cost - 0.5 * off - least
+    return _by_rest(model, question.asked, other) <= _by_rest(model, first.asked, answer) - least
 
 
-def _may_be(model: ObjectModel, asked: Asked, answer: Estimate, other: Estimate) -> bool:
-    """Whether an answer without a start is, by all but that, as likely as one with it, or nearly."""
+def _by_rest(model: ObjectModel, asked: Asked, answer: Estimate) -> float:
+    """Nats of an answer by all but the start that it was asked with."""
     start = start_of(asked)
-    sensed = answer.modes[0].cost - (0.0 if start is None else 0.5 * off_start(model, answer.pose, start))
-    return other.modes[0].cost <= sensed + asked.settings.doubt.likelier
+    return answer.modes[0].cost - (0.0 if start is None else 0.5 * off_start(model, answer.pose, start))
 
 
 def _may_stand(

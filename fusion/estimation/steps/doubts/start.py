@@ -18,6 +18,7 @@ from fusion.estimation.steps.sense import Sensed
 from fusion.estimation.trace import Trace
 from fusion.estimation.whole import whole_covariance
 from scenes.evidence.align import Prior
+from scenes.evidence.alike import alike
 from scenes.evidence.modes import Mode, displaced
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -133,6 +134,7 @@ def without_its_start(model: ObjectModel, asked: Asked, sensed: Sensed, answer: 
         stage.note(len(free), f"{max(-more, 0.0):.1f} nats likelier at best, {least:.1f} would count")
     if more >= -least:
         return None
+    # as wide as the answer: how wide it is by itself, only asking without the start tells
     return Mode(freed.poses[0], 1.0, answer.modes[0].cost + more, answer.modes[0].covariance)
 
 
@@ -140,6 +142,9 @@ def in_doubt(model: ObjectModel, asked: Asked, answer: Estimate, rival: Mode, wh
     """An answer, but not as a sure one: a rival may be the case as well. why: in words."""
     if answer.verdict != "ok":
         return answer
+    # where both have their surface at the same place, either is right
+    near = alike(model, (answer.modes[0], rival), asked.settings.confidence.tolerance).near
+    share = 1.0 if len(near) > 1 else 0.5
     halves = [replace(mode, weight=0.5 * mode.weight) for mode in answer.modes]
     modes = (halves[0], replace(rival, weight=0.5), *halves[1:])
     return replace(
@@ -147,7 +152,7 @@ def in_doubt(model: ObjectModel, asked: Asked, answer: Estimate, rival: Mode, wh
         verdict="ambiguous",
         modes=modes,
         covariance=whole_covariance(model, modes, 0.0, asked.prior, asked.settings.confidence),
-        confidence=min(answer.confidence, asked.settings.verdict.most_doubted),
+        confidence=min(share * answer.confidence, asked.settings.verdict.most_doubted),
         notes=(why, *answer.notes),
     )
 

@@ -10,6 +10,7 @@ from fusion import estimate
 from fusion.estimation.asked import Asked, believing
 from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.steps.doubts.doubted import Question, _may_stand
+from fusion.estimation.steps.doubts.start import in_doubt
 from fusion.estimation.steps.sense import look_once
 from fusion.estimation.trace import Trace
 from fusion.truth import metrics
@@ -127,6 +128,20 @@ def test_a_start_of_another_way_round_keeps_no_sure_answer_there(bare_frame, dri
         for start in (other, Prior.isotropic(other, np.deg2rad(3.0), 0.005)):
             found = estimate(bare_frame, drill, start, use)
             assert found.verdict != "ok" or off(drill, bare_frame, found) < 0.005, (axis, found.notes)
+
+
+def test_an_answer_beside_a_rival_is_half_as_sure_unless_both_are_right(bare_frame, drill):
+    answer, asked = estimate(bare_frame, drill), Asked.of(bare_frame)
+    first = answer.modes[0]
+    for degrees, share in ((180.0, 0.5), (1.0, 1.0)):
+        rival = replace(first, pose=turned(bare_frame, drill, degrees, 0.0))
+        doubtful = in_doubt(drill, asked, answer, rival, "as it may be turned")
+        assert doubtful.verdict == "ambiguous"
+        assert doubtful.confidence == min(share * answer.confidence, asked.settings.verdict.most_doubted)
+        assert sum(mode.weight for mode in doubtful.modes) == pytest.approx(
+            0.5 + 0.5 * sum(m.weight for m in answer.modes)
+        )
+        assert doubtful.notes[0] == "as it may be turned"
 
 
 def test_no_start_is_left_for_what_nothing_says_is_meant(bare_frame, drill):
