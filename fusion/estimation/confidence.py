@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fusion.estimation.answer import ContactResidual, Mode
+from fusion.estimation.spread import mean_square, spread_of
 from scenes.errors import check_above
 from scenes.evidence.align import Prior
 from scenes.evidence.alike import Alike, alike
@@ -366,25 +367,6 @@ def _standard_normal(x: Array) -> Array:
     from scipy.special import ndtr
 
     return np.asarray(ndtr(x))
-
-
-def mean_square(model: ObjectModel, pose: Array, covariance: Array) -> tuple[float, float]:
-    """Mean (m^2) and variance (m^4) of the mean square of how far points of the surface are off along their normals,
-    for an error drawn from a covariance (6, 6) about the centroid of a pose (4, 4): what slides along itself is nowhere
-    else.
-    """
-    own = np.zeros((6, 6))
-    own[:3, :3] = own[3:, 3:] = pose[:3, :3]
-    known = model.symmetries.quotient(pose[:3, :3], model.centroid)
-    squares = own @ model.slippage @ own.T @ (known @ covariance @ known.T)
-    return float(np.trace(squares)), 2.0 * float(np.sum(squares * squares.T))
-
-
-def spread_of(model: ObjectModel, pose: Array, covariance: Array) -> float:
-    """Standard deviation (m) of where the object's surface is, all directions together, from a covariance (6, 6) about
-    the centroid of a pose (4, 4); turns about the object's own axes move nothing.
-    """
-    return math.sqrt(max(mean_square(model, pose, covariance)[0], 0.0))
 
 
 def as_shown(

@@ -247,7 +247,7 @@ def verdict(
     if (same.near_weight if any_way else same.weight) < least:
         of = "first" if len(same.modes) == 1 else f"first {len(same.modes)}"
         return "ambiguous", f"{of} of {len(modes)} modes {'holds' if of == 'first' else 'hold'} {same.weight:.0%}"
-    hidden = open_directions(model, modes[0].pose, modes[0].covariance, settings, tolerance, any_way)
+    hidden = open_directions(model, modes[0].pose, modes[0].covariance, settings, tolerance, sure)
     if hidden:
         return "ambiguous", f"{', '.join(hidden)} unknown"
     if len(same.modes) > 1 and modes[0].weight < settings.sure_share <= same.weight:

@@ -9,12 +9,14 @@ camera axes.
 
 from __future__ import annotations
 
+import math
 from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation.answer import Estimate
 from fusion.tracking.spans import SpanSettings, SpanTest
 from scenes.evidence.modes import Mode
 from scenes.geometry import poses as se3
@@ -22,17 +24,30 @@ from scenes.geometry.objects import ObjectModel
 
 Array = NDArray[np.float64]
 
+# Frames (no unit) whose fits leave the same wide open, and together tell of it no more than one does: a second of them.
+# And what is wide (rad, and radii of the object): of a handle that is known to less than it is wide fits still tell how
+# it turns, beyond that they wander.
+REPEATED, WIDE = 30.0, 0.35
+
 
 @dataclass(frozen=True)
 class Belief:
     """pose (4, 4) camera_from_object; own (6, 6): covariance that frames average out; shared (6, 6): what stays; hidden
-    (6, 6): what stays, too, of directions of which no frame tells (fusion.tracking.untold).
+    (6, 6): what stays, too, of directions of which no frame tells (fusion.tracking.untold); crept (6, 6): by how much
+    the last prediction has made `own` wider.
     """
 
     pose: Array
     own: Array
     shared: Array
     hidden: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    crept: Array = field(default_factory=lambda: np.zeros((6, 6)))
+
+    @staticmethod
+    def begun(answer: Estimate, lasting: float) -> Belief:
+        """Of a frame searched by itself; lasting: share of its variance that later frames do not average out."""
+        wide = answer.modes[0].covariance
+        return Belief(answer.pose, (1.0 - lasting) * wide, lasting * wide)
 
     @property
     def covariance(self) -> Array:
@@ -42,12 +57,16 @@ class Belief:
     def moved(self, camera_from_camera: Array) -> Belief:
         """The same after a rigid motion (4, 4) of hand and object together."""
         turn = block(camera_from_camera[:3, :3])
-        parts = (turn @ one @ turn.T for one in (self.own, self.shared, self.hidden))
+        parts = (turn @ one @ turn.T for one in (self.own, self.shared, self.hidden, self.crept))
         return Belief(camera_from_camera @ self.pose, *parts)
 
     def shifted(self, delta: Array, noise: Array, centre: Array) -> Belief:
         """The same after a motion (6,) of the object alone, known with covariance noise (6, 6)."""
-        return replace(self, pose=se3.perturb(self.pose, delta, centre), own=self.own + noise)
+        return replace(self, pose=se3.perturb(self.pose, delta, centre)).widened(noise)
+
+    def widened(self, noise: Array) -> Belief:
+        """The same after a motion that is known to a covariance (6, 6)."""
+        return replace(self, own=self.own + noise, crept=noise)
 
 
 @dataclass(frozen=True)
@@ -68,6 +87,10 @@ class Measurement:
         (6, 6); noise: share of the former that the next frame does not have, too.
         """
         return Measurement(pose, noise * independent, shared + (1.0 - noise) * independent, biased)
+
+    def alone(self) -> Belief:
+        """The belief of who knows nothing else."""
+        return Belief(self.pose, self.own, self.shared, self.hidden)
 
     def smeared(self, by: Array) -> Measurement:
         """The same of a thing that moves by so much (6,) in the time that the frame may be off by."""
@@ -117,34 +140,102 @@ def surplus(model: ObjectModel, measured: Measurement, shared: Array) -> Array:
     return positive_part(measured.shared - shared, scales(model))
 
 
-def update(model: ObjectModel, predicted: Belief, measured: Measurement) -> Belief:
+def repeated(model: ObjectModel, untold: Array) -> Array:
+    """(6, 6) as how wide a frame counts of what it leaves open (6, 6), which its neighbours leave open, too."""
+    scale = scales(model)
+    values, vectors = np.linalg.eigh(untold / scale / scale[:, None])
+    values = np.maximum(values, 0.0)
+    axes = vectors * scale[:, None]
+    return np.asarray((axes * values * (1.0 + (REPEATED - 1.0) * values / (values + WIDE**2))) @ axes.T)
+
+
+def relearned(model: ObjectModel, predicted: Belief, measured: Measurement) -> Belief:
+    """A belief of which what frames share is as a later frame has it, which was told more of it than the first; but of
+    what that does not tell it stays as unsure as it was.
+    """
+    more = positive_part(predicted.shared - measured.shared, scales(model))
+    wide = measured.own + measured.shared + measured.hidden
+    untold = np.linalg.solve(wide, measured.hidden).T
+    return replace(predicted, own=predicted.own + untold @ more @ untold.T, shared=measured.shared)
+
+
+def update(model: ObjectModel, predicted: Belief, measured: Measurement, held: bool = True) -> Belief:
     """The belief after a frame's own answer.
 
     The gain weighs the prediction's own covariance against the frame's, plus by how much the frame's shared error is
-    larger than the belief's (a frame of touch alone must not drag a seen object to where the calibration has it).
-    Shared errors are taken as one and the same source: A A^T with A = (I - K) S_predicted^1/2 + K S_measured^1/2. What
-    no frame tells is as the measurement has it, which has learned it from all of them.
+    larger than the belief's (a frame of touch alone must not drag a seen object to where the calibration has it), and
+    plus what no frame tells (where a fit has turned a handle that is out of sight is chance, and says of no turn).
+    Shared errors are taken as one and the same source: A A^T with A = (I - K) S_predicted^1/2 + K S_measured^1/2. So is
+    what no frame tells, in which a frame counts by that share of it that so many like it leave it: the turn of a handle
+    that was seen, or that a start has told, is known as well when it is out of sight. But what moves it is seen no more
+    than it is: it may be the same from step to step, so that the error grows with them, up to what frames leave open.
+    What no hand holds (held) turns by itself, and of it no more is known than each frame tells.
     """
     scale = scales(model)
-    three = np.array([measured.shared - predicted.shared, predicted.shared, measured.shared])
-    (surplus, _, _), (_, before, now) = _spectral(three, scale)
-    gain = np.linalg.solve(predicted.own + measured.own + surplus, predicted.own).T
+    five = [measured.shared - predicted.shared, predicted.shared, measured.shared, predicted.hidden, measured.hidden]
+    (surplus, *_), (_, *roots) = _spectral(np.array(five), scale)
+    untold = repeated(model, measured.hidden) if held else np.zeros((6, 6))
+    gain = _gain(predicted.own, measured.own + surplus, untold, scale)
     rest = np.eye(6) - gain
     innovation = se3.difference(measured.pose, predicted.pose, model.centroid)
     own = rest @ predicted.own @ rest.T + gain @ measured.own @ gain.T
     unitless = gain * scale / scale[:, None]
-    mixed = (np.eye(6) - unitless) @ before + unitless @ now
-    shared = mixed @ mixed.T * scale * scale[:, None]
+    mixed = [(np.eye(6) - unitless) @ before + unitless @ now for before, now in (roots[:2], roots[2:])]
+    mixed[1] += (_unseen(predicted.crept, roots[3], scale) if held else 1.0) * (roots[3] - mixed[1])
+    shared, hidden = (root @ root.T * scale * scale[:, None] for root in mixed)
     pose = se3.perturb(predicted.pose, gain @ innovation, model.centroid)
-    return Belief(pose, 0.5 * (own + own.T), 0.5 * (shared + shared.T), measured.hidden)
+    return Belief(pose, 0.5 * (own + own.T), 0.5 * (shared + shared.T), 0.5 * (hidden + hidden.T))
+
+
+def _gain(before: Array, now: Array, untold: Array, scale: Array) -> Array:
+    """(6, 6) Kalman's, of covariances (6, 6) of the belief and of a frame that leaves untold open beside its own. What
+    is wide open is by itself: what else a frame tells says nothing of it, however the two go together in a fit of
+    another turn.
+    """
+    values, vectors = np.linalg.eigh(untold / scale / scale[:, None])
+    values, axes, along = np.maximum(values, 0.0), vectors * scale[:, None], vectors / scale[:, None]
+    before, now = along.T @ before @ along, along.T @ now @ along
+    own, its = np.diag(before).copy(), np.diag(now).copy()
+    told = (own + its) / np.maximum(own + its + values, 1e-300)
+    both = np.outer(told, told)
+    before, now = both * before + np.diag((1.0 - told**2) * own), both * now + np.diag((1.0 - told**2) * its)
+    return np.asarray(axes @ np.linalg.solve(before + now + np.diag(values), before).T @ along.T)
+
+
+def _unseen(crept: Array, root: Array, scale: Array) -> float:
+    """Standard deviation of a step (6, 6), as a share of what frames leave open (root (6, 6), in units of scale) where
+    they leave most open.
+    """
+    values, vectors = np.linalg.eigh(root)
+    along = vectors[:, -1] / scale
+    variance = max(float(along @ crept @ along), 0.0)
+    return min(1.0, math.sqrt(variance) / max(float(values[-1]), 1e-9))
+
+
+def gone_on(model: ObjectModel, before: Belief, tracked: Array, found: Belief, untold: Array | None = None) -> Belief:
+    """A belief of where a frame, tracked to a pose (4, 4) by what was believed before, was `found` when it was searched
+    by itself; but of what no frame tells (6, 6), of which one search knows no more than the track does, as it was, if
+    a hand has held it.
+    """
+    step, scale = se3.difference(found.pose, tracked, model.centroid), scales(model)
+    hidden = np.zeros((6, 6)) if untold is None else repeated(model, untold)
+    values, vectors = np.linalg.eigh(hidden / scale / scale[:, None])
+    axes, along = vectors * scale[:, None], vectors / scale[:, None]  # of what is told, and is not
+    room = np.einsum("ik,ij,jk->k", along, found.covariance, along) + (along.T @ step) ** 2
+    gain = (axes * (room / (room + np.maximum(values, 0.0)))) @ along.T
+    rest, step = np.eye(6) - gain, gain @ step
+    own = found.own + rest @ before.own @ rest.T + np.outer(step, step)
+    pose = se3.perturb(tracked, step, model.centroid)
+    return replace(found, pose=pose, own=0.5 * (own + own.T), hidden=rest @ before.hidden @ rest.T)
 
 
 def after_slip(model: ObjectModel, predicted: Belief, measured: Measurement) -> Belief:
     """As `update`, of an object that has slipped: what was believed of the hold is worth no more than how far it was
-    off.
+    off, and of what frames do not tell nothing.
     """
     step = se3.difference(measured.pose, predicted.pose, model.centroid)
-    return update(model, replace(predicted, own=predicted.own + np.outer(step, step)), measured)
+    after = update(model, replace(predicted, own=predicted.own + np.outer(step, step)), measured)
+    return replace(after, hidden=measured.hidden)
 
 
 @dataclass(frozen=True)

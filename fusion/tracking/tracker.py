@@ -27,7 +27,7 @@ from fusion.estimation.estimate import estimate
 from fusion.estimation.trace import Trace
 from fusion.tracking import hypotheses as several
 from fusion.tracking.answer import NOTHING_SENSED, OUT_OF_SIGHT, TrackedEstimate, TrackSettings, as_carried, as_tracked
-from fusion.tracking.filter import Belief, Measurement, after_slip, update
+from fusion.tracking.filter import Belief, Measurement, after_slip, gone_on, relearned, update
 from fusion.tracking.hypotheses import Hypotheses
 from fusion.tracking.motion import HandMotion, HandState
 from fusion.tracking.slip import SlipWatch, Watched
@@ -158,8 +158,8 @@ class Tracker:
         return replace(answer, notes=tuple(dict.fromkeys((*answer.notes, *unused)))) if unused else answer
 
     def _begin(self, frame: Frame) -> TrackedEstimate:
-        if self.live:
-            built_pair_table(self.model)  # a search beside the frames would build it, and keep them waiting
+        if self.live:  # a search beside the frames would build it, and keep them waiting
+            built_pair_table(self.model)
         answer = self.estimated(frame, self._prior)
         self._prior = None  # it was the first frame's
         if answer.verdict == "lost":
@@ -189,9 +189,11 @@ class Tracker:
 
     def _anchor(self, answer: Estimate, tracked: Array | None = None) -> None:
         """Believe an estimate; of a pose that this frame was tracked to (4, 4) as unsure as the two are apart."""
-        share, own, state = self.settings.first_lasting, answer.modes[0].covariance, self._state
-        apart = np.zeros(6) if tracked is None else se3.difference(answer.pose, tracked, self.model.centroid)
-        state.belief = belief = Belief(answer.pose, (1 - share) * own + np.outer(apart, apart), share * own)
+        state, belief = self._state, Belief.begun(answer, self.settings.first_lasting)
+        if tracked is not None and state.belief is not None:
+            untold = state.untold.at(self.model, answer.pose) if state.hand is not None else None
+            belief = gone_on(self.model, state.belief, tracked, belief, untold)
+        state.belief = belief
         if tracked is not None and state.hand is None:  # only its velocity says where it goes from there
             state.hypotheses, state.known = several.leading(state.hypotheses, belief), None
             self._velocity.corrected(belief.pose)
@@ -318,7 +320,7 @@ class Tracker:
             how = blind, told, state, beliefs, s
             measured, untold = measurement_of(model, solved, frame.index, predicted.pose, shown, *how)
             if len(state.levels) > learned:  # of what all frames share the first was told no more than this one
-                predicted = replace(predicted, shared=measured.shared)
+                predicted = relearned(model, predicted, measured)
             if felt_rows and not placed:
                 felt = felt.corrected(solved.correct())
             now = replace(shown, felt=felt)
@@ -395,10 +397,8 @@ class Tracker:
         """The belief after the frame, and whether the object slips."""
         model, state = self.model, self._state
         pixel = pixel_of(frame, middle_of(model, measured.pose))
-        alone = Belief(measured.pose, measured.own, measured.shared, measured.hidden)
-        belief = alone if switched else update(model, predicted, measured)
-        late = frame.index < state.index
-        watched = Watched() if late else self._skins(frame, felt)
+        belief = measured.alone() if switched else update(model, predicted, measured, state.hand is not None)
+        watched = Watched() if (late := frame.index < state.index) else self._skins(frame, felt)
         if switched:
             self._watch.restart()
         elif state.hand is not None:

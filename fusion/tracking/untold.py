@@ -36,20 +36,25 @@ ANY_TURN = float(np.pi / np.sqrt(3.0))
 class Untold:
     """roots: of the last looks that could tell, (6, 6) each, square roots of the covariance beyond the Gaussian's, rad
     and radii of the object. Their mean counts: of standard deviations, for variances of few samples have long tails.
+    around: the same of what turns about axes of roundness leave open beside it, which needs no luck.
     turns: whether the start, or looks since then, have left open a turn about an axis of roundness.
     """
 
     roots: tuple[Array, ...] = ()
+    around: tuple[Array, ...] = ()
     turns: bool = False
 
-    def learned(self, model: ObjectModel, pose: Array, added: Array | None) -> Untold:
-        """After a look that found the object at pose (4, 4): added (6, 6), camera axes; None where it cannot tell."""
-        if added is None:
+    def learned(self, model: ObjectModel, pose: Array, added: Array | None, around: Array | None = None) -> Untold:
+        """After a look that found the object at pose (4, 4): added, around (6, 6), camera axes; None where it cannot
+        tell.
+        """
+        found = self
+        if added is not None:
+            found = replace(found, roots=(*self.roots[-LOOKS + 1 :], _root(model, pose, added)))
+        if around is not None:
+            found = replace(found, around=(*self.around[-LOOKS + 1 :], _root(model, pose, around)))
+        if found is self:
             return self
-        turn, scale = block(pose[:3, :3].T), scales(model)
-        values, vectors = np.linalg.eigh(turn @ added @ turn.T / scale / scale[:, None])
-        root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-        found = replace(self, roots=(*self.roots[-LOOKS + 1 :], root))
         return replace(found, turns=self.turns or leaves_turn(model, pose, found._of_looks(model, pose)))
 
     @property
@@ -70,8 +75,16 @@ class Untold:
         return any_turn(model, pose, found) if self.turns else found
 
     def _of_looks(self, model: ObjectModel, pose: Array) -> Array:
-        turn, root = block(pose[:3, :3]) * scales(model), self.root
-        return np.asarray(turn @ root @ root @ turn.T)
+        axes = block(pose[:3, :3]) * scales(model)
+        each = [self.root, *([np.mean(self.around, axis=0)] if self.around else ())]
+        return np.asarray(sum(axes @ root @ root @ axes.T for root in each))
+
+
+def _root(model: ObjectModel, pose: Array, covariance: Array) -> Array:
+    """Square root (6, 6), rad and radii, object's axes, of a covariance (6, 6), camera axes, at pose (4, 4)."""
+    turn, scale = block(pose[:3, :3].T), scales(model)
+    values, vectors = np.linalg.eigh(turn @ covariance @ turn.T / scale / scale[:, None])
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
 
 def leaves_turn(model: ObjectModel, pose: Array, covariance: Array) -> bool:

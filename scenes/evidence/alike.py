@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.evidence.modes import Mode
+from scenes.evidence.near_symmetries import SAME_AXIS, turns_about
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 
@@ -86,8 +87,14 @@ def hardly_moves(
 ) -> bool:
     """Whether a turn about a direction (3,) in the object's axes through its centroid, by up to an angle (rad) either
     way, moves no part of the surface by more than tolerance (m), and what it settled beside the object's own axis; on
-    average: the mean of the surface by more than tolerance.
+    average: the mean of the surface by more than tolerance; a turn all around is then about the axis of roundness
+    that it has there.
     """
+    if on_average and angle >= np.pi:
+        for turns in turns_about(model):
+            log = se3.log_rotation(turns[0, :3, :3])
+            if abs(float(log @ direction)) > SAME_AXIS * float(np.linalg.norm(log)):
+                return bool(moved(model, pose, pose @ turns)[1].max() <= tolerance)
     count = max(int(np.ceil(min(angle, np.pi) / STEP)), 1)
     angles = np.linspace(0.0, min(angle, np.pi), count + 1)[1:]
     turns = se3.exp_rotation(np.concatenate([angles, -angles])[:, None] * direction)

@@ -51,6 +51,7 @@ TURNS, OF_SURFACE, WITHIN, SAME_AXIS = 12, 0.95, 0.0025, 0.99
 _FOUND: WeakKeyDictionary[ObjectModel, Array] = WeakKeyDictionary()
 _ROUND: WeakKeyDictionary[ObjectModel, Array] = WeakKeyDictionary()
 _TURNS: WeakKeyDictionary[ObjectModel, Array] = WeakKeyDictionary()
+_TURNING: WeakKeyDictionary[ObjectModel, Array] = WeakKeyDictionary()
 
 
 def _once(
@@ -145,6 +146,51 @@ def _round_axes(model: ObjectModel) -> Array:
         if stays(se3.make_poses(rotations, model.centroid - rotations @ model.centroid)).all():
             out.append(mean)
     return np.array(out).reshape(-1, 3)
+
+
+def turns_about(model: ObjectModel) -> Array:
+    """(k, 11, 4, 4) object_from_object: the turns by every 30 degrees about each of the k axes about which most of an
+    object (`NearSettings.least`) is round, as all of a mug is but its handle; those of a declared symmetry are not
+    among them. Worked out at the first call for an object.
+    """
+    return _once(_TURNING, model, _turns_about)
+
+
+def _turns_about(model: ObjectModel) -> Array:
+    settings = NearSettings()
+    points, _ = model.sample_surface(settings.samples, seed=3)
+
+    def off(motion: Array) -> float:
+        return float(np.quantile(np.abs(model.field.distance(se3.apply(motion, points))), settings.least))
+
+    out: list[Array] = []
+    axes = [axis.direction for axis in model.symmetries.axes]
+    for motion in sorted(near_symmetries(model), key=off):  # those that settled best tell of their axis best
+        log = se3.log_rotation(motion[:3, :3])
+        direction = log / max(float(np.linalg.norm(log)), 1e-12)
+        if any(abs(float(direction @ other)) > SAME_AXIS for other in axes):
+            continue
+        # what a turn R p + t leaves in place, at the height of the centroid
+        rows = np.concatenate([np.eye(3) - motion[:3, :3], direction[None]])
+        point = np.linalg.lstsq(rows, np.append(motion[:3, 3], direction @ model.centroid), rcond=None)[0]
+        rotations = se3.exp_rotation(np.arange(1, TURNS)[:, None] * (2.0 * np.pi / TURNS) * direction)
+        turns = se3.make_poses(rotations, point - rotations @ point)
+        if max(off(turn) for turn in turns) < WITHIN:
+            out.append(turns)
+            axes = [*axes, direction]
+    return np.array(out).reshape(-1, TURNS - 1, 4, 4)
+
+
+def small_turn(model: ObjectModel, turns: Array) -> Array:
+    """(6,) how a turn of 1 rad about an axis, were it small, turns the object and moves its centroid, object axes; of
+    turns (n, 4, 4) all around it, of `turns_about`.
+    """
+    steps = se3.difference(np.array([turns[0], turns[-1]]), np.eye(4), model.centroid)
+    step = steps[0] - steps[1]
+    axis = step[:3] / max(float(np.linalg.norm(step[:3])), 1e-12)
+    # R^T t = (R^T - 1) a for a point a of the axis, and all turns of it, the one by nothing among them, add up to 0
+    beside = np.sum([turn[:3, :3].T @ turn[:3, 3] for turn in turns], axis=0) / (len(turns) + 1)
+    return np.concatenate([axis, np.cross(axis, model.centroid + beside)])
 
 
 def quarter_turns(model: ObjectModel) -> Array:

@@ -70,7 +70,7 @@ def predict(
         watch.restart()  # nothing holds it that could lose it
         moved = replace(belief.moved(motion), pose=pose)
         carried = several.moved(state.hypotheses, motion)
-        return Predicted(replace(moved, own=moved.own + noise), carried, why)
+        return Predicted(moved.widened(noise), carried, why)
     before, right = state.hand.camera_from_hand, np.eye(4) if correction is None else correction
     told = state.seen_at is None or np.array_equal(state.seen_at, before)
     before, now = right @ before, right @ now

@@ -18,6 +18,7 @@ from fusion.estimation.solve.joint import JointResult
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import solve_modes
 from fusion.estimation.solve.settings import JointSettings, Level, Rig
+from fusion.estimation.turns import left_by_turns
 from fusion.estimation.verdict import contact_residuals, nats_of_contacts
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Measurement
@@ -246,7 +247,11 @@ def measurement_of(
     rows, how = tables.stack(sensed.seen, sensed.felt.rows), s.first.moments
     spread = moments(model, rows, solved.pose, gaussian, 0, None, how)
     told = not blind and (not spread.effective or spread.effective >= how.effective)
-    untold = state.untold.learned(model, solved.pose, spread.covariance - gaussian if told else None)
+    around = None
+    if sensed.pool is not None and len(sensed.looked.pixels):
+        known = spread.covariance if told else gaussian
+        around = left_by_turns(sensed.pool, solved.pose, solved.as_seen, known, s.first.told.temper, s.side)
+    untold = state.untold.learned(model, solved.pose, spread.covariance - gaussian if told else None, around)
     if sensed.pool is not None and not sensed.told_apart:
         picture = sensed.pool.predictor.predict(solved.as_seen[None], s.side)
         # no narrower than its own solution has it: what is counted too little of a frame its neighbours share

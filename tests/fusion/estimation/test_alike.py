@@ -7,9 +7,10 @@ import pytest
 import trimesh
 
 from fusion.estimation import verdict as posterior
-from fusion.estimation.confidence import ConfidenceSettings, spread_of, within_of
+from fusion.estimation.confidence import ConfidenceSettings, within_of
 from fusion.estimation.estimate import estimate
 from fusion.estimation.settings import EstimateSettings
+from fusion.estimation.spread import spread_of
 from fusion.estimation.steps.twins import with_twins
 from fusion.estimation.whole import told_covariance
 from scenes.evidence.align import Prior

@@ -5,7 +5,8 @@ import pytest
 from predicted_twin import picture
 
 from fusion import estimate
-from fusion.estimation.confidence import ConfidenceSettings, chances, spread_of, within
+from fusion.estimation.confidence import ConfidenceSettings, chances, within
+from fusion.estimation.spread import spread_of
 from fusion.estimation.whole import told_covariance, whole_covariance
 from scenes.evidence.align import Prior
 from scenes.evidence.modes import Mode

@@ -22,10 +22,10 @@ from fusion.estimation.confidence import (
     as_shown,
     below,
     chances,
-    mean_square,
 )
 from fusion.estimation.estimate import estimate
 from fusion.estimation.settings import EstimateSettings
+from fusion.estimation.spread import mean_square
 from fusion.results.files import read_result
 from fusion.tracking.tracker import Tracker, track
 from scenes.errors import InputError

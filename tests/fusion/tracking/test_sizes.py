@@ -7,9 +7,10 @@ import pytest
 from made_frames import recording
 
 from fusion.estimation.answer import ContactResidual
-from fusion.estimation.confidence import mean_square, within
+from fusion.estimation.confidence import within
 from fusion.estimation.estimate import estimate
 from fusion.estimation.solve.joint import JointResult
+from fusion.estimation.spread import mean_square
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Belief, Measurement
 from fusion.tracking.sizes import Jumps, Sizes, SizeSettings

@@ -7,9 +7,10 @@ import pytest
 from made_frames import off_by, recording
 
 from fusion.estimation.answer import Mode
+from fusion.estimation.turns import left_by_turns, open_by_turns, shown, turned
 from fusion.tracking import hypotheses as several
 from fusion.tracking.answer import TrackSettings
-from fusion.tracking.filter import Belief, Measurement, SlipTest, update
+from fusion.tracking.filter import Belief, Measurement, SlipTest, after_slip, gone_on, relearned, update
 from fusion.tracking.hypotheses import Hypothesis, HypothesisSettings
 from fusion.tracking.steps.judging import as_open
 from fusion.tracking.tracker import Tracker
@@ -55,14 +56,112 @@ def test_what_one_look_alone_has_found_is_not_open(mug):
     np.testing.assert_allclose(wide.at(mug, rest), expected, atol=1e-12)
 
 
-def test_no_number_of_frames_averages_it_out(mug):
-    belief = Belief(np.eye(4), NARROW, NARROW)
+def test_no_number_of_frames_tells_what_none_does(mug):
+    """A start that knows nothing of the turn is as unsure after any number of frames as after one."""
+    wide = np.diag([0.0, 0.0, 100.0, 0.0, 0.0, 0.0])
+    belief = Belief(np.eye(4), NARROW + wide, NARROW)
     for _ in range(50):
         belief = update(mug, belief, Measurement(np.eye(4), NARROW, NARROW, hidden=HANDLE))
-    np.testing.assert_allclose(belief.hidden, HANDLE)
+    np.testing.assert_allclose(belief.hidden, HANDLE, rtol=0.1, atol=1e-9)
     assert belief.covariance[2, 2] > HANDLE[2, 2]
     turn = poses.make_pose(poses.exp_rotation([0.5 * np.pi, 0.0, 0.0]))
-    assert belief.moved(turn).hidden[1, 1] == pytest.approx(HANDLE[2, 2])
+    assert belief.moved(turn).hidden[1, 1] == pytest.approx(belief.hidden[2, 2])
+
+
+def test_what_was_known_stays_known_out_of_sight(mug):
+    """Fits whose turn is chance do not move a turn that a start has told, nor make it wider."""
+    rng = np.random.default_rng(1)
+    belief = Belief(np.eye(4), NARROW, NARROW)
+    for _ in range(50):
+        off = [0.0, 0.0, 0.3 * rng.normal(), 0.001, 0.0, 0.0]
+        pose = poses.perturb(np.eye(4), off, mug.centroid)
+        belief = update(mug, belief, Measurement(pose, NARROW, NARROW, hidden=HANDLE))
+    turned, _, moved = np.split(poses.difference(belief.pose, np.eye(4), mug.centroid), [3, 3])
+    assert np.abs(turned).max() < 0.002
+    assert moved[0] == pytest.approx(0.001, rel=0.1)  # what frames tell they tell as before
+    assert np.sqrt(belief.covariance[2, 2]) < 0.005
+
+
+def test_where_the_middle_is_tells_nothing_of_a_turn_that_is_open(mug):
+    """A belief has turns go with displacements, and a frame that knows of the latter alone does not know the turn."""
+    along = np.array([0.0, 0.0, 0.2, 0.004, 0.0, 0.0])
+    belief = Belief(np.eye(4), NARROW + np.outer(along, along), NARROW)
+    pose = poses.perturb(np.eye(4), [0.0, 0.0, 0.0, 0.003, 0.0, 0.0], mug.centroid)
+    told = update(mug, belief, Measurement(pose, NARROW, NARROW))
+    open_to = update(mug, belief, Measurement(pose, NARROW, NARROW, hidden=np.diag([0.0, 0.0, 3.0, 0.0, 0.0, 0.0])))
+    step = poses.difference(open_to.pose, np.eye(4), mug.centroid)
+    assert abs(step[2]) < 1e-3
+    assert step[3] == pytest.approx(0.003, rel=0.1)
+    assert open_to.own[2, 2] == pytest.approx(0.2**2, rel=0.02)
+    assert told.own[2, 2] < 0.01 * 0.2**2
+
+
+def test_a_start_stays_unsure_of_what_later_frames_do_not_tell(mug):
+    first = Belief(np.eye(4), NARROW, HANDLE + 4.0 * NARROW)
+    later = Measurement(np.eye(4), NARROW, NARROW, hidden=np.diag([0.0, 0.0, 3.0, 0.0, 0.0, 0.0]))
+    after = relearned(mug, first, later)
+    np.testing.assert_allclose(after.shared, NARROW)
+    assert after.own[2, 2] == pytest.approx(HANDLE[2, 2], rel=0.01)
+    assert after.own[0, 0] == pytest.approx(1e-6, rel=0.01)
+    np.testing.assert_allclose(relearned(mug, first, replace(later, hidden=np.zeros((6, 6)))).own, NARROW)
+
+
+def test_a_handle_that_is_seen_is_told(mug):
+    frames = recording(mug, count=2)
+    tracker = Tracker(mug)
+    for frame in frames:
+        tracker.step(frame)
+    pool, truth = tracker._sensed.pool, frames[-1].camera_from_object_truth
+    assert shown(pool, truth, 28).all()
+    assert not left_by_turns(pool, truth, truth, NARROW, 0.5, 28).any()
+    for pose in turned(mug, truth)[2:9]:  # by 90 degrees and more
+        assert not shown(pool, pose, 28).any()
+
+
+def test_what_moves_it_unseen_makes_it_wider_up_to_what_frames_leave_open(mug):
+    known = Belief(np.eye(4), NARROW, NARROW)
+    measured = Measurement(np.eye(4), NARROW, NARROW, hidden=HANDLE)
+    step = np.diag([0.0, 0.0, 0.03**2, 0.0, 0.0, 0.0])
+    widths = [0.0]
+    for _ in range(200):
+        known = update(mug, known.shifted(np.zeros(6), step, mug.centroid), measured)
+        widths.append(float(np.sqrt(known.hidden[2, 2])))
+    assert widths[5] == pytest.approx(5 * 0.03, rel=0.25)  # the same step each time, not a walk
+    assert (np.diff(widths) >= -1e-6).all()
+    assert widths[-1] == pytest.approx(0.3, rel=0.02)
+    assert after_slip(mug, Belief(np.eye(4), NARROW, NARROW), measured).hidden[2, 2] == HANDLE[2, 2]
+
+
+def test_a_search_moves_a_track_on_but_for_what_no_frame_tells(mug):
+    before = Belief(np.eye(4), NARROW, NARROW, 0.5 * HANDLE)
+    found = Belief(poses.perturb(np.eye(4), [0.0, 0.0, 0.8, 0.006, 0.0, 0.0], mug.centroid), NARROW, NARROW)
+    after = gone_on(mug, before, np.eye(4), found, HANDLE)
+    step = poses.difference(after.pose, np.eye(4), mug.centroid)
+    assert abs(step[2]) < 0.4 * 0.8
+    assert step[3] == pytest.approx(0.006, rel=0.02)
+    assert after.own[3, 3] > 0.006**2 * 0.9  # as unsure as the two are apart
+    assert after.hidden[2, 2] > 0.15 * HANDLE[2, 2]
+    everywhere = gone_on(mug, before, np.eye(4), found, np.zeros((6, 6)))
+    np.testing.assert_allclose(everywhere.pose, found.pose, atol=1e-9)
+    assert everywhere.hidden[2, 2] < 1e-9
+
+
+def test_a_handle_that_no_picture_misses_may_be_anywhere(mug):
+    pose = poses.make_pose(poses.exp_rotation([0.4, -0.3, 0.8]), [0.0, 0.1, 0.6])
+    turns = turned(mug, pose)
+    axis = pose[:3, 2]
+    free = open_by_turns(mug, pose, np.zeros(len(turns)), NARROW)
+    assert np.sqrt(axis @ free[:3, :3] @ axis) == pytest.approx(ANY_TURN, rel=0.05)
+    assert np.linalg.eigvalsh(free[:3, :3])[-2] < 0.01 * ANY_TURN**2  # about that axis alone
+    shown = open_by_turns(mug, pose, np.full(len(turns), 20.0), NARROW)
+    assert np.trace(shown) < 1e-6
+    near = np.full(len(turns), 20.0)
+    near[0] = 0.0  # 30 degrees to one side are open
+    assert np.sqrt(axis @ open_by_turns(mug, pose, near, NARROW)[:3, :3] @ axis) == pytest.approx(0.37, rel=0.05)
+    wide = NARROW + ANY_TURN**2 * np.outer(np.append(axis, np.zeros(3)), np.append(axis, np.zeros(3)))
+    assert np.trace(open_by_turns(mug, pose, np.zeros(len(turns)), 2.0 * wide)) < 1e-3
+    for name in ("hammer", "drill", "bottle"):
+        assert not len(turned(library.make(name), pose))
 
 
 def test_a_turn_of_what_nobody_sees_is_no_slip(mug):

@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from scenes.evidence.near_symmetries import (
+    TURNS,
     NearSettings,
     find_near_symmetries,
     near_symmetries,
     quarter_turns,
     round_axes,
+    turns_about,
 )
 from scenes.geometry import poses as se3
 from scenes.synthesis import library
@@ -79,3 +81,22 @@ def test_round_is_what_stays_in_place_however_it_is_turned(name, round_about):
     np.testing.assert_allclose(np.linalg.norm(axes, axis=1), 1.0, atol=1e-12)
     if round_about:
         assert abs(axes[0, 2]) > 0.999
+
+
+def test_most_of_a_mug_is_round_about_its_axis():
+    mug = library.make("mug")
+    turns = turns_about(mug)
+    assert turns.shape == (1, TURNS - 1, 4, 4)
+    logs = np.array([se3.log_rotation(turn[:3, :3]) for turn in turns[0]])
+    assert np.abs(logs[:, :2]).max() < 0.01  # about z
+    assert np.diff(np.unwrap(logs[:, 2] * np.sign(logs[0, 2]))) == pytest.approx(2.0 * np.pi / TURNS, abs=1e-4)
+    points, _ = mug.sample_surface(400)
+    for turn in turns[0]:
+        off = np.abs(mug.field.distance(se3.apply(turn, points)))
+        assert np.quantile(off, 0.7) < 0.001
+        assert off.max() > 0.005  # and a handle is not
+
+
+@pytest.mark.parametrize("name", ["hammer", "drill", "box", "bottle", "cylinder"])
+def test_no_axis_of_roundness_where_there_is_none_or_it_is_declared(name):
+    assert len(turns_about(library.make(name))) == 0
