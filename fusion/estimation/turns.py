@@ -6,13 +6,15 @@ a search's modes are some of these places. So the whole objective is asked about
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.search.pool import Pool
 from scenes.evidence import table as tables
 from scenes.evidence.align import costs
-from scenes.evidence.near_symmetries import TURNS, WITHIN, small_turn, turns_about
+from scenes.evidence.near_symmetries import AROUND, WITHIN, small_turn, turns_about
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from vision.picture import columns
@@ -24,29 +26,43 @@ Array = NDArray[np.float64]
 # depth predicted: at least so many, and this share. By judgement: of a handle that is seen there are twenty and more of
 # 28 x 28, of a finger's edge that is taken for one a few.
 LEAST_SHOWN, SHARE_SHOWN = 8, 0.6
+# What is left open (rad) of a turn at most that the picture is said to tell: as wide as a handle.
+NARROW = 0.35
 
 
-def left_by_turns(pool: Pool, pose: Array, as_seen: Array, known: Array, share: float, side: int) -> Array:
-    """(6, 6) by how much more than `known` (6, 6) a frame leaves open of an object at pose (4, 4), camera axes; nothing
-    more without an image, which sees where a handle is not, and where it is seen.
+@dataclass(frozen=True)
+class Around:
+    """What a frame tells of turns about axes of roundness. covariance (6, 6), camera axes: by how much more than was
+    known they are open, about the pose that was asked about; pose (4, 4): where it is turned to where they are, and
+    left (6, 6): the same about that one, which is the other where they are wide open.
+    """
+
+    covariance: Array
+    pose: Array
+    left: Array
+
+
+def by_turns(pool: Pool, pose: Array, as_seen: Array, known: Array, share: float, side: int) -> Around:
+    """What a frame tells of an object at pose (4, 4), known to a covariance (6, 6) by itself; nothing more without an
+    image, which sees where a handle is not, and where it is seen.
 
     as_seen (4, 4): where the depth image shows it. share: of what is sensed, the nats that count (see
     `ModeSettings.temper`); a prior's count in full. side: rays along each side of an outline's box.
     """
-    turns = turned(pool.model, as_seen)
+    turns, nothing = turned(pool.model, as_seen), Around(np.zeros((6, 6)), pose, np.zeros((6, 6)))
     if not (pool.predictor.sees and len(turns)):
-        return np.zeros((6, 6))
+        return nothing
     # a handle that is seen is its own reason, however little of a picture it is
     unseen = ~shown(pool, as_seen, side)
     if not unseen.any():
-        return np.zeros((6, 6))
+        return nothing
     asked = np.concatenate([as_seen[None], turns])
     nats = pool.costs(asked, side)
     by_prior = np.zeros(len(asked))
     if pool.prior is not None:
         by_prior = costs(pool.model, tables.empty(), asked, pool.prior)
     nats = share * (nats - by_prior) + by_prior
-    return open_by_turns(pool.model, pose, np.where(np.repeat(unseen, TURNS - 1), nats[1:] - nats[0], np.inf), known)
+    return around(pool.model, pose, np.where(np.repeat(unseen, AROUND - 1), nats[1:] - nats[0], np.inf), known)
 
 
 def shown(pool: Pool, pose: Array, side: int) -> NDArray[np.bool_]:
@@ -73,19 +89,29 @@ def turned(model: ObjectModel, pose: Array) -> Array:
     return np.asarray(pose @ turns_about(model).reshape(-1, 4, 4))
 
 
-def open_by_turns(model: ObjectModel, pose: Array, nats: Array, known: Array) -> Array:
-    """(6, 6) by how much more than `known` (6, 6) is open, where an object at pose (4, 4) that is turned as `turned`
-    has it costs nats (n,) more. It is told as of small turns about each axis, which take the centroid along its circle:
-    what knows where that is knows nothing of the turn.
+def around(model: ObjectModel, pose: Array, nats: Array, known: Array) -> Around:
+    """What is told where an object at pose (4, 4) that is turned as `turned` has it costs nats (n,) more. It is told as
+    of small turns about each axis, which take the centroid along its circle: what knows where that is knows nothing of
+    the turn.
     """
-    out = np.zeros((6, 6))
+    out, left, to = np.zeros((6, 6)), np.zeros((6, 6)), pose
     axes = np.kron(np.eye(2), pose[:3, :3])
-    angles = np.arange(1, TURNS) * (2.0 * np.pi / TURNS)
-    angles = np.minimum(angles, 2.0 * np.pi - angles)
-    for turns, of_each in zip(turns_about(model), nats.reshape(-1, TURNS - 1)):
+    angles = np.linspace(0.0, 2.0 * np.pi, AROUND, endpoint=False)
+    for turns, of_each in zip(turns_about(model), nats.reshape(-1, AROUND - 1)):
         weights = np.exp(min(0.0, float(of_each.min())) - np.append(0.0, of_each))  # of inf 0
-        square = float(weights[1:] @ angles**2 / weights.sum())
+        weights = weights / weights.sum()
         along = axes @ small_turn(model, turns)
         there = float(along[:3] @ (known + out)[:3, :3] @ along[:3])
+        square = _square(angles, weights)
         out += max(square - there, 0.0) * np.outer(along, along)
-    return out
+        likeliest = int(np.argmax(weights))
+        about = _square(np.asarray(angles - angles[likeliest], dtype=np.float64), weights)
+        if about < min(NARROW**2, 0.5 * square):
+            to, square = to @ turns[likeliest - 1], about
+        left += max(square - there, 0.0) * np.outer(along, along)
+    return Around(out, to, left)
+
+
+def _square(angles: Array, weights: Array) -> float:
+    """Mean square of angles (n,) (rad), the short way round."""
+    return float(weights @ np.abs((angles + np.pi) % (2.0 * np.pi) - np.pi) ** 2)

@@ -48,6 +48,9 @@ class NearSettings:
 # from which on two axes are one.
 TURNS, OF_SURFACE, WITHIN, SAME_AXIS = 12, 0.95, 0.0025, 0.99
 
+# Turns (no unit), evenly about an axis of which most of an object is round: a handle is some 20 degrees wide.
+AROUND = 24
+
 _FOUND: WeakKeyDictionary[ObjectModel, Array] = WeakKeyDictionary()
 _ROUND: WeakKeyDictionary[ObjectModel, Array] = WeakKeyDictionary()
 _TURNS: WeakKeyDictionary[ObjectModel, Array] = WeakKeyDictionary()
@@ -149,7 +152,7 @@ def _round_axes(model: ObjectModel) -> Array:
 
 
 def turns_about(model: ObjectModel) -> Array:
-    """(k, 11, 4, 4) object_from_object: the turns by every 30 degrees about each of the k axes about which most of an
+    """(k, 23, 4, 4) object_from_object: the turns by every 15 degrees about each of the k axes about which most of an
     object (`NearSettings.least`) is round, as all of a mug is but its handle; those of a declared symmetry are not
     among them. Worked out at the first call for an object.
     """
@@ -173,12 +176,12 @@ def _turns_about(model: ObjectModel) -> Array:
         # what a turn R p + t leaves in place, at the height of the centroid
         rows = np.concatenate([np.eye(3) - motion[:3, :3], direction[None]])
         point = np.linalg.lstsq(rows, np.append(motion[:3, 3], direction @ model.centroid), rcond=None)[0]
-        rotations = se3.exp_rotation(np.arange(1, TURNS)[:, None] * (2.0 * np.pi / TURNS) * direction)
+        rotations = se3.exp_rotation(np.arange(1, AROUND)[:, None] * (2.0 * np.pi / AROUND) * direction)
         turns = se3.make_poses(rotations, point - rotations @ point)
         if max(off(turn) for turn in turns) < WITHIN:
             out.append(turns)
             axes = [*axes, direction]
-    return np.array(out).reshape(-1, TURNS - 1, 4, 4)
+    return np.array(out).reshape(-1, AROUND - 1, 4, 4)
 
 
 def small_turn(model: ObjectModel, turns: Array) -> Array:

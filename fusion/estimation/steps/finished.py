@@ -23,7 +23,7 @@ from fusion.estimation.steps.sense import solve_together
 from fusion.estimation.steps.twins import with_twins
 from fusion.estimation.tolerance import is_within, with_shared_errors
 from fusion.estimation.trace import Trace
-from fusion.estimation.turns import left_by_turns
+from fusion.estimation.turns import by_turns
 from scenes.evidence import table as tables
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
@@ -93,7 +93,7 @@ def finished(found: Faced, trace: Trace) -> Finished | None:
             first, how_wide = modes[0], settings.moments
             spread = moments(model, rows, first.pose, first.covariance, asked.seed, believed, settings=how_wide)
             how = spread.covariance, settings.told.temper, predictor.side
-            more = left_by_turns(pool, spread.pose, seen_from @ spread.pose, *how)
+            more = by_turns(pool, spread.pose, seen_from @ spread.pose, *how).covariance
             modes = (replace(first, pose=spread.pose, covariance=spread.covariance + more), *modes[1:])
             modes = tuple(with_fingers(model, felt, mode, believed) for mode in modes)
             stage.note(len(rows), f"{spread.effective:.0f} effective samples, directions widened: {spread.widened}")

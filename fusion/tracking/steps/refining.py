@@ -18,7 +18,7 @@ from fusion.estimation.solve.joint import JointResult
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import solve_modes
 from fusion.estimation.solve.settings import JointSettings, Level, Rig
-from fusion.estimation.turns import left_by_turns
+from fusion.estimation.turns import by_turns
 from fusion.estimation.verdict import contact_residuals, nats_of_contacts
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Measurement
@@ -247,10 +247,11 @@ def measurement_of(
     rows, how = tables.stack(sensed.seen, sensed.felt.rows), s.first.moments
     spread = moments(model, rows, solved.pose, gaussian, 0, None, how)
     told = not blind and (not spread.effective or spread.effective >= how.effective)
-    around = None
+    around, at = None, solved.pose
     if sensed.pool is not None and len(sensed.looked.pixels):
         known = spread.covariance if told else gaussian
-        around = left_by_turns(sensed.pool, solved.pose, solved.as_seen, known, s.first.told.temper, s.side)
+        told_by = by_turns(sensed.pool, solved.pose, solved.as_seen, known, s.first.told.temper, s.side)
+        around, at = told_by.left, told_by.pose
     untold = state.untold.learned(model, solved.pose, spread.covariance - gaussian if told else None, around)
     if sensed.pool is not None and not sensed.told_apart:
         picture = sensed.pool.predictor.predict(solved.as_seen[None], s.side)
@@ -258,7 +259,7 @@ def measurement_of(
         mode = Mode(solved.pose, 1.0, 0.0, gaussian)
         gaussian = as_shown(mode, picture, None, s.first.confidence, least=1.0).covariance
     shared = gaussian - solved.independent
-    pose = model.symmetries.nearest(solved.pose, nearest)
+    pose = model.symmetries.nearest(at, nearest)
     if by_robot:
         angle = s.left_angle if corrected else calibration.rotation_sigma
         lever = float(np.linalg.norm(se3.apply(pose, model.centroid[None])[0]))

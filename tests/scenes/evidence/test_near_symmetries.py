@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scenes.evidence.near_symmetries import (
-    TURNS,
+    AROUND,
     NearSettings,
     find_near_symmetries,
     near_symmetries,
@@ -86,10 +86,10 @@ def test_round_is_what_stays_in_place_however_it_is_turned(name, round_about):
 def test_most_of_a_mug_is_round_about_its_axis():
     mug = library.make("mug")
     turns = turns_about(mug)
-    assert turns.shape == (1, TURNS - 1, 4, 4)
+    assert turns.shape == (1, AROUND - 1, 4, 4)
     logs = np.array([se3.log_rotation(turn[:3, :3]) for turn in turns[0]])
     assert np.abs(logs[:, :2]).max() < 0.01  # about z
-    assert np.diff(np.unwrap(logs[:, 2] * np.sign(logs[0, 2]))) == pytest.approx(2.0 * np.pi / TURNS, abs=1e-4)
+    assert np.diff(np.unwrap(logs[:, 2] * np.sign(logs[0, 2]))) == pytest.approx(2.0 * np.pi / AROUND, abs=1e-4)
     points, _ = mug.sample_surface(400)
     for turn in turns[0]:
         off = np.abs(mug.field.distance(se3.apply(turn, points)))
