@@ -153,8 +153,9 @@ def relearned(model: ObjectModel, predicted: Belief, measured: Measurement) -> B
     """A belief of which what frames share is as a later frame has it, which was told more of it than the first; but of
     what that does not tell it stays as unsure as it was.
     """
-    more = positive_part(predicted.shared - measured.shared, scales(model))
-    wide = measured.own + measured.shared + measured.hidden
+    scale = scales(model)
+    more = positive_part(predicted.shared - measured.shared, scale)
+    wide = measured.own + measured.shared + measured.hidden + np.diag((1e-9 * scale) ** 2)  # where nothing is open, too
     untold = np.linalg.solve(wide, measured.hidden).T
     return replace(predicted, own=predicted.own + untold @ more @ untold.T, shared=measured.shared)
 
@@ -222,7 +223,7 @@ def gone_on(model: ObjectModel, before: Belief, tracked: Array, found: Belief, u
     values, vectors = np.linalg.eigh(hidden / scale / scale[:, None])
     axes, along = vectors * scale[:, None], vectors / scale[:, None]  # of what is told, and is not
     room = np.einsum("ik,ij,jk->k", along, found.covariance, along) + (along.T @ step) ** 2
-    gain = (axes * (room / (room + np.maximum(values, 0.0)))) @ along.T
+    gain = (axes * (room / np.maximum(room + np.maximum(values, 0.0), 1e-300))) @ along.T
     rest, step = np.eye(6) - gain, gain @ step
     own = found.own + rest @ before.own @ rest.T + np.outer(step, step)
     pose = se3.perturb(tracked, step, model.centroid)
