@@ -44,13 +44,13 @@ class Around:
 
 def by_turns(pool: Pool, pose: Array, as_seen: Array, known: Array, share: float, side: int) -> Around:
     """What a frame tells of an object at pose (4, 4), known to a covariance (6, 6) by itself; nothing more without an
-    image, which sees where a handle is not, and where it is seen.
+    image, which sees where a handle is not, where it is seen, and of an object with a print, which tells the turn.
 
     as_seen (4, 4): where the depth image shows it. share: of what is sensed, the nats that count (see
     `ModeSettings.temper`); a prior's count in full. side: rays along each side of an outline's box.
     """
     turns, nothing = turned(pool.model, as_seen), Around(np.zeros((6, 6)), pose, np.zeros((6, 6)))
-    if not (pool.predictor.sees and len(turns)):
+    if not (pool.predictor.sees and len(turns)) or pool.model.texture is not None:  # a print tells the turn
         return nothing
     # a handle that is seen is its own reason, however little of a picture it is
     unseen = ~shown(pool, as_seen, side)

@@ -153,8 +153,9 @@ def _round_axes(model: ObjectModel) -> Array:
 
 def turns_about(model: ObjectModel) -> Array:
     """(k, 23, 4, 4) object_from_object: the turns by every 15 degrees about each of the k axes about which most of an
-    object (`NearSettings.least`) is round, as all of a mug is but its handle; those of a declared symmetry are not
-    among them. Worked out at the first call for an object.
+    object (`NearSettings.least`) is round, as all of a mug is but its handle; those of a declared symmetry, and those
+    about which it is round but for little (`round_axes`), are not among them. Worked out at the first call for an
+    object.
     """
     return _once(_TURNING, model, _turns_about)
 
@@ -163,8 +164,8 @@ def _turns_about(model: ObjectModel) -> Array:
     settings = NearSettings()
     points, _ = model.sample_surface(settings.samples, seed=3)
 
-    def off(motion: Array) -> float:
-        return float(np.quantile(np.abs(model.field.distance(se3.apply(motion, points))), settings.least))
+    def off(motion: Array, share: float = settings.least) -> float:
+        return float(np.quantile(np.abs(model.field.distance(se3.apply(motion, points))), share))
 
     out: list[Array] = []
     axes = [axis.direction for axis in model.symmetries.axes]
@@ -179,8 +180,9 @@ def _turns_about(model: ObjectModel) -> Array:
         rotations = se3.exp_rotation(np.arange(1, AROUND)[:, None] * (2.0 * np.pi / AROUND) * direction)
         turns = se3.make_poses(rotations, point - rotations @ point)
         if max(off(turn) for turn in turns) < WITHIN:
-            out.append(turns)
             axes = [*axes, direction]
+            if max(off(turn, OF_SURFACE) for turn in turns) >= WITHIN:
+                out.append(turns)
     return np.array(out).reshape(-1, AROUND - 1, 4, 4)
 
 

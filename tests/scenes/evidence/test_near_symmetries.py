@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 from scenes.evidence.near_symmetries import (
     AROUND,
@@ -13,6 +14,7 @@ from scenes.evidence.near_symmetries import (
     turns_about,
 )
 from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
 from scenes.synthesis import library
 
 
@@ -100,3 +102,9 @@ def test_most_of_a_mug_is_round_about_its_axis():
 @pytest.mark.parametrize("name", ["hammer", "drill", "box", "bottle", "cylinder"])
 def test_no_axis_of_roundness_where_there_is_none_or_it_is_declared(name):
     assert len(turns_about(library.make(name))) == 0
+
+
+@pytest.mark.parametrize("name", ["ball", "can"])
+def test_what_is_round_all_over_has_no_part_that_is_not(name):
+    mesh = trimesh.creation.icosphere(3, 0.03) if name == "ball" else trimesh.creation.cylinder(0.03, 0.1)
+    assert len(turns_about(ObjectModel.from_mesh(np.array(mesh.vertices), np.array(mesh.faces)))) == 0
