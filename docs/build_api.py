@@ -74,7 +74,7 @@ ROOMS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
             "scenes.robot.hands": ("Hand",),
             "scenes.robot.sensors": ("Sensor",),
             "scenes.geometry.symmetries": ("Symmetries", "Axis"),
-            "scenes.evidence.symmetry_detection": ("detect_symmetries",),
+            "scenes.evidence.symmetry.symmetry_detection": ("detect_symmetries",),
             "scenes.evidence.align": ("Prior",),
             "scenes.evidence.modes": ("Mode",),
             "scenes.geometry.poses": (

@@ -23,7 +23,7 @@ except ImportError as error:  # another's "scenes" came first, and refuses in wo
 if TYPE_CHECKING:
     from fusion.estimation.answer import Estimate
     from fusion.estimation.estimate import estimate
-    from fusion.estimation.samples import sample_poses
+    from fusion.estimation.posterior.samples import sample_poses
     from fusion.estimation.settings import EstimateSettings
     from fusion.settings import Settings
     from fusion.tracking.answer import TrackedEstimate, TrackSettings
@@ -57,7 +57,7 @@ _HOMES = {
     "Tracker": "fusion.tracking.tracker",
     "estimate": "fusion.estimation.estimate",
     "rehearse": "fusion.tracking.rehearsal",
-    "sample_poses": "fusion.estimation.samples",
+    "sample_poses": "fusion.estimation.posterior.samples",
     "track": "fusion.tracking.tracker",
 }
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import InputError
-from scenes.files.ply import ply_content
+from scenes.files.formats.ply import ply_content
 from scenes.files.whole import replace_file
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel

@@ -20,9 +20,9 @@ from fusion.modelling import ModelSettings
 from fusion.tracking.answer import TrackSettings
 from fusion.truth.errors import JudgeSettings
 from scenes.evidence.align import AlignSettings
-from scenes.evidence.near_symmetries import NearSettings
 from scenes.evidence.point_pairs import PairSettings
-from scenes.evidence.symmetry_detection import DetectionSettings
+from scenes.evidence.symmetry.near_symmetries import NearSettings
+from scenes.evidence.symmetry.symmetry_detection import DetectionSettings
 from scenes.geometry.distance_field import FieldSettings
 from scenes.geometry.mesh_repair import RepairSettings
 from scenes.geometry.texture import TextureSettings

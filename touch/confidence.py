@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scenes.errors import InputError
 from scenes.evidence import table as tables
 from scenes.evidence.align import Prior, align
-from scenes.evidence.alike import alike
 from scenes.evidence.modes import Mode, displaced
+from scenes.evidence.symmetry.alike import alike
 from scenes.evidence.table import Evidence
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.checking.validation import check_below_object

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fusion.advice.next_touch import best_apart, gains, hand_around, nearest_finger
 from fusion.estimation.answer import Estimate
-from fusion.estimation.samples import sample_poses
+from fusion.estimation.posterior.samples import sample_poses
 from scenes.errors import InputError
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel

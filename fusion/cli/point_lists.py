@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from fusion.cli.options import check_target
 
 if TYPE_CHECKING:
-    from scenes.files.off import OffData
+    from scenes.files.formats.off import OffData
     from scenes.formats.conversion import Converted, Dropped
 
 ENDINGS = (".off", ".ply", ".csv")
@@ -21,8 +21,8 @@ def convert_list(source: Path, out: Path, frame: int | None = None) -> Converted
     Raises PalpateError for other endings, broken files, and a .csv of several frames that becomes a list of points.
     """
     from scenes.errors import InputError
-    from scenes.files.off import write_off
-    from scenes.files.ply import ply_content
+    from scenes.files.formats.off import write_off
+    from scenes.files.formats.ply import ply_content
     from scenes.files.whole import replace_file
     from scenes.formats.conversion import Converted, Dropped
 
@@ -50,9 +50,9 @@ def convert_list(source: Path, out: Path, frame: int | None = None) -> Converted
 
 
 def _read(source: Path, frame: int | None, dropped: Dropped) -> OffData:
-    from scenes.files.off import OffData, read_off
-    from scenes.files.ply import read_cloud
-    from scenes.files.tables import NO_FACES
+    from scenes.files.formats.off import OffData, read_off
+    from scenes.files.formats.ply import read_cloud
+    from scenes.files.formats.tables import NO_FACES
 
     if source.suffix.lower() == ".off":
         return read_off(source)
@@ -68,8 +68,8 @@ def _read_contacts(source: Path, frame: int | None, dropped: Dropped) -> OffData
     import numpy as np
 
     from fusion.cli.commands.answers.localize import read_contacts
-    from scenes.files import tables
-    from scenes.files.off import OffData
+    from scenes.files.formats import tables
+    from scenes.files.formats.off import OffData
     from scenes.files.problems import refuse
 
     felt = read_contacts(source, frame)
@@ -90,7 +90,7 @@ def _write_rows(source: Path, out: Path, frame: int | None) -> None:
     import numpy as np
 
     from scenes.errors import CaptureError, InputError
-    from scenes.files import tables
+    from scenes.files.formats import tables
     from scenes.files.problems import refuse
     from scenes.recordings.captures import contacts_of
 
@@ -112,7 +112,7 @@ def _write_rows(source: Path, out: Path, frame: int | None) -> None:
 
 
 def _write_contacts(out: Path, data: OffData) -> None:
-    from scenes.files import tables
+    from scenes.files.formats import tables
 
     unknown = float("nan")
     normals = [[unknown] * 3] * len(data.points) if data.normals is None else data.normals.tolist()
@@ -121,6 +121,6 @@ def _write_contacts(out: Path, data: OffData) -> None:
 
 
 def _faces(path: Path) -> Any:
-    from scenes.files.meshes import loaded
+    from scenes.files.formats.meshes import loaded
 
     return getattr(loaded(path), "faces", None)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import Asked, check_kinds, check_limits, check_start, sure_to_be_within
+from fusion.estimation.posterior.tolerance import good_enough
 from fusion.estimation.settings import EstimateSettings, usual_settings
 from fusion.estimation.steps.doubts.doubted import Question, doubted, on_the_hand
 from fusion.estimation.steps.facing import check_print
@@ -21,11 +22,10 @@ from fusion.estimation.steps.finished import finished
 from fusion.estimation.steps.searched import search_on, searched, searched_twice
 from fusion.estimation.steps.sense import Sensed, look_again, look_once, sense, without_copy
 from fusion.estimation.steps.told import nothing_told, told
-from fusion.estimation.tolerance import good_enough
 from fusion.estimation.trace import Trace
 from scenes.evidence.align import Prior
-from scenes.evidence.near_symmetries import near_symmetries
 from scenes.evidence.point_pairs import built_pair_table
+from scenes.evidence.symmetry.near_symmetries import near_symmetries
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs

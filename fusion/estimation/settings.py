@@ -10,8 +10,10 @@ from functools import cache
 
 import numpy as np
 
-from fusion.estimation.confidence import ConfidenceSettings
-from fusion.estimation.moments import MomentSettings
+from fusion.estimation.posterior.confidence import ConfidenceSettings
+from fusion.estimation.posterior.moments import MomentSettings
+from fusion.estimation.posterior.turns import TurnSettings
+from fusion.estimation.posterior.verdict import VerdictSettings
 from fusion.estimation.search.modes import PlanSettings
 from fusion.estimation.search.pool_settings import PoolSettings
 from fusion.estimation.search.proposals import ProposalSettings
@@ -19,7 +21,6 @@ from fusion.estimation.solve.settings import JointSettings
 from fusion.estimation.steps.another import AnotherSettings
 from fusion.estimation.steps.doubts.settings import DoubtSettings
 from fusion.estimation.steps.picture import PictureMeanSettings
-from fusion.estimation.verdict import VerdictSettings
 from scenes.evidence.modes import ModeSettings
 from touch.arrays.ranking import RankingSettings
 from touch.contacts import TouchSettings
@@ -69,6 +70,7 @@ class EstimateSettings:
     felt: ModeSettings = field(default_factory=lambda: ModeSettings(temper=0.85, width=0.0))
     joint: JointSettings = field(default_factory=JointSettings)
     moments: MomentSettings = field(default_factory=MomentSettings)
+    turns: TurnSettings = field(default_factory=TurnSettings)
     picture_mean: PictureMeanSettings = field(default_factory=PictureMeanSettings)
     contour: ContourSettings = field(default_factory=ContourSettings)
     # Nats by which touch and the picture of depth together may speak more against a pose moved to the image's outline:

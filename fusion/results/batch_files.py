@@ -11,7 +11,7 @@ from pathlib import Path
 from fusion.results.batch import COLUMNS, Outcome, Row
 from fusion.results.report.index import write_index
 from fusion.results.summary import NUMBERS, summary_of
-from scenes.files.tables import harmless
+from scenes.files.formats.tables import harmless
 from scenes.files.whole import replace_file
 
 

@@ -13,7 +13,7 @@ from fusion.advice.next_touch import NextTouch
 from fusion.estimation.answer import ContactResidual, Estimate, Mode, Stage
 from fusion.truth.errors import Errors, Judge, json_number
 from scenes.errors import InputError
-from scenes.files.json_text import parsed
+from scenes.files.formats.json_text import parsed
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.bop import PoseRow, numbers, write_json, write_poses

@@ -8,20 +8,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate, Mode, Stage
-from fusion.estimation.confidence import ConfidenceSettings, near_enough
+from fusion.estimation.posterior import verdict as posterior
+from fusion.estimation.posterior.confidence import ConfidenceSettings, near_enough
+from fusion.estimation.posterior.whole import whole_covariance
 from fusion.estimation.search.modes import PlanSettings
 from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.solve.settings import JointSettings
-from fusion.estimation.whole import whole_covariance
 from fusion.tracking.filter import Belief
-from fusion.tracking.hypotheses import HypothesisSettings
+from fusion.tracking.memory.hypotheses import HypothesisSettings
+from fusion.tracking.memory.occluders import OccluderSettings
+from fusion.tracking.memory.sizes import SizeSettings
+from fusion.tracking.memory.state import GlanceSettings, RenewalSettings
 from fusion.tracking.motion import HandMotionSettings
-from fusion.tracking.occluders import OccluderSettings
-from fusion.tracking.sizes import SizeSettings
 from fusion.tracking.slip import WatchSettings
-from fusion.tracking.state import GlanceSettings, RenewalSettings
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
 from vision.look.warm import WarmLookSettings

@@ -33,7 +33,7 @@ REPEATED, WIDE = 30.0, 0.35
 @dataclass(frozen=True)
 class Belief:
     """pose (4, 4) camera_from_object; own (6, 6): covariance that frames average out; shared (6, 6): what stays; hidden
-    (6, 6): what stays, too, of directions of which no frame tells (fusion.tracking.untold); crept (6, 6): by how much
+    (6, 6): what stays, too, of directions of which no frame tells (memory.untold); crept (6, 6): by how much
     the last prediction has made `own` wider.
     """
 

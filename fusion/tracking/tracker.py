@@ -22,16 +22,17 @@ from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import as_prior, believing, check_kinds, check_senses, each_frame, sure_to_be_within
-from fusion.estimation.confidence import near_enough
 from fusion.estimation.estimate import estimate
+from fusion.estimation.posterior.confidence import near_enough
 from fusion.estimation.trace import Trace
-from fusion.tracking import hypotheses as several
 from fusion.tracking.answer import NOTHING_SENSED, OUT_OF_SIGHT, TrackedEstimate, TrackSettings, as_carried, as_tracked
 from fusion.tracking.filter import Belief, Measurement, after_slip, gone_on, relearned, update
-from fusion.tracking.hypotheses import Hypotheses
+from fusion.tracking.memory import hypotheses as several
+from fusion.tracking.memory.hypotheses import Hypotheses
+from fusion.tracking.memory.state import TrackState, is_empty
+from fusion.tracking.memory.touched import Touched
 from fusion.tracking.motion import HandMotion, HandState
 from fusion.tracking.slip import SlipWatch, Watched
-from fusion.tracking.state import TrackState, is_empty
 from fusion.tracking.steps import searching
 from fusion.tracking.steps.aside import ANEW, AROUND, Aside
 from fusion.tracking.steps.contradicting import NOT_HERE, without_strangers
@@ -44,7 +45,6 @@ from fusion.tracking.steps.predicting import SHOWN_ELSEWHERE, as_moved, predict,
 from fusion.tracking.steps.printed import as_before, as_printed
 from fusion.tracking.steps.refining import loose, measurement_of, middle_of, pixel_of, refine, shift, solve_leader
 from fusion.tracking.steps.sensing import Sensed, feel_near, learn_things, pool_near
-from fusion.tracking.touched import Touched
 from scenes.errors import CaptureError
 from scenes.evidence.align import Prior
 from scenes.evidence.point_pairs import built_pair_table

@@ -15,8 +15,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenes.files.formats.tables import CsvColumn, CsvRow, CsvTable, as_table, csv_header, csv_rows
 from scenes.files.problems import Problem, Report
-from scenes.files.tables import CsvColumn, CsvRow, CsvTable, as_table, csv_header, csv_rows
 
 Index = NDArray[np.int64]
 
@@ -25,7 +25,7 @@ class FramedTable:
     """Rows of a CSV with a frame column, found by their frame. Attributes: file, its path as text."""
 
     def __init__(self, path: str | Path, columns: Sequence[CsvColumn], report: Report) -> None:
-        """Read all of it once; problems are reported as `scenes.files.tables.read_table` does."""
+        """Read all of it once; problems are reported as `scenes.files.formats.tables.read_table` does."""
         self.file = str(path)
         self._columns = columns
         self._header: list[str] = []

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from scenes.errors import CaptureError
-from scenes.files.off import read_off, write_off
+from scenes.files.formats.off import read_off, write_off
 from scenes.formats.conversion import Converted, many_contacts
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.captures import Capture, write_capture

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError
-from scenes.files import images
+from scenes.files.formats import images
 from scenes.files.problems import refuse
 from scenes.formats.bop.scene import IMAGE_ENDINGS
 from scenes.formats.conversion import (

@@ -11,7 +11,7 @@ import re
 from pathlib import Path
 
 from scenes.errors import CaptureError, InputError
-from scenes.files.off import read_off
+from scenes.files.formats.off import read_off
 from scenes.formats.conversion import Converted, Dropped, many_contacts
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.captures import write_capture

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from scenes.cache import Arrays, are_triangles, remembered_of_file
 from scenes.errors import InputError, MeshError, unknown
-from scenes.files.meshes import loaded, without_triangles
+from scenes.files.formats.meshes import loaded, without_triangles
 from scenes.geometry import distance_field, mesh_repair, poses
 from scenes.geometry.distance_field import DistanceField
 from scenes.geometry.surface import Surface, hull_of
@@ -343,7 +343,7 @@ def _read_mesh(path: Path) -> tuple[Array, Faces, tuple[Array, NDArray[np.uint8]
     """Vertices, faces, and coloured points of the surface, none for a mesh without colours; in the file's unit."""
     plain = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint8)
     if path.suffix.lower() == ".off":
-        from scenes.files.off import read_off
+        from scenes.files.formats.off import read_off
 
         data = read_off(path)
         if data.colours is None or not len(data.faces):

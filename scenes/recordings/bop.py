@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError
-from scenes.files.images import MM
-from scenes.files.json_text import each_once, parsed
+from scenes.files.formats.images import MM
+from scenes.files.formats.json_text import each_once, parsed
 from scenes.files.problems import Problem, Report
 from scenes.files.whole import replace_file
 from scenes.geometry import poses

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError, PalpateError
-from scenes.files import images, tables
+from scenes.files.formats import images, tables
 from scenes.files.framed import FramedTable
 from scenes.files.inside import refuse_links_outside, stays_inside
 from scenes.files.problems import Problem, Report, refuse
@@ -285,7 +285,7 @@ class Capture:
         return fits
 
     def _cloud(self, number: int) -> tuple[Array | None, NDArray[np.uint8] | None]:
-        from scenes.files.ply import read_cloud
+        from scenes.files.formats.ply import read_cloud
 
         name = f"clouds/{number:06d}.ply"
         if not (self.path / name).is_file():

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from scenes.errors import CaptureError, InputError, unknown
-from scenes.files import images, tables
-from scenes.files.ply import write_ply
+from scenes.files.formats import images, tables
+from scenes.files.formats.ply import write_ply
 from scenes.files.problems import refuse
 from scenes.files.whole import draft_folder, put
 from scenes.geometry.objects import METRES_PER_UNIT, ObjectModel

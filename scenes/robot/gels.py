@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import InputError, PalpateError, unknown
-from scenes.files import images
+from scenes.files.formats import images
 from scenes.files.inside import stays_inside
 
 Array = NDArray[np.float64]
@@ -343,7 +343,7 @@ def _file(name: Any, where: str, folder: Path, within: Path | None, read: Any) -
 
 
 def _read_json(path: Path) -> dict[str, Any]:
-    from scenes.files.json_text import parsed
+    from scenes.files.formats.json_text import parsed
 
     try:
         content = parsed(path.read_text(encoding="utf-8"))

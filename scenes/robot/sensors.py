@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from scenes.cache import Arrays, are_triangles, remembered_of_file
 from scenes.errors import InputError, unknown
+from scenes.files.formats.json_text import parsed
+from scenes.files.formats.meshes import loaded
+from scenes.files.formats.ply import write_ply
 from scenes.files.inside import stays_inside
-from scenes.files.json_text import parsed
-from scenes.files.meshes import loaded
-from scenes.files.ply import write_ply
 from scenes.files.problems import UNREADABLE
 from scenes.geometry import poses
 from scenes.robot.gels import Gel, read_gel, write_gel

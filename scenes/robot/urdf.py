@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from scenes.cache import Arrays, are_triangles, remembered, remembered_of_file
 from scenes.errors import InputError
+from scenes.files.formats.meshes import loaded
 from scenes.files.inside import stays_inside
-from scenes.files.meshes import loaded
 from scenes.files.problems import UNREADABLE
 from scenes.geometry import poses
 

@@ -14,7 +14,7 @@ import pytest
 from docs_commands import ROOT, matches
 
 from fusion.cli.parser import build_parser
-from scenes.files.ply import write_ply
+from scenes.files.formats.ply import write_ply
 from scenes.synthesis import library
 from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.recording import synthesize

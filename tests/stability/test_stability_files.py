@@ -10,7 +10,7 @@ from cases.mutations import mutate
 
 from fusion.results.files import read_covariances
 from scenes.errors import CaptureError, InputError, MeshError
-from scenes.files import images, ply
+from scenes.files.formats import images, ply
 from scenes.geometry.objects import ObjectModel
 from scenes.robot.sensors import read_sensors
 

@@ -273,7 +273,7 @@ FLOORS = {
 
 @pytest.mark.parametrize("name", FLOORS)
 def test_real_contacts_reach_the_floor(contact_data, name):
-    from scenes.files.off import read_off
+    from scenes.files.formats.off import read_off
 
     object_name, floor = FLOORS[name]
     contact_file = next(iter(sorted((contact_data / "contacts").glob(f"{name}*.off"))), None)

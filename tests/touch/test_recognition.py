@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from fusion.cli.main import main
 from scenes.errors import InputError
 from scenes.evidence import table as tables
-from scenes.files.off import write_off
+from scenes.files.formats.off import write_off
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts

@@ -57,7 +57,7 @@ def objects(chosen: tuple[str, ...] | None = None) -> dict[str, Callable[[], Obj
 
 
 def _scanned(path: Path) -> ObjectModel:
-    from scenes.evidence.symmetry_detection import detect_symmetries
+    from scenes.evidence.symmetry.symmetry_detection import detect_symmetries
     from scenes.geometry.objects import ObjectModel
 
     model = ObjectModel.load(path)

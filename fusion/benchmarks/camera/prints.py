@@ -20,8 +20,8 @@ from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Quan
 from fusion.estimation.answer import Estimate
 from fusion.estimation.estimate import estimate
 from scenes.errors import InputError
-from scenes.evidence.near_symmetries import near_symmetries
 from scenes.evidence.point_pairs import built_pair_table
+from scenes.evidence.symmetry.near_symmetries import near_symmetries
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fusion.benchmarks.camera.optical_cameras import optical_cameras
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Report, Spread, Table
 from scenes.errors import InputError
-from scenes.files.ply import write_ply
+from scenes.files.formats.ply import write_ply
 from scenes.geometry.distance_field import FieldSettings, build
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
@@ -136,7 +136,7 @@ def _lattices(report: Report, settings: BenchSettings) -> None:
 
 
 def _symmetries(report: Report, settings: BenchSettings) -> None:
-    from scenes.evidence.symmetry_detection import detect_symmetries
+    from scenes.evidence.symmetry.symmetry_detection import detect_symmetries
 
     table = Table(
         "Symmetries declared and found in the mesh",

@@ -19,8 +19,8 @@ import numpy as np
 from fusion.benchmarks.families.making import frames_of, judge_of, objects_of
 from fusion.benchmarks.families.table import FAMILIES, TUNING, Family
 from fusion.benchmarks.printing.provenance import source_version
-from fusion.estimation.confidence import FEATURES
-from fusion.estimation.spread import mean_square
+from fusion.estimation.posterior.confidence import FEATURES
+from fusion.estimation.posterior.spread import mean_square
 from fusion.truth.errors import json_number
 from scenes.errors import InputError
 

@@ -1,7 +1,7 @@
 """The regression of the confidence fitted to answers whose truth is known: by maximum likelihood, with a penalty.
 
 The confidence is a product: that the mode is the right one, a logistic regression (Platt 1999), times that the answer
-is then within a tolerance, a gamma distribution (see `fusion.estimation.confidence`). Nobody sees which of the two an
+is then within a tolerance, a gamma distribution (see `posterior.confidence`). Nobody sees which of the two an
 answer failed by, so both are fitted together, to whether answers are within three tolerances. A factor of the
 regression keeps the sign that its feature must have; the penalty is Gaussian, on factors of standardised features
 (Hoerl and Kennard 1970).
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.benchmarks.confidence.answers import Told
-from fusion.estimation.confidence import FEATURES, ConfidenceSettings, Feature, Regression, below
+from fusion.estimation.posterior.confidence import FEATURES, ConfidenceSettings, Feature, Regression, below
 from scenes.errors import InputError
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ from fusion.benchmarks.confidence.answers import Told
 from fusion.benchmarks.confidence.fit import TOLERANCES, Fitted, as_literal
 from fusion.benchmarks.frames.reliability import MOST, by_chance, expected_error
 from fusion.benchmarks.printing.tables import Claim, Column, Rate, Report, Table
-from fusion.estimation.confidence import ConfidenceSettings
+from fusion.estimation.posterior.confidence import ConfidenceSettings
 
 Array = NDArray[np.float64]
 

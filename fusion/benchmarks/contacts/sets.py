@@ -53,7 +53,7 @@ def folder() -> Path:
 
 def read_points(path: Path) -> Contacts:
     """Contacts of a point list (OFF)."""
-    from scenes.files.off import read_off
+    from scenes.files.formats.off import read_off
 
     return Contacts(read_off(path).points)
 

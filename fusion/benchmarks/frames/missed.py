@@ -17,7 +17,7 @@ from fusion.estimation.steps.judge import Judgement
 from fusion.results.report.outline import silhouette
 from fusion.results.report.pictures import choose_crop
 from fusion.truth.errors import json_number
-from scenes.files.images import write_rgb
+from scenes.files.formats.images import write_rgb
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.rendering import Renderer
 from scenes.recordings.frames import Frame

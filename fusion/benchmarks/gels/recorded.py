@@ -15,7 +15,7 @@ import numpy as np
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Report, Table
 from fusion.truth.metrics import pose_error
 from scenes.errors import CaptureError
-from scenes.evidence.symmetry_detection import DetectionSettings, detect_symmetries
+from scenes.evidence.symmetry.symmetry_detection import DetectionSettings, detect_symmetries
 from scenes.formats.gels import digit_grasps
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel

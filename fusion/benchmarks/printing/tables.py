@@ -325,7 +325,7 @@ def write_report(report: Report, folder: Path) -> list[Path]:
         paths.append(folder / f"{report.name}.svg")
         paths[-1].write_text(draw(report.charts), encoding="utf-8")
     for name, picture in report.pictures.items():
-        from scenes.files.images import write_rgb
+        from scenes.files.formats.images import write_rgb
 
         paths.append(folder / f"{report.name}_{name}.png")
         write_rgb(paths[-1], picture)

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from scenes.evidence.align import Alignment, AlignSettings, Prior, align, terms
 from scenes.evidence.modes import Mode, ModeSettings, covariance_of, displaced, distinct_modes, weighed
-from scenes.evidence.near_symmetries import near_symmetries
 from scenes.evidence.search import SETTLED, SearchStage, leaders, search, thin
+from scenes.evidence.symmetry.near_symmetries import near_symmetries
 from scenes.evidence.table import SIGMA, TOUCH, VISION, Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel

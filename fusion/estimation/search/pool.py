@@ -13,14 +13,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation.posterior.verdict import nats_of_contacts
 from fusion.estimation.search.pool_settings import PoolSettings
 from fusion.estimation.search.proposals import ProposalSettings, search_stages
-from fusion.estimation.verdict import nats_of_contacts
 from scenes.evidence import table as tables
 from scenes.evidence.align import Alignment, AlignSettings, Prior, align, align_each, costs
 from scenes.evidence.modes import Mode, ModeSettings, distinct_modes, weighed
-from scenes.evidence.near_symmetries import near_symmetries, quarter_turns
 from scenes.evidence.search import SETTLED, SearchStage, leaders, least_of, search, thin
+from scenes.evidence.symmetry.near_symmetries import near_symmetries, quarter_turns
 from scenes.evidence.table import Evidence
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import DepthModel

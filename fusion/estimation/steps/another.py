@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation.confidence import ConfidenceSettings, chances
+from fusion.estimation.posterior.confidence import ConfidenceSettings, chances
 from fusion.estimation.search.pool import Pool
 from scenes.evidence.modes import Mode
 from scenes.geometry import poses as se3

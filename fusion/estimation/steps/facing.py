@@ -19,7 +19,7 @@ from scenes.errors import InputError
 from scenes.evidence import table as tables
 from scenes.evidence.align import Prior, costs
 from scenes.evidence.modes import Mode
-from scenes.evidence.near_symmetries import near_symmetries
+from scenes.evidence.symmetry.near_symmetries import near_symmetries
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.symmetries import Symmetries

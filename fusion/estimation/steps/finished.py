@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import Mode
-from fusion.estimation.moments import moments
+from fusion.estimation.posterior.moments import moments
+from fusion.estimation.posterior.tolerance import is_within, with_shared_errors
+from fusion.estimation.posterior.turns import by_turns
 from fusion.estimation.ranking import led, rejudged
 from fusion.estimation.search.modes import not_solved, worth_solving
 from fusion.estimation.solve.joint import parted
@@ -21,9 +23,7 @@ from fusion.estimation.steps.fingers import with_fingers
 from fusion.estimation.steps.picture import asked_picture, why_not_asked
 from fusion.estimation.steps.sense import solve_together
 from fusion.estimation.steps.twins import with_twins
-from fusion.estimation.tolerance import is_within, with_shared_errors
 from fusion.estimation.trace import Trace
-from fusion.estimation.turns import by_turns
 from scenes.evidence import table as tables
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
@@ -92,7 +92,7 @@ def finished(found: Faced, trace: Trace) -> Finished | None:
         if finish:
             first, how_wide = modes[0], settings.moments
             spread = moments(model, rows, first.pose, first.covariance, asked.seed, believed, settings=how_wide)
-            how = spread.covariance, settings.told.temper, predictor.side
+            how = spread.covariance, settings.told.temper, predictor.side, settings.turns
             more = by_turns(pool, spread.pose, seen_from @ spread.pose, *how).covariance
             modes = (replace(first, pose=spread.pose, covariance=spread.covariance + more), *modes[1:])
             modes = tuple(with_fingers(model, felt, mode, believed) for mode in modes)

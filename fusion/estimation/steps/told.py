@@ -10,20 +10,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import Asked
-from fusion.estimation.confidence import as_shown, observations, within
+from fusion.estimation.posterior import verdict as posterior
+from fusion.estimation.posterior.confidence import as_shown, observations, within
+from fusion.estimation.posterior.tolerance import with_shift
+from fusion.estimation.posterior.whole import room_about, told_covariance
 from fusion.estimation.steps.another import by_hand, is_clear, others, why_no_other, with_others
 from fusion.estimation.steps.drawn import drawn_by_touch, why_not_drawn
 from fusion.estimation.steps.facing import Faced, as_printed, by_facing, other_printed
 from fusion.estimation.steps.finished import Finished
 from fusion.estimation.steps.sense import Sensed, unexplained
-from fusion.estimation.tolerance import with_shift
 from fusion.estimation.trace import Trace
-from fusion.estimation.whole import room_about, told_covariance
 from scenes.evidence.align import Prior
-from scenes.evidence.alike import alike
+from scenes.evidence.symmetry.alike import alike
 from scenes.geometry import poses as se3
 from vision.plausibility import doubts
 from vision.visibility import visibility

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from fusion.estimation.settings import EstimateSettings
 from scenes.evidence.align import AlignSettings, Prior, align, costs
 from scenes.evidence.modes import Mode, displaced
-from scenes.evidence.near_symmetries import near_symmetries
 from scenes.evidence.search import thin
+from scenes.evidence.symmetry.near_symmetries import near_symmetries
 from scenes.evidence.table import VISION, Evidence, empty
 from scenes.geometry.objects import ObjectModel
 

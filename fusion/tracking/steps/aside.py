@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate
 from fusion.tracking.filter import block, moved_modes
-from fusion.tracking.hypotheses import Hypothesis, HypothesisSettings, alike, sure_of
-from fusion.tracking.state import TrackState
+from fusion.tracking.memory.hypotheses import Hypothesis, HypothesisSettings, alike, sure_of
+from fusion.tracking.memory.state import TrackState
 from scenes.evidence.align import Prior
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel

@@ -13,10 +13,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation.posterior.verdict import contact_residuals
 from fusion.estimation.solve.joint import JointResult
-from fusion.estimation.verdict import contact_residuals
 from fusion.tracking.answer import TrackSettings
-from fusion.tracking.state import TrackState
+from fusion.tracking.memory.state import TrackState
 from fusion.tracking.steps.refining import Refined, refine, solve_leader
 from fusion.tracking.steps.sensing import Sensed
 from scenes.evidence.align import Prior

@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import ContactResidual, Mode
-from fusion.estimation.confidence import within
-from fusion.estimation.verdict import contact_residuals, pixel_agreement
+from fusion.estimation.posterior.confidence import within
+from fusion.estimation.posterior.verdict import contact_residuals, pixel_agreement
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Belief, Measurement
-from fusion.tracking.hypotheses import Hypotheses, ways_of, weights
-from fusion.tracking.occluders import Occluders
-from fusion.tracking.state import GlanceSettings, Known, TrackState
+from fusion.tracking.memory.hypotheses import Hypotheses, ways_of, weights
+from fusion.tracking.memory.occluders import Occluders
+from fusion.tracking.memory.state import GlanceSettings, Known, TrackState
 from fusion.tracking.steps.judging import Judged, as_open
 from fusion.tracking.steps.refining import loose
 from fusion.tracking.steps.sensing import Sensed, pool_near

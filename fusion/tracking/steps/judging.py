@@ -7,20 +7,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import ContactResidual, Estimate, Mode, Stage
-from fusion.estimation.confidence import within
+from fusion.estimation.posterior import verdict as posterior
+from fusion.estimation.posterior.confidence import within
+from fusion.estimation.posterior.whole import told_covariance, whole_covariance
 from fusion.estimation.solve.joint import JointResult
-from fusion.estimation.whole import told_covariance, whole_covariance
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
 from fusion.tracking.filter import Belief
-from fusion.tracking.hypotheses import Hypotheses, weights
-from fusion.tracking.sizes import Sizes
+from fusion.tracking.memory.hypotheses import Hypotheses, weights
+from fusion.tracking.memory.sizes import Sizes
+from fusion.tracking.memory.state import TrackState
 from fusion.tracking.slip import Watched
-from fusion.tracking.state import TrackState
 from fusion.tracking.steps.refining import Refined
 from fusion.tracking.steps.sensing import Sensed
-from scenes.evidence.alike import alike
+from scenes.evidence.symmetry.alike import alike
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from fusion.tracking.answer import TrackSettings
-from fusion.tracking.state import TrackState
+from fusion.tracking.memory.state import TrackState
 from scenes.recordings.checking.validation import check_is_frame
 from scenes.recordings.frames import Frame
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.tracking.filter import Belief
-from fusion.tracking.state import TrackState
+from fusion.tracking.memory.state import TrackState
 from fusion.tracking.steps.sensing import Sensed
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel

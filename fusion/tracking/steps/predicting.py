@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.tracking import hypotheses as several
 from fusion.tracking.answer import Because, TrackSettings
 from fusion.tracking.filter import Belief
-from fusion.tracking.hypotheses import Hypotheses
+from fusion.tracking.memory import hypotheses as several
+from fusion.tracking.memory.hypotheses import Hypotheses
+from fusion.tracking.memory.state import TrackState
 from fusion.tracking.motion import HandMotion, calibration_drift, drift_since
 from fusion.tracking.slip import SlipWatch
-from fusion.tracking.state import TrackState
 from fusion.tracking.steps.marking import with_marks
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel

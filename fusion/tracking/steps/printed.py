@@ -15,8 +15,8 @@ from fusion.estimation.answer import Estimate
 from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.steps.facing import as_seen_printed
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
+from fusion.tracking.memory.state import TrackState
 from fusion.tracking.slip import SlipWatch
-from fusion.tracking.state import TrackState
 from fusion.tracking.steps.sensing import Sensed, part_with_colours
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel

@@ -12,21 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate, Mode
-from fusion.estimation.confidence import as_shown, chances
-from fusion.estimation.moments import moments
+from fusion.estimation.posterior.confidence import as_shown, chances
+from fusion.estimation.posterior.moments import moments
+from fusion.estimation.posterior.turns import by_turns
+from fusion.estimation.posterior.verdict import contact_residuals, nats_of_contacts
 from fusion.estimation.solve.joint import JointResult
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.rigs import solve_modes
 from fusion.estimation.solve.settings import JointSettings, Level, Rig
-from fusion.estimation.turns import by_turns
-from fusion.estimation.verdict import contact_residuals, nats_of_contacts
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Measurement
-from fusion.tracking.hypotheses import Hypotheses, as_ways, ways_of, weighed
-from fusion.tracking.state import TrackState
+from fusion.tracking.memory.hypotheses import Hypotheses, as_ways, ways_of, weighed
+from fusion.tracking.memory.state import TrackState
+from fusion.tracking.memory.untold import Untold
 from fusion.tracking.steps.by_picture import meant, walked
 from fusion.tracking.steps.sensing import Sensed
-from fusion.tracking.untold import Untold
 from scenes.evidence import table as tables
 from scenes.evidence.align import AlignSettings, Prior, align
 from scenes.evidence.modes import covariance_of
@@ -249,8 +249,8 @@ def measurement_of(
     told = not blind and (not spread.effective or spread.effective >= how.effective)
     around, at = None, solved.pose
     if sensed.pool is not None and len(sensed.looked.pixels):
-        known = spread.covariance if told else gaussian
-        told_by = by_turns(sensed.pool, solved.pose, solved.as_seen, known, s.first.told.temper, s.side)
+        known = spread.covariance if told else gaussian, s.first.told.temper, s.side, s.first.turns
+        told_by = by_turns(sensed.pool, solved.pose, solved.as_seen, *known)
         around, at = told_by.left, told_by.pose
     untold = state.untold.learned(model, solved.pose, spread.covariance - gaussian if told else None, around)
     if sensed.pool is not None and not sensed.told_apart:

@@ -15,13 +15,13 @@ from numpy import float64
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate, Mode
-from fusion.estimation.confidence import near_enough
+from fusion.estimation.posterior.confidence import near_enough
+from fusion.estimation.posterior.whole import told_covariance
 from fusion.estimation.settings import EstimateSettings
-from fusion.estimation.whole import told_covariance
-from fusion.tracking import hypotheses as several
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
-from fusion.tracking.hypotheses import Hypothesis
-from fusion.tracking.state import TrackState
+from fusion.tracking.memory import hypotheses as several
+from fusion.tracking.memory.hypotheses import Hypothesis
+from fusion.tracking.memory.state import TrackState
 from fusion.tracking.steps.aside import ANEW, AROUND, Aside
 from fusion.tracking.steps.contradicting import may_be_strangers
 from fusion.tracking.steps.refining import prefers

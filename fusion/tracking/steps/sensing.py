@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from fusion.estimation.search.pool import Pool
 from fusion.estimation.settings import EstimateSettings
 from fusion.tracking.answer import TrackSettings
-from fusion.tracking.occluders import Occluders, OccluderSettings
-from fusion.tracking.state import TrackState
+from fusion.tracking.memory.occluders import Occluders, OccluderSettings
+from fusion.tracking.memory.state import TrackState
 from scenes.evidence.table import Evidence
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError
-from scenes.files import images
-from scenes.files.ply import write_ply
+from scenes.files.formats import images
+from scenes.files.formats.ply import write_ply
 from scenes.files.problems import refuse
 from scenes.formats.conversion import Converted, Dropped, at_least_one, located, new_folder
 from scenes.geometry.cameras import Camera

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError
-from scenes.files import images
-from scenes.files.off import read_off
+from scenes.files.formats import images
+from scenes.files.formats.off import read_off
 from scenes.formats.conversion import Converted, located
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel

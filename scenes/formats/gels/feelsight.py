@@ -3,7 +3,7 @@
 `OBJECT/LOG/`: `realsense/CAMERA/image/N.jpg`, `seg/N.jpg` (255 the object, 127 the hand, 0 else), `depth.npz` (`depth`
 (n, h, w), `depth_scale`); `allegro/FINGER/image|depth|mask/N.jpg`; `data.pkl`, a dict with `object.pose` (4x4 each,
 world), `allegro.base_pose`, `allegro.joint_state` (16 each), `realsense.CAMERA.intrinsics` and `.pose`, `digit_info`
-(`intrinsics`, `cam_dist`, `depth_scale`). The pickle is read as data (scenes.files.pickles).
+(`intrinsics`, `cam_dist`, `depth_scale`). The pickle is read as data (scenes.files.formats.pickles).
 
 Two things the layout leaves open are told by the numbers, and said: whether depth_scale multiplies or divides, by which
 gives distances of a table-top; whether a camera looks along its +z or -z, by where the object is. The fingers' `depth`
@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError, InputError
-from scenes.files import images
-from scenes.files.pickles import read_plain
+from scenes.files.formats import images
+from scenes.files.formats.pickles import read_plain
 from scenes.formats.conversion import Converted, Dropped, at_least_one, located
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError
-from scenes.files.images import decode
+from scenes.files.formats.images import decode
 
 # name -> (type, channels, order of red, green, blue)
 COLOURS: dict[str, tuple[int, tuple[int, int, int]]] = {

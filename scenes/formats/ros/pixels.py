@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import CaptureError
-from scenes.files.images import LARGEST_COUNT
+from scenes.files.formats.images import LARGEST_COUNT
 from scenes.formats.conversion import Dropped
 from scenes.formats.ros.bag import Bag, stamp_ns
 from scenes.formats.ros.images import decode_depth, decode_mask, decode_rgb

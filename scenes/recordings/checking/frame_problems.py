@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.files.images import LARGEST_COUNT, read_counts
+from scenes.files.formats.images import LARGEST_COUNT, read_counts
 from scenes.files.problems import Problem
 from scenes.geometry.cameras import Camera
 from scenes.recordings.frames import Frame

@@ -12,8 +12,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from scenes.files.formats.tables import CsvColumn
 from scenes.files.problems import Problem
-from scenes.files.tables import CsvColumn
 
 # Files and folders that are read where they are.
 JSON_FILES = ("capture.json", "scene_camera.json", "rgb_camera.json", "scene_gt.json", "prior.json")

@@ -7,7 +7,7 @@ import pytest
 
 from fusion.advice.next_touch import NextTouchSettings, best_apart, hand_around, nearest_finger, next_touches
 from fusion.estimation.answer import ContactResidual, Estimate, Mode
-from fusion.estimation.verdict import contributions
+from fusion.estimation.posterior.verdict import contributions
 from fusion.truth.metrics import model_points
 from scenes.evidence import table as evidence
 from scenes.evidence.align import Prior, terms

@@ -19,7 +19,7 @@ from fusion.benchmarks.real.sheet import HIGH, TEXT, WIDE, tile
 from fusion.benchmarks.real.trials import AT_REFERENCE, METHODS, NO_START, OURS, STARTS, methods_of, trial, trials
 from fusion.cli.main import main
 from scenes.errors import InputError
-from scenes.files.off import write_off
+from scenes.files.formats.off import write_off
 from scenes.formats.bop import scene as bop_scene
 from scenes.geometry import poses
 from scenes.recordings.captures import read_capture, write_capture

@@ -15,7 +15,7 @@ from fusion.benchmarks.confidence.answers import Told, Work, answered, mend, rea
 from fusion.benchmarks.confidence.fit import Sample, _Cost, as_literal, fit, fit_model
 from fusion.benchmarks.families.table import FAMILIES
 from fusion.cli.config import read_config
-from fusion.estimation.confidence import FEATURES, ConfidenceSettings, Regression, below
+from fusion.estimation.posterior.confidence import FEATURES, ConfidenceSettings, Regression, below
 
 TRUE = Regression(weight=0.5, agree=12.0, past=-8.0, spread=-1.0, constant=-1.5, nearest=0.6)
 

@@ -17,8 +17,8 @@ from made_frames import plain_view
 from fusion.cli.main import main
 from fusion.cli.options import length_and_angle, share
 from fusion.cli.parser import build_parser
-from scenes.files.off import read_off, write_off
-from scenes.files.ply import write_ply
+from scenes.files.formats.off import read_off, write_off
+from scenes.files.formats.ply import write_ply
 from scenes.geometry import poses
 from scenes.recordings.bop import read_poses
 from scenes.recordings.captures import read_capture, write_capture

@@ -11,7 +11,7 @@ from commands import refused, run
 
 from fusion.benchmarks.gels import bench, slip
 from fusion.benchmarks.printing.tables import BenchSettings, Report
-from scenes.files import images
+from scenes.files.formats import images
 from scenes.recordings.captures import read_capture
 from scenes.robot.sensors import Sensor, write_sensors
 from scenes.synthesis.gels import ball_presses, lit_digit

@@ -9,8 +9,8 @@ import pytest
 from commands import refused, run
 
 from fusion.cli.commands.answers.localize import read_contacts
-from scenes.files.off import read_off, write_off
-from scenes.files.ply import read_cloud, write_ply
+from scenes.files.formats.off import read_off, write_off
+from scenes.files.formats.ply import read_cloud, write_ply
 
 HEAD = "frame,sensor,x,y,z,nx,ny,nz,fx,fy,fz,sigma_point,sigma_normal"
 # one with everything, one that says its point and a sigma

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 import trimesh
 
-from fusion.estimation import verdict as posterior
-from fusion.estimation.confidence import ConfidenceSettings, within_of
 from fusion.estimation.estimate import estimate
+from fusion.estimation.posterior import verdict as posterior
+from fusion.estimation.posterior.confidence import ConfidenceSettings, within_of
+from fusion.estimation.posterior.spread import spread_of
+from fusion.estimation.posterior.whole import told_covariance
 from fusion.estimation.settings import EstimateSettings
-from fusion.estimation.spread import spread_of
 from fusion.estimation.steps.twins import with_twins
-from fusion.estimation.whole import told_covariance
 from scenes.evidence.align import Prior
-from scenes.evidence.alike import alike, hardly_moves, moved
 from scenes.evidence.modes import Mode
+from scenes.evidence.symmetry.alike import alike, hardly_moves, moved
 from scenes.evidence.table import TOUCH, make
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -209,7 +209,7 @@ def test_a_sure_answer_is_ok_whichever_way_round_its_handle_is():
 
 def test_an_answer_asks_once_which_modes_are_one(lab_frame, drill, monkeypatch):
     """Confidence, verdict, covariance and notes read what was found once."""
-    from scenes.evidence import alike as module
+    from scenes.evidence.symmetry import alike as module
 
     asked, moved_by = [], module.moved
     monkeypatch.setattr(module, "moved", lambda *a: asked.append(len(a[2])) or moved_by(*a))

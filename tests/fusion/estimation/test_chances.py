@@ -5,9 +5,9 @@ import pytest
 from predicted_twin import picture
 
 from fusion import estimate
-from fusion.estimation.confidence import ConfidenceSettings, chances, within
-from fusion.estimation.spread import spread_of
-from fusion.estimation.whole import told_covariance, whole_covariance
+from fusion.estimation.posterior.confidence import ConfidenceSettings, chances, within
+from fusion.estimation.posterior.spread import spread_of
+from fusion.estimation.posterior.whole import told_covariance, whole_covariance
 from scenes.evidence.align import Prior
 from scenes.evidence.modes import Mode
 from scenes.geometry import poses

@@ -15,7 +15,8 @@ from scipy.stats import gamma
 
 from fusion.cli.options import percent
 from fusion.estimation.answer import ContactResidual, Mode
-from fusion.estimation.confidence import (
+from fusion.estimation.estimate import estimate
+from fusion.estimation.posterior.confidence import (
     FEATURES,
     ConfidenceSettings,
     Regression,
@@ -23,9 +24,8 @@ from fusion.estimation.confidence import (
     below,
     chances,
 )
-from fusion.estimation.estimate import estimate
+from fusion.estimation.posterior.spread import mean_square
 from fusion.estimation.settings import EstimateSettings
-from fusion.estimation.spread import mean_square
 from fusion.results.files import read_result
 from fusion.tracking.tracker import Tracker, track
 from scenes.errors import InputError

@@ -15,8 +15,8 @@ import pytest
 from scipy.stats import binom, chi2
 
 from fusion.benchmarks.strata import REGION, freedom
-from fusion.estimation.confidence import chances, within
 from fusion.estimation.estimate import estimate
+from fusion.estimation.posterior.confidence import chances, within
 from fusion.estimation.settings import EstimateSettings
 from fusion.truth.errors import Judge
 from fusion.truth.metrics import nees

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from fusion.estimation.moments import MomentSettings, moments, uneven_rows
+from fusion.estimation.posterior.moments import MomentSettings, moments, uneven_rows
 from fusion.estimation.solve.kernels import log_mixture
 from scenes.evidence import table as evidence
 from scenes.evidence.align import Prior, align, costs

@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_frames import plain_view
 
-from fusion.estimation import verdict as posterior
 from fusion.estimation.answer import ContactResidual, Mode
 from fusion.estimation.estimate import estimate
+from fusion.estimation.posterior import verdict as posterior
+from fusion.estimation.posterior.tolerance import is_within, with_shared_errors, with_shift
 from fusion.estimation.settings import EstimateSettings
-from fusion.estimation.tolerance import is_within, with_shared_errors, with_shift
 from fusion.estimation.trace import Trace
 from fusion.truth.errors import Judge
 from scenes.evidence import table as evidence

@@ -9,8 +9,8 @@ import trimesh
 from made_frames import plain_view
 
 from fusion.estimation.estimate import estimate
+from fusion.estimation.posterior.verdict import VerdictSettings, contact_residuals, verdict
 from fusion.estimation.settings import EstimateSettings
-from fusion.estimation.verdict import VerdictSettings, contact_residuals, verdict
 from fusion.truth.errors import Judge
 from scenes.evidence.modes import Mode
 from scenes.geometry import poses

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from fusion.estimation.confidence import within
-from fusion.estimation.spread import mean_square, spread_of
-from fusion.estimation.verdict import open_directions
-from fusion.tracking.hypotheses import surface_apart
-from scenes.evidence.near_symmetries import turns_about
+from fusion.estimation.posterior.confidence import within
+from fusion.estimation.posterior.spread import mean_square, spread_of
+from fusion.estimation.posterior.verdict import open_directions
+from fusion.tracking.memory.hypotheses import surface_apart
+from scenes.evidence.symmetry.near_symmetries import turns_about
 from scenes.geometry import poses
 from scenes.synthesis import library
 

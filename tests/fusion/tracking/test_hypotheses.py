@@ -7,10 +7,10 @@ import pytest
 
 from fusion.estimation.answer import Mode
 from fusion.estimation.estimate import estimate
-from fusion.tracking import hypotheses as several
-from fusion.tracking.hypotheses import Hypothesis, HypothesisSettings
-from fusion.tracking.occluders import Occluders
-from fusion.tracking.state import Renewal, RenewalSettings
+from fusion.tracking.memory import hypotheses as several
+from fusion.tracking.memory.hypotheses import Hypothesis, HypothesisSettings
+from fusion.tracking.memory.occluders import Occluders
+from fusion.tracking.memory.state import Renewal, RenewalSettings
 from fusion.tracking.tracker import Tracker
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera

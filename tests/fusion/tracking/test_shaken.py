@@ -9,8 +9,8 @@ from made_frames import off_by, recording
 from fusion import track
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Belief, Measurement
-from fusion.tracking.hypotheses import Hypothesis
-from fusion.tracking.state import TrackState
+from fusion.tracking.memory.hypotheses import Hypothesis
+from fusion.tracking.memory.state import TrackState
 from fusion.tracking.steps.predicting import Predicted, as_moved
 from scenes.geometry import poses
 from scenes.recordings.frames import Contacts

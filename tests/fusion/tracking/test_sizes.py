@@ -7,13 +7,13 @@ import pytest
 from made_frames import recording
 
 from fusion.estimation.answer import ContactResidual
-from fusion.estimation.confidence import within
 from fusion.estimation.estimate import estimate
+from fusion.estimation.posterior.confidence import within
+from fusion.estimation.posterior.spread import mean_square
 from fusion.estimation.solve.joint import JointResult
-from fusion.estimation.spread import mean_square
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Belief, Measurement
-from fusion.tracking.sizes import Jumps, Sizes, SizeSettings
+from fusion.tracking.memory.sizes import Jumps, Sizes, SizeSettings
 from fusion.tracking.steps.judging import as_learned
 from fusion.tracking.tracker import Tracker
 from fusion.truth.errors import Judge

@@ -7,10 +7,10 @@ import pytest
 from made_frames import recording
 
 import fusion.tracking.steps.searching as searching
-from fusion.estimation.verdict import VerdictSettings
+from fusion.estimation.posterior.verdict import VerdictSettings
 from fusion.tracking.answer import TrackSettings
-from fusion.tracking.state import GlanceSettings
-from fusion.tracking.touched import Touched
+from fusion.tracking.memory.state import GlanceSettings
+from fusion.tracking.memory.touched import Touched
 from fusion.tracking.tracker import Tracker
 from scenes.geometry import poses
 from scenes.recordings.frames import Contacts

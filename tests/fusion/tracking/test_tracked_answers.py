@@ -11,9 +11,9 @@ from fusion import Tracker
 from fusion.estimation.estimate import estimate
 from fusion.estimation.settings import EstimateSettings
 from fusion.tracking.filter import Belief
+from fusion.tracking.memory.state import TrackState
 from fusion.tracking.motion import HandMotion
 from fusion.tracking.slip import SlipWatch
-from fusion.tracking.state import TrackState
 from fusion.tracking.steps.predicting import predict
 from fusion.tracking.steps.printed import as_before
 from scenes.geometry import poses

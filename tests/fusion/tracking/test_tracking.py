@@ -8,7 +8,7 @@ from made_frames import CARRIED, VIEW, off_by, recording
 
 from fusion import Tracker, track
 from fusion.tracking.answer import TrackSettings
-from fusion.tracking.state import GlanceSettings, RenewalSettings
+from fusion.tracking.memory.state import GlanceSettings, RenewalSettings
 from scenes.errors import InputError
 from scenes.geometry import poses
 from scenes.recordings.frames import Contacts

@@ -7,15 +7,15 @@ import pytest
 from made_frames import off_by, recording
 
 from fusion.estimation.answer import Mode
-from fusion.estimation.turns import around, by_turns, shown, turned
-from fusion.tracking import hypotheses as several
+from fusion.estimation.posterior.turns import around, by_turns, shown, turned
 from fusion.tracking.answer import TrackSettings
-from fusion.tracking.filter import Belief, Measurement, SlipTest, after_slip, gone_on, relearned, update
-from fusion.tracking.hypotheses import Hypothesis, HypothesisSettings
+from fusion.tracking.filter import WIDE, Belief, Measurement, SlipTest, after_slip, gone_on, relearned, update
+from fusion.tracking.memory import hypotheses as several
+from fusion.tracking.memory.hypotheses import Hypothesis, HypothesisSettings
+from fusion.tracking.memory.untold import ALONE, ANY_TURN, LEAST, LOOKS, Untold, leaves_turn
 from fusion.tracking.steps.judging import as_open
 from fusion.tracking.tracker import Tracker
-from fusion.tracking.untold import ALONE, ANY_TURN, LEAST, LOOKS, WIDE, Untold, leaves_turn
-from scenes.evidence.near_symmetries import round_axes
+from scenes.evidence.symmetry.near_symmetries import round_axes
 from scenes.geometry import poses
 from scenes.synthesis import library
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from scenes.evidence.near_symmetries import (
+from scenes.evidence.symmetry.near_symmetries import (
     AROUND,
     NearSettings,
     find_near_symmetries,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from scenes.evidence.symmetry_detection import detect_symmetries
+from scenes.evidence.symmetry.symmetry_detection import detect_symmetries
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel
 from scenes.synthesis import library

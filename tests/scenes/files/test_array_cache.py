@@ -82,7 +82,7 @@ def test_a_file_that_is_no_good_is_made_again(folder, damage):
 def test_what_objects_and_hands_keep_is_read_back_the_same(folder, monkeypatch):
     """A second process, as it were: nothing is made again, and nothing differs."""
     from scenes import cache as array_cache
-    from scenes.evidence.near_symmetries import near_symmetries
+    from scenes.evidence.symmetry.near_symmetries import near_symmetries
     from scenes.geometry.objects import ObjectModel
     from scenes.robot import hands
     from scenes.synthesis import library

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scenes.errors import CaptureError
-from scenes.files import tables
+from scenes.files.formats import tables
 from scenes.files.framed import FramedTable
 from scenes.files.problems import refuse
 from scenes.recordings import bop

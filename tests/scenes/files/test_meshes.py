@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from scenes.errors import MeshError
-from scenes.files.meshes import loaded
+from scenes.files.formats.meshes import loaded
 from scenes.geometry.objects import ObjectModel
 from scenes.synthesis.library import make
 
@@ -52,7 +52,9 @@ def test_what_a_reader_warns_of_is_information(tmp_path, caplog):
     path.write_text(ply("gone.png"))
     with caplog.at_level(logging.INFO):
         assert len(loaded(path).faces) == len(make("box").faces)
-    assert [(r.name, r.levelname, r.exc_info) for r in caplog.records] == [("scenes.files.meshes", "INFO", None)]
+    assert [(r.name, r.levelname, r.exc_info) for r in caplog.records] == [
+        ("scenes.files.formats.meshes", "INFO", None)
+    ]
     assert caplog.messages == [f"{path}: unable to load image!"]
     assert logging.getLogger("trimesh").propagate
 

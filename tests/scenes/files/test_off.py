@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from scenes.errors import MeshError
-from scenes.files.off import read_off, write_off
+from scenes.files.formats.off import read_off, write_off
 
 DATA = Path(os.environ.get("PALPATE_DATA", Path(__file__).resolve().parents[3].parent / "shared" / "data"))
 

@@ -17,9 +17,9 @@ from made_frames import some_frame
 
 from fusion.results.batch import Job, Outcome, error_row
 from fusion.results.batch_files import write_all
-from scenes.files import tables
+from scenes.files.formats import tables
+from scenes.files.formats.tables import harmless
 from scenes.files.problems import refuse
-from scenes.files.tables import harmless
 from scenes.files.whole import _host, draft_folder, put, replace_file, sweep
 from scenes.recordings import bop
 from scenes.recordings.captures import read_capture, write_capture

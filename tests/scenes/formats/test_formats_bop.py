@@ -13,7 +13,7 @@ import pytest
 from commands import refused, run
 from made_frames import CAMERA, plain_view, some_frame
 
-from scenes.files.ply import write_ply
+from scenes.files.formats.ply import write_ply
 from scenes.geometry import poses
 from scenes.recordings.captures import read_capture, write_capture
 from scenes.recordings.frames import Contacts

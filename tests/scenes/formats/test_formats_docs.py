@@ -16,8 +16,8 @@ from image_folders import images, sequence
 from made_frames import hand_with_array, plain_view
 
 from fusion.cli.main import main
-from scenes.files.off import write_off
-from scenes.files.ply import write_ply
+from scenes.files.formats.off import write_off
+from scenes.files.formats.ply import write_ply
 from scenes.geometry import poses
 from scenes.recordings.bop import read_poses
 from scenes.recordings.captures import read_capture, write_capture

@@ -10,7 +10,7 @@ import pytest
 from commands import refused, run
 from image_folders import SIZE, K, images, sequence
 
-from scenes.files.off import write_off
+from scenes.files.formats.off import write_off
 from scenes.recordings.captures import read_capture
 from scenes.synthesis.library import make
 

@@ -13,8 +13,8 @@ from bags import HEIGHT, MS, START, WIDTH, Messages
 from commands import refused, run
 
 from scenes.errors import CaptureError
-from scenes.files.off import write_off
-from scenes.files.pickles import read_plain
+from scenes.files.formats.off import write_off
+from scenes.files.formats.pickles import read_plain
 from scenes.geometry import poses
 from scenes.recordings.captures import read_capture
 from scenes.recordings.checking.validation import validate

@@ -128,7 +128,7 @@ def hand_folder(tmp_path_factory, hand):
 @pytest.fixture
 def box(tmp_path, hand_folder):
     """The object's mesh beside the map."""
-    from scenes.files.ply import write_ply
+    from scenes.files.formats.ply import write_ply
     from scenes.synthesis.library import make
 
     model = make("box")

@@ -8,8 +8,8 @@ import trimesh
 from PIL import Image
 
 from scenes.errors import MeshError
-from scenes.files.off import write_off
-from scenes.files.ply import write_ply
+from scenes.files.formats.off import write_off
+from scenes.files.formats.ply import write_ply
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.surface_kernels import mix_cells
 from scenes.geometry.texture import Texture, TextureSettings, coloured_mesh

@@ -13,8 +13,8 @@ import pytest
 from made_frames import hand_with_array, some_frame
 
 from scenes.errors import CaptureError, InputError, PalpateError
-from scenes.files.images import read_mask
-from scenes.files.ply import read_cloud, write_ply
+from scenes.files.formats.images import read_mask
+from scenes.files.formats.ply import read_cloud, write_ply
 from scenes.recordings.captures import read_capture, write_capture
 from scenes.recordings.checking.validation import validate
 from scenes.recordings.frames import Contacts, Frame

@@ -10,7 +10,7 @@ import pytest
 from commands import run
 from made_frames import some_frame
 
-from scenes.files import images
+from scenes.files.formats import images
 from scenes.recordings.captures import write_capture
 from scenes.recordings.checking.validation import validate
 from scenes.synthesis.library import make

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scenes.errors import CaptureError, InputError
-from scenes.files import images
+from scenes.files.formats import images
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.geometry.rendering import Renderer, shade

@@ -8,7 +8,7 @@ import pytest
 from commands import refused, run
 from made_frames import some_frame
 
-from scenes.files.json_text import parsed
+from scenes.files.formats.json_text import parsed
 from scenes.recordings.captures import write_capture
 from scenes.recordings.checking.validation import validate
 from scenes.synthesis.hands import five_finger_hand

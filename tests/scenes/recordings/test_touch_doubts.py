@@ -10,7 +10,7 @@ import pytest
 from commands import refused, run
 from made_frames import plain_view, some_frame
 
-from scenes.files import images
+from scenes.files.formats import images
 from scenes.recordings.captures import write_capture
 from scenes.recordings.checking.validation import validate
 from scenes.recordings.frames import Contacts, EmptyRegions

@@ -24,8 +24,8 @@ import numpy as np
 
 from cases.registry import Cases, need, refuses
 from scenes.errors import PalpateError
-from scenes.files.images import decode
-from scenes.files.off import read_off
+from scenes.files.formats.images import decode
+from scenes.files.formats.off import read_off
 
 CASES = Cases()
 

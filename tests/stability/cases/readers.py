@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from scenes.files import images, off, ply, tables
+from scenes.files.formats import images, off, ply, tables
 from scenes.files.problems import refuse
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel

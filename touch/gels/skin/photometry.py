@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import InputError
-from scenes.files.json_text import parsed
+from scenes.files.formats.json_text import parsed
 from scenes.robot.gels import Gel
 
 Array = NDArray[np.float64]

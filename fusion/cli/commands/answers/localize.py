@@ -181,7 +181,7 @@ def read_contacts(path: Path, frame: int | None = None) -> Contacts:
     import numpy as np
 
     from scenes.errors import CaptureError, InputError
-    from scenes.files import tables
+    from scenes.files.formats import tables
     from scenes.files.problems import refuse
     from scenes.recordings.captures import contacts_of
     from scenes.recordings.frames import Contacts
@@ -205,12 +205,12 @@ def read_contacts(path: Path, frame: int | None = None) -> Contacts:
         except InputError as error:
             raise CaptureError(f"{path}: {error}") from error
     elif path.suffix.lower() == ".off":
-        from scenes.files.off import read_off
+        from scenes.files.formats.off import read_off
 
         data = read_off(path)
         contacts = Contacts(data.points, data.normals)
     elif path.suffix.lower() == ".ply":
-        from scenes.files.ply import read_cloud
+        from scenes.files.formats.ply import read_cloud
 
         contacts = Contacts(read_cloud(path)[0])
     else:
@@ -221,7 +221,7 @@ def read_contacts(path: Path, frame: int | None = None) -> Contacts:
 
 
 def _read_cloud(path: Path | None) -> Any:
-    from scenes.files.ply import read_cloud
+    from scenes.files.formats.ply import read_cloud
 
     return None if path is None else read_cloud(path)[0]
 

@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     import numpy as np
 
     from scenes.errors import InputError
-    from scenes.files import images
+    from scenes.files.formats import images
     from scenes.files.whole import replace_file
     from scenes.formats.conversion import located
     from touch.gels.skin.calibration import DOUBTED, calibrate, largest_ball

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate
 from fusion.estimation.asked import Asked, as_prior
+from fusion.estimation.posterior.whole import whole_covariance
 from fusion.estimation.steps.doubts.question import Change, Question
 from fusion.estimation.steps.doubts.settings import DoubtSettings
 from fusion.estimation.steps.sense import Sensed
 from fusion.estimation.trace import Trace
-from fusion.estimation.whole import whole_covariance
 from scenes.evidence.align import Prior
-from scenes.evidence.alike import alike
 from scenes.evidence.modes import Mode, displaced
+from scenes.evidence.symmetry.alike import alike
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.checking.validation import FARTHEST_HELD

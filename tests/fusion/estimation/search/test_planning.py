@@ -12,8 +12,8 @@ from fusion.estimation.settings import EstimateSettings
 from scenes.evidence import table as evidence
 from scenes.evidence.align import Prior
 from scenes.evidence.modes import Mode, ModeSettings
-from scenes.evidence.near_symmetries import near_symmetries
 from scenes.evidence.search import leaders, starts_around
+from scenes.evidence.symmetry.near_symmetries import near_symmetries
 from scenes.evidence.table import SIGMA, SIGMA_NORMAL, TOUCH, VISION
 from scenes.geometry import poses
 from scenes.synthesis import library

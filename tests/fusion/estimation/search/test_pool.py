@@ -22,8 +22,8 @@ from fusion.truth.errors import Judge
 from scenes.evidence import table as tables
 from scenes.evidence.align import Alignment, Prior, costs
 from scenes.evidence.modes import Mode, ModeSettings
-from scenes.evidence.near_symmetries import quarter_turns
 from scenes.evidence.search import starts_around
+from scenes.evidence.symmetry.near_symmetries import quarter_turns
 from scenes.geometry import poses
 from scenes.synthesis import library
 from scenes.synthesis.recording import synthesize_frames

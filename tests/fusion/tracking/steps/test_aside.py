@@ -13,8 +13,8 @@ from fusion.estimation.answer import Estimate, Mode
 from fusion.tracking.answer import TrackSettings, as_tracked
 from fusion.tracking.checkpoint import restore_tracker, save_tracker
 from fusion.tracking.filter import Belief
-from fusion.tracking.hypotheses import Hypothesis, HypothesisSettings
-from fusion.tracking.state import TrackState
+from fusion.tracking.memory.hypotheses import Hypothesis, HypothesisSettings
+from fusion.tracking.memory.state import TrackState
 from fusion.tracking.steps.aside import ANEW, AROUND, Aside
 from fusion.tracking.steps.searching import recover
 from scenes.errors import CaptureError

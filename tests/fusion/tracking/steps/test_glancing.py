@@ -10,8 +10,8 @@ from made_frames import recording
 import fusion.tracking.steps.glancing as glancing
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Belief, Measurement
-from fusion.tracking.hypotheses import Hypothesis
-from fusion.tracking.state import GlanceSettings
+from fusion.tracking.memory.hypotheses import Hypothesis
+from fusion.tracking.memory.state import GlanceSettings
 from fusion.tracking.steps.glancing import Glanced, fitted, freed, may_glance, part_counted, steadied
 from fusion.tracking.steps.refining import loose
 from fusion.tracking.tracker import Tracker

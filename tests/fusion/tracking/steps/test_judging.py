@@ -8,7 +8,7 @@ from made_frames import recording
 
 import fusion.tracking.steps.judging as judging
 from fusion.tracking.answer import TrackSettings
-from fusion.tracking.state import GlanceSettings
+from fusion.tracking.memory.state import GlanceSettings
 from fusion.tracking.steps.refining import prefers
 from fusion.tracking.tracker import Tracker
 from scenes.geometry import poses

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fusion.tracking.answer import TrackSettings
-from fusion.tracking.state import TrackState
+from fusion.tracking.memory.state import TrackState
 from fusion.tracking.steps.lens import through_one_lens
 from scenes.geometry.cameras import Camera
 from scenes.recordings.frames import Frame

@@ -7,7 +7,7 @@ import pytest
 
 import fusion.tracking.steps.refining as refining
 from fusion.tracking.answer import TrackSettings
-from fusion.tracking.hypotheses import Hypothesis, weights
+from fusion.tracking.memory.hypotheses import Hypothesis, weights
 from fusion.tracking.steps.refining import loose, refine
 from scenes.geometry import poses
 from scenes.geometry.objects import ObjectModel

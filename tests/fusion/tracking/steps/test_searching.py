@@ -9,8 +9,8 @@ import pytest
 import fusion.tracking.steps.searching as searching
 from fusion.estimation.answer import Estimate, Mode, Stage
 from fusion.tracking.answer import TrackSettings, as_tracked
-from fusion.tracking.hypotheses import Hypothesis, HypothesisSettings
-from fusion.tracking.state import TrackState
+from fusion.tracking.memory.hypotheses import Hypothesis, HypothesisSettings
+from fusion.tracking.memory.state import TrackState
 from scenes.evidence.align import Prior
 from scenes.geometry import poses
 from scenes.recordings.frames import Frame

@@ -8,7 +8,7 @@ from made_frames import off_by, recording
 
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Belief
-from fusion.tracking.state import Renewal, RenewalSettings, TrackState
+from fusion.tracking.memory.state import Renewal, RenewalSettings, TrackState
 from fusion.tracking.steps import searching
 from fusion.tracking.steps.predicting import Predicted, where_shown
 from fusion.tracking.tracker import Tracker

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.evidence.modes import Mode
-from scenes.evidence.near_symmetries import SAME_AXIS, turns_about
+from scenes.evidence.symmetry.near_symmetries import SAME_AXIS, turns_about
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 

@@ -15,15 +15,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation.posterior.verdict import VerdictSettings
 from fusion.estimation.solve.settings import Level
-from fusion.estimation.verdict import VerdictSettings
 from fusion.tracking.filter import Belief, Measurement, block
-from fusion.tracking.hypotheses import Hypotheses, moved
+from fusion.tracking.memory.hypotheses import Hypotheses, moved
+from fusion.tracking.memory.occluders import Occluders
+from fusion.tracking.memory.sizes import Jumps, Sizes, SizeSettings
+from fusion.tracking.memory.touched import Touched
+from fusion.tracking.memory.untold import Untold, leaves_turn
 from fusion.tracking.motion import HandState, palm_motion
-from fusion.tracking.occluders import Occluders
-from fusion.tracking.sizes import Jumps, Sizes, SizeSettings
-from fusion.tracking.touched import Touched
-from fusion.tracking.untold import Untold, leaves_turn
 from scenes.geometry import poses as se3
 from scenes.geometry.cameras import Camera, is_reading
 from scenes.geometry.objects import ObjectModel

@@ -1,6 +1,6 @@
 """What no frame of a track tells: directions in which the evidence is no Gaussian, a handle out of sight for one.
 
-Samples of a frame's cost say how wide such a direction is (fusion.estimation.moments). They need luck where the cost is
+Samples of a frame's cost say how wide such a direction is (`moments`). They need luck where the cost is
 rough: one frame's find the whole basin, another's too few that carry weight, and then say nothing. All frames have the
 same direction open, so what some of them found holds for all, and is not averaged out: a filter that took each frame's
 width for its own would keep the narrowest. Object's axes, about the centroid: rad, metres.
@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.tracking.filter import block, scales
-from scenes.evidence.near_symmetries import round_axes
+from fusion.tracking.filter import WIDE, block, scales
+from scenes.evidence.symmetry.near_symmetries import round_axes
 from scenes.geometry.objects import ObjectModel
 
 Array = NDArray[np.float64]
@@ -25,10 +25,9 @@ LOOKS = 4
 # the others at most, and these as so much at least (rad, radii of the object): samples of one look may follow something
 # that is no direction of the object's, and 59 mm of one made a track of 1 mm unsure for 13 frames. By judgement.
 ALONE, LEAST = 3.0, 0.02
-# A turn about an axis about which an object is round but for little, of which frames leave more open than this (rad; a
-# handle is as wide), may be any: samples about one minimum reach the next ones, not those behind them. By judgement.
-WIDE = 0.35
-# What any turn is as wide as (rad, a standard deviation), evenly from -pi to pi.
+# A turn about an axis about which an object is round but for little, of which frames leave more open than is wide, may
+# be any: samples about one minimum reach the next ones, not those behind them. By judgement.
+# It is as wide as this then (rad, a standard deviation), evenly from -pi to pi.
 ANY_TURN = float(np.pi / np.sqrt(3.0))
 
 

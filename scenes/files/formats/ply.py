@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scenes.errors import MeshError
-from scenes.files.meshes import loaded
+from scenes.files.formats.meshes import loaded
 from scenes.files.whole import named
 
 Array = NDArray[np.float64]
@@ -83,7 +83,7 @@ def read_cloud(path: str | Path) -> tuple[Array, NDArray[np.uint8] | None]:
     """
     path = Path(path)
     if path.suffix.lower() == ".off":
-        from scenes.files.off import read_off
+        from scenes.files.formats.off import read_off
 
         data = read_off(path)
         points, colours = data.points, data.colours

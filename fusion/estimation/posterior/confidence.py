@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fusion.estimation.answer import ContactResidual, Mode
-from fusion.estimation.spread import mean_square, spread_of
+from fusion.estimation.posterior.spread import mean_square, spread_of
 from scenes.errors import check_above
 from scenes.evidence.align import Prior
-from scenes.evidence.alike import Alike, alike
+from scenes.evidence.symmetry.alike import Alike, alike
 from scenes.geometry.objects import ObjectModel
 from vision.picture.predictor import Prediction
 

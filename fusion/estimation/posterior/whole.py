@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import Mode
-from fusion.estimation.confidence import ConfidenceSettings
+from fusion.estimation.posterior.confidence import ConfidenceSettings
 from scenes.evidence.align import Prior
-from scenes.evidence.alike import Alike, alike
+from scenes.evidence.symmetry.alike import Alike, alike
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 

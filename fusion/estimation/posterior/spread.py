@@ -14,8 +14,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.evidence.alike import STEP, moved
-from scenes.evidence.near_symmetries import small_turn, turns_about
+from scenes.evidence.symmetry.alike import STEP, moved
+from scenes.evidence.symmetry.near_symmetries import small_turn, turns_about
 from scenes.geometry.objects import ObjectModel
 
 Array = NDArray[np.float64]
@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 MEAN_OF_ROOT = 0.8
 # Whole turns (no unit) either way that a turn about an axis of roundness may go beyond one.
 LAPS = 3
+
+_TURNINGS: WeakKeyDictionary[ObjectModel, tuple[_Turning, ...]] = WeakKeyDictionary()
 
 
 def mean_square(model: ObjectModel, pose: Array, covariance: Array) -> tuple[float, float]:
@@ -68,9 +70,6 @@ class _Turning:
         share = min(1.0, square / max(variance * self.small, 1e-30))
         less[:, :3] -= (1.0 - math.sqrt(share)) * np.outer(self.step, self.axis)
         return np.asarray(less @ covariance @ less.T)
-
-
-_TURNINGS: WeakKeyDictionary[ObjectModel, tuple[_Turning, ...]] = WeakKeyDictionary()
 
 
 def _turnings(model: ObjectModel) -> tuple[_Turning, ...]:

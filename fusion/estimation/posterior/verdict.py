@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import ContactResidual, Contribution, Estimate, Mode, Stage
-from fusion.estimation.confidence import ConfidenceSettings, chances
+from fusion.estimation.posterior.confidence import ConfidenceSettings, chances
 from scenes.evidence import align as alignment
 from scenes.evidence.align import Prior
-from scenes.evidence.alike import Alike, alike, hardly_moves
 from scenes.evidence.modes import ModeSettings, covariance_of, distinct_modes
+from scenes.evidence.symmetry.alike import Alike, alike, hardly_moves
 from scenes.evidence.table import POINT, SIGMA, TOUCH, VISION, WEIGHT, Evidence, empty
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel

@@ -2,7 +2,7 @@
 
 Each hypothesis is refined in every frame and pays what the whole frame says of it (Reid, IEEE TAC 24(6), 1979: the
 score of a track is its log likelihood). Frames share most of their errors, so their costs are not simply added: a score
-forgets, and a frame counts by a part. New ones come from single frames (fusion.tracking.state); each time that a
+forgets, and a frame counts by a part. New ones come from single frames (fusion.tracking.memory.state); each time that a
 frame, searched by itself, surely finds a hypothesis, that is a vote for it, which is not forgotten. Camera frame.
 """
 
@@ -81,7 +81,7 @@ class HypothesisSettings:
     elsewhere: float = 0.005
     # Nats of a frame in which something may hide the object that neither a mask nor a hand's model tells of: this share
     # of what its predicted picture and its contacts cost, and this many for a unit of log odds that the pose is right
-    # (fusion.estimation.confidence). Unknown fingers are covered gladly by a wrong pose, and tell on it by running on
+    # (`chances`). Unknown fingers are covered gladly by a wrong pose, and tell on it by running on
     # beyond its outline: of six pairs of the right pose and the search's wrong one the former cost less in three and
     # had better odds in all.
     of_cost: float = 0.25

@@ -1,0 +1,1 @@
+"""Files of one format each: meshes, images, tables, JSON, pickles."""
