@@ -200,12 +200,15 @@ def _glanced_at(
     share, rms = pixel_agreement(model, near, fit)
     sight = float(Sight(frame, model, beliefs.depth, first.sight).costs(fit[None])[0])
     step = se3.difference(measured.pose, predicted.pose, model.centroid)
-    surprise = float(step @ np.linalg.solve(predicted.own + measured.own, step))
+    # what a frame leaves open, as the turn of a handle that is out of sight, a fit has by chance: that is no surprise
+    whole = predicted.own + measured.own + measured.hidden
+    told = step - measured.hidden @ np.linalg.solve(whole, step)
+    surprise = float(step @ np.linalg.solve(whole, step))
     changed, surprised = _otherwise(known, share, sight, _apart(residuals), how), False
     if not changed and surprise > how.surprise:
         changed, surprised = f"a surprise of {surprise:.0f} (chi-square)", True
-    if not changed and settings.is_far(step):  # a fit of few pixels goes part of the way only
-        changed, surprised = f"{1e3 * np.linalg.norm(step[3:]):.0f} mm from the prediction", True
+    if not changed and settings.is_far(told):  # a fit of few pixels goes part of the way only
+        changed, surprised = f"{1e3 * np.linalg.norm(told[3:]):.0f} mm from the prediction", True
     return Glanced(sensed, measured, residuals, share, rms, changed, surprised)
 
 

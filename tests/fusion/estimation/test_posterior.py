@@ -132,6 +132,15 @@ def test_an_answer_that_leaves_much_of_its_mask_bare_is_doubted():
     assert said[2][1] == "30% of the mask's inside is not the object at this pose"
 
 
+@pytest.mark.parametrize(
+    ("visible", "sure", "word"),
+    [(0.2, False, "ok"), (0.1, False, "ambiguous"), (0.1, True, "ok"), (0.03, True, "ambiguous")],
+)
+def test_of_little_that_is_seen_an_answer_must_be_sure(visible, sure, word):
+    seeing = replace(SEEN, visible=visible, hidden=1.0 - visible)
+    assert posterior.verdict(library.make("box"), (mode(),), (), 0.9, seeing, sure=sure)[0] == word
+
+
 def test_a_turn_about_an_axis_beside_the_centroid_moves_nothing_either():
     """A body of revolution whose centroid is off its axis: the turn carries the centroid around the axis."""
     box = library.make("box")

@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 
 from scenes.evidence import table as tables
 from scenes.evidence.align import Prior, costs
-from scenes.evidence.modes import covariance_of
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
 from touch.answers import Localization
 from touch.published.answers import localization
-from touch.published.particles.resampling import systematic
+from touch.published.particles.resampling import from_prior, systematic
 
 Array = NDArray[np.float64]
 
@@ -53,8 +52,7 @@ def _start(
 ) -> Array:
     n = settings.particles
     if prior is not None:
-        spread = np.linalg.cholesky(covariance_of(model, prior.information))
-        return se3.perturb(prior.pose, rng.normal(size=(n, 6)) @ spread.T, model.centroid)
+        return from_prior(model, prior, n, rng)
     rotations = se3.random_rotations(n, rng)
     middles = around + settings.start_distance * rng.normal(size=(n, 3))
     return se3.make_poses(rotations, middles - rotations @ model.centroid)

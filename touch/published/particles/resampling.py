@@ -1,11 +1,22 @@
-"""Drawing particles in proportion to their weights."""
+"""Drawing particles: from a prior, and in proportion to their weights."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenes.evidence.align import Prior
+from scenes.evidence.modes import covariance_of
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+
 Array = NDArray[np.float64]
+
+
+def from_prior(model: ObjectModel, prior: Prior, count: int, rng: np.random.Generator) -> Array:
+    """(count, 4, 4) poses drawn from a prior's Gaussian about the object's centroid."""
+    spread = np.linalg.cholesky(covariance_of(model, prior.information))
+    return se3.perturb(prior.pose, rng.normal(size=(count, 6)) @ spread.T, model.centroid)
 
 
 def normalised(log_weights: Array) -> Array:

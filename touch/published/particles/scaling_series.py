@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 
 from scenes.evidence import table as tables
 from scenes.evidence.align import Prior, costs
-from scenes.evidence.modes import covariance_of
 from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts
 from touch.answers import Localization
 from touch.published.answers import localization
-from touch.published.particles.resampling import normalised, systematic
+from touch.published.particles.resampling import from_prior, normalised, systematic
 
 Array = NDArray[np.float64]
 
@@ -95,8 +94,7 @@ def _first(
     """(fewest, 4, 4) particles over all rotations and the ball where the object can be, or drawn from the prior."""
     count = settings.fewest
     if prior is not None:
-        spread = np.linalg.cholesky(covariance_of(model, prior.information))
-        return se3.perturb(prior.pose, rng.normal(size=(count, 6)) @ spread.T, model.centroid)
+        return from_prior(model, prior, count, rng)
     rotations = se3.random_rotations(count, rng)
     radius = settings.reach * model.radius * np.cbrt(rng.random((count, 1)))
     middles = contacts.points.mean(axis=0) + radius * se3.random_unit_vectors(count, rng)
