@@ -18,7 +18,7 @@ from fusion.benchmarks.families.table import Family, chosen
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Report, Table
 from fusion.benchmarks.strata import parallel
 from fusion.benchmarks.tracking import tables
-from fusion.benchmarks.tracking.cells import Cell, Followed, follow_cell
+from fusion.benchmarks.tracking.cells import Cell, Followed, follow_alone, follow_cell
 from fusion.benchmarks.tracking.methods import METHODS, WRONG_STARTS
 from fusion.benchmarks.tracking.sequences import OCCLUSION, USUAL
 from fusion.benchmarks.tracking.tables import DOUBTED_IN, RIGHT_IN, Tracked
@@ -74,7 +74,14 @@ def run(settings: BenchSettings) -> Report:
             report.tables.append(table)
             settings.show(table)
         report.charts.append(tables.chart_of(tracked))
-        report.claims += _claims(tracked)
+        firsts = [
+            next(cell for cell in cells if cell.family == name) for name in dict.fromkeys(c.family for c in cells)
+        ]
+        alone = [(cell.family, *follow_alone(cell)) for cell in firsts]
+        timed = tables.alone_table(alone)
+        report.tables.append(timed)
+        settings.show(timed)
+        report.claims += _claims(tracked, [ms for _, _, tally in alone for ms in tally.cpu])
     return report
 
 
@@ -109,15 +116,19 @@ def _motions(settings: BenchSettings) -> tuple[str, ...]:
     return settings.motions
 
 
-def _claims(tracked: Tracked) -> list[Claim]:
+def _claims(tracked: Tracked, cpu: list[float]) -> list[Claim]:
+    """Demands. cpu: processor milliseconds of frames that were tracked with nothing beside them."""
     families: dict[str, Tally] = {}
     motions: dict[str, Tally] = {}
     for (family, motion), tallies in tracked.items():
         families.setdefault(family, Tally()).pooled(tallies["track"])
         motions.setdefault(motion, Tally()).pooled(tallies["track"])
     wrong = [one[method] for one in tracked.values() for method in WRONG_STARTS]
-    cpu = [x for t in families.values() for x in t.cpu]
-    out = [Claim("a tracked frame, median processor ms", float(np.median(cpu)) if cpu else float("nan"), 8.0, False, 1)]
+    out = [
+        Claim(
+            "a tracked frame, median processor ms, alone", float(np.median(cpu)) if cpu else float("nan"), 8.0, False, 1
+        )
+    ]
     for name, tally in families.items():
         share = 100.0 * tally.wrong_ok / len(tally.ok) if tally.ok else float("nan")
         out.append(Claim(f"wrong but ok, % of tracked frames, {name}", share, 1.0, False, 1))

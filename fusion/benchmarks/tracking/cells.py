@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from fusion.benchmarks.families.table import FAMILIES
+from fusion.benchmarks.printing.one_thread import one_thread
 from fusion.benchmarks.printing.tables import own_seed
 from fusion.benchmarks.tracking.sequences import OCCLUSION, recorded
 from fusion.benchmarks.tracking.tally import Tally, follow
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.frames import Frame
 from scenes.synthesis.grasping.hiding import Placement
 
 
@@ -45,12 +49,9 @@ class Followed:
 
 def follow_cell(cell: Cell) -> list[Followed]:
     """Every sequence of a cell, followed by every method."""
-    family = FAMILIES[cell.family]
-    hidden, placement = min(OCCLUSION, max(family.levels)), Placement(own_seed(cell.seed, *cell.key))
     out = []
     for motion in cell.motions:
-        seed = own_seed(cell.seed, *cell.key, motion)
-        made = recorded(cell.name, motion, cell.frames, seed, cell.folder, hidden, family=family, placement=placement)
+        made = _made(cell, motion)
         tallies = None
         if made is not None:
             tallies = {method: Tally() for method in cell.methods}
@@ -58,3 +59,22 @@ def follow_cell(cell: Cell) -> list[Followed]:
                 follow(tally, method, *made, cell.seed)
         out.append(Followed(cell.key, motion, tallies))
     return out
+
+
+def follow_alone(cell: Cell) -> tuple[str, Tally]:
+    """The cell's first motion, and its sequence followed by the track, with one thread and nothing beside it: what a
+    frame takes. Other cells are followed side by side, and share cores, caches and memory. Empty where there is none.
+    """
+    motion, tally = cell.motions[0], Tally()
+    made = _made(cell, motion)
+    if made is not None:
+        with one_thread():
+            follow(tally, "track", *made, cell.seed)
+    return motion, tally
+
+
+def _made(cell: Cell, motion: str) -> tuple[ObjectModel, list[Frame], dict[str, Any]] | None:
+    """A sequence of a cell; None where no grasp hides the object by as much as is asked."""
+    family, seed = FAMILIES[cell.family], own_seed(cell.seed, *cell.key, motion)
+    hidden, placement = min(OCCLUSION, max(family.levels)), Placement(own_seed(cell.seed, *cell.key))
+    return recorded(cell.name, motion, cell.frames, seed, cell.folder, hidden, family=family, placement=placement)

@@ -41,7 +41,8 @@ def errors_table(motion: str, tallies: dict[str, Tally], refused: int) -> Table:
         COLUMNS,
         note="NEES / dof: median and mean over frames, 0.9 and 1 are right. At the end: median rotation of the last"
         f" {END} answers. Frames lost: median length of a loss that ended. Times of all but the first frame,"
-        f" segmentation included. estimate: every {SINGLE_EVERY}th frame and the last {END}, with a start."
+        f" segmentation included, a sequence on each core. estimate: every {SINGLE_EVERY}th frame and the last {END},"
+        " with a start."
         + (f" {refused} sequences could not be made: no grasp hides the object by as much." if refused else ""),
     )
     for method, tally in tallies.items():
@@ -109,6 +110,23 @@ def over_time(tracked: Tracked) -> Table:
             use = (frame >= low) & (frame < high)
             cells.append(1e3 * float(np.median(add_s[use])) if use.any() else None)
         table.add(method, *cells)
+    return table
+
+
+def alone_table(followed: list[tuple[str, str, Tally]]) -> Table:
+    """What a tracked frame takes, of a sequence by itself: family, motion, tally."""
+    columns = [Column("family"), Column("motion"), Column("frames", 0), Column("processor ms", 1), Column("mean", 1)]
+    table = Table(
+        "A tracked frame, one thread, nothing beside it",
+        [*columns, Column("95 %", 1), Column("wall ms", 1)],
+        note="Median, mean and 95 % of all but the first frame. The mean has in it the searches of single frames, which"
+        " a live track leaves to another thread.",
+    )
+    for family, motion, tally in followed:
+        if tally.cpu:
+            times = np.array(tally.cpu)
+            spread = float(np.median(times)), float(times.mean()), float(np.quantile(times, 0.95))
+            table.add(family, motion, len(times), *spread, float(np.median(tally.wall)))
     return table
 
 

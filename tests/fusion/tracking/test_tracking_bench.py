@@ -112,5 +112,17 @@ def test_a_tracks_end_is_held_against_the_same_frames():
     tallies = {method: Tally() for method in METHODS}
     tallies["track"] = Tally(ends=[0.01, 0.02, 0.30], add_s=[0.001] * 3, ok=[True] * 3, nees=[1.0] * 3)
     tallies["estimate"] = Tally(ends=[0.015, 0.025, 0.29])
-    (claim,) = [one for one in _claims({("lab", "slip"): tallies}) if "end of a slip" in one.what]
+    (claim,) = [one for one in _claims({("lab", "slip"): tallies}, []) if "end of a slip" in one.what]
     assert claim.value == pytest.approx(np.rad2deg(0.005))
+
+
+def test_a_tracked_frames_time_is_that_of_a_sequence_by_itself():
+    """Sequences side by side share cores, caches and memory."""
+    table = tables.alone_table(
+        [("lab", "carry", Tally(cpu=[4.0, 6.0, 50.0], wall=[5.0, 7.0, 51.0])), ("d435", "turn", Tally())]
+    )
+    (row,) = [dict(zip([column.name for column in table.columns], row, strict=True)) for row in table.rows]
+    assert (row["family"], row["frames"], row["processor ms"], row["mean"]) == ("lab", 3, 6.0, 20.0)
+    tallies = {method: Tally() for method in METHODS}
+    claim = _claims({("lab", "slip"): tallies}, [4.0, 6.0, 50.0])[0]
+    assert (claim.what, claim.value) == ("a tracked frame, median processor ms, alone", 6.0)
