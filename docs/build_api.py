@@ -82,7 +82,7 @@ ROOMS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
                 *("rotation_angle", "to_quaternion", "from_quaternion", "exp", "log", "perturb", "difference"),
                 *("turned_covariance", "shifted_covariance"),
             ),
-            "scenes.geometry.rendering": ("Renderer", "Rendering"),
+            "scenes.geometry.appearance.rendering": ("Renderer", "Rendering"),
             "scenes.synthesis.library": ("names", "make"),
             "scenes.synthesis.hands": ("five_finger_hand",),
             "scenes.synthesis.recording": ("synthesize", "synthesize_frames"),

@@ -23,9 +23,9 @@ from scenes.evidence.align import AlignSettings
 from scenes.evidence.point_pairs import PairSettings
 from scenes.evidence.symmetry.near_symmetries import NearSettings
 from scenes.evidence.symmetry.symmetry_detection import DetectionSettings
+from scenes.geometry.appearance.texture import TextureSettings
 from scenes.geometry.distance_field import FieldSettings
 from scenes.geometry.mesh_repair import RepairSettings
-from scenes.geometry.texture import TextureSettings
 from scenes.recordings.beliefs import Beliefs
 from scenes.robot.tactile import SoftLayer
 from scenes.synthesis.grasping.grasps import GraspSearchSettings

@@ -78,11 +78,11 @@ class Estimate:
     other modes and none of them included. Each mode has its own. Errors have longer tails than a
     Gaussian's, near enough those of a Student distribution of three degrees of freedom with that covariance, whose 95 %
     region is 1.2 times as wide as a Gaussian's. confidence: probability that the pose's ADD-S is below sure_within (m),
-    see posterior.confidence; observed: what it was read from, empty when nothing was sensed. print_share: of
-    all ways round that the shape allows, the share that what is printed on the object gives this one; NaN where no
-    print was read. searched: where the search ended, from which the pose was solved with all that the senses share;
-    None where nothing was searched. as_seen (4, 4): where the depth image, uncorrected, shows the object if it is at
-    `pose`, which is there where no image was solved for; None where nothing was searched.
+    see fusion.estimation.posterior.confidence; observed: what it was read from, empty when nothing was sensed.
+    print_share: of all ways round that the shape allows, the share that what is printed on the object gives this one;
+    NaN where no print was read. searched: where the search ended, from which the pose was solved with all that the
+    senses share; None where nothing was searched. as_seen (4, 4): where the depth image, uncorrected, shows the object
+    if it is at `pose`, which is there where no image was solved for; None where nothing was searched.
     """
 
     frame: int

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from fusion.truth import metrics
 from fusion.truth.errors import Judge, JudgeSettings
 from scenes.errors import CaptureError, InputError
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer
 from scenes.recordings.bop import PoseRow
 from scenes.recordings.captures import Capture
 from scenes.recordings.frames import Frame

@@ -15,10 +15,10 @@ from scenes.cache import Arrays, are_triangles, remembered_of_file
 from scenes.errors import InputError, MeshError, unknown
 from scenes.files.formats.meshes import loaded, without_triangles
 from scenes.geometry import distance_field, mesh_repair, poses
+from scenes.geometry.appearance.texture import Texture, files_beside, sampled
 from scenes.geometry.distance_field import DistanceField
 from scenes.geometry.surface import Surface, hull_of
 from scenes.geometry.symmetries import Symmetries
-from scenes.geometry.texture import Texture, files_beside, sampled
 
 _log = logging.getLogger(__name__)
 

@@ -16,8 +16,8 @@ from scenes.files.formats import images, tables
 from scenes.files.formats.ply import write_ply
 from scenes.files.problems import refuse
 from scenes.files.whole import draft_folder, put
+from scenes.geometry.appearance.texture import coloured_mesh
 from scenes.geometry.objects import METRES_PER_UNIT, ObjectModel
-from scenes.geometry.texture import coloured_mesh
 from scenes.recordings import bop
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import DEFAULT_SIGMA_NORMAL, Frame

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer, shade
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer, shade
 from scenes.synthesis.noise import presets as noise_models
 from scenes.synthesis.noise.colour_camera import colour_image
 from scenes.synthesis.noise.presets import DepthErrors, DepthNoise, LastingErrors, NoisePreset

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from scenes.geometry.appearance.rendering import Rendering
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Rendering
 from scenes.synthesis.noise import presets as noise
 
 CAMERA = Camera(570.0, 570.0, 159.5, 119.5, 320, 240)

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Renderer
 from scenes.recordings.frames import Contacts, EmptyRegions, Frame, Wrench
 from scenes.robot.hands import Hand
 from scenes.synthesis.hands import five_finger_hand

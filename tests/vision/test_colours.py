@@ -9,9 +9,9 @@ import pytest
 from fusion import estimate
 from fusion.estimation.settings import EstimateSettings
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import DepthModel
 from scenes.recordings.frames import Frame
 from vision.look.colours import parted_by_colour

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera, is_reading
-from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import Beliefs, CalibrationModel
 from vision.look.hand.hand import camera_from_hand, prior_information, prior_spread, view_hand
 from vision.look.hand.hand_kernels import explained, pulls, seen_past

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import DepthModel, usual_beliefs
 from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis import library

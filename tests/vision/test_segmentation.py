@@ -9,7 +9,7 @@ import pytest
 from scenes.evidence import table as evidence
 from scenes.evidence.table import VISION
 from scenes.geometry import poses
-from scenes.geometry.rendering import Renderer
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.recordings.beliefs import DepthModel
 from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis import library

@@ -8,9 +8,9 @@ from made_frames import plain_view
 from scenes.evidence import table as evidence
 from scenes.evidence.table import VISION
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import DepthModel
 from scenes.synthesis import library
 from vision.normal_kernels import WINDOW, surface_at

@@ -9,9 +9,9 @@ from made_frames import plain_view
 from fusion import estimate
 from fusion.truth.errors import Judge
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer
 from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis import library
 from scenes.synthesis.hands import five_finger_hand

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Report, Spread, Table
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Renderer
 from scenes.synthesis.optics import KNOWN_CAMERAS, Material, OpticalCamera, TimeOfFlightCamera, draw_unit, take
 
 Array = NDArray[np.float64]

@@ -14,9 +14,9 @@ from fusion.benchmarks.camera.optical_cameras import optical_cameras
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Report, Spread, Table
 from scenes.errors import InputError
 from scenes.files.formats.ply import write_ply
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.distance_field import FieldSettings, build
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer
 from scenes.recordings.frames import Frame
 from scenes.synthesis import library
 from scenes.synthesis.hands import five_finger_hand

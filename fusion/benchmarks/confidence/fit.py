@@ -1,9 +1,9 @@
 """The regression of the confidence fitted to answers whose truth is known: by maximum likelihood, with a penalty.
 
 The confidence is a product: that the mode is the right one, a logistic regression (Platt 1999), times that the answer
-is then within a tolerance, a gamma distribution (see `posterior.confidence`). Nobody sees which of the two an
-answer failed by, so both are fitted together, to whether answers are within three tolerances. A factor of the
-regression keeps the sign that its feature must have; the penalty is Gaussian, on factors of standardised features
+is then within a tolerance, a gamma distribution (see `fusion.estimation.posterior.confidence`). Nobody sees which of
+the two an answer failed by, so both are fitted together, to whether answers are within three tolerances. A factor of
+the regression keeps the sign that its feature must have; the penalty is Gaussian, on factors of standardised features
 (Hoerl and Kennard 1970).
 """
 

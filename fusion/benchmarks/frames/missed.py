@@ -18,8 +18,8 @@ from fusion.results.report.outline import silhouette
 from fusion.results.report.pictures import choose_crop
 from fusion.truth.errors import json_number
 from scenes.files.formats.images import write_rgb
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer
 from scenes.recordings.frames import Frame
 from scenes.recordings.writing import write_capture
 

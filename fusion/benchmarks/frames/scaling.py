@@ -163,8 +163,8 @@ def _faces(size: float) -> Work:
 
 def _image(size: float, start: bool = True) -> Work:
     from fusion.estimation.estimate import estimate
+    from scenes.geometry.appearance.rendering import Renderer
     from scenes.geometry.cameras import Camera
-    from scenes.geometry.rendering import Renderer
 
     model = library.make(MODEL)
     width = round(math.sqrt(size / 0.75))

@@ -62,7 +62,7 @@ def views(count: int, seed: int) -> Iterator[View]:
 
 
 def _view(model: ObjectModel, hidden: float, rng: np.random.Generator) -> View:
-    from scenes.geometry.rendering import Renderer
+    from scenes.geometry.appearance.rendering import Renderer
     from scenes.synthesis.noise.presets import observe_depth
 
     middle = np.array([*rng.uniform(-0.05, 0.05, 2), rng.uniform(0.5, 0.8)])

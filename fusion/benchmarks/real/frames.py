@@ -21,8 +21,8 @@ from scenes.errors import InputError
 from scenes.formats import handover
 from scenes.formats.bop import scene as bop_scene
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer
 from scenes.recordings.captures import read_capture
 from scenes.recordings.frames import Frame
 from vision.published.icp import CloudIcpSettings, icp

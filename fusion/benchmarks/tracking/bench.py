@@ -74,10 +74,10 @@ def run(settings: BenchSettings) -> Report:
             report.tables.append(table)
             settings.show(table)
         report.charts.append(tables.chart_of(tracked))
-        firsts = [
-            next(cell for cell in cells if cell.family == name) for name in dict.fromkeys(c.family for c in cells)
-        ]
-        alone = [(cell.family, *follow_alone(cell)) for cell in firsts]
+        firsts: dict[str, Cell] = {}
+        for cell in cells:
+            firsts.setdefault(cell.family, cell)
+        alone = [(cell.family, *follow_alone(cell)) for cell in firsts.values()]
         timed = tables.alone_table(alone)
         report.tables.append(timed)
         settings.show(timed)
@@ -124,11 +124,8 @@ def _claims(tracked: Tracked, cpu: list[float]) -> list[Claim]:
         families.setdefault(family, Tally()).pooled(tallies["track"])
         motions.setdefault(motion, Tally()).pooled(tallies["track"])
     wrong = [one[method] for one in tracked.values() for method in WRONG_STARTS]
-    out = [
-        Claim(
-            "a tracked frame, median processor ms, alone", float(np.median(cpu)) if cpu else float("nan"), 8.0, False, 1
-        )
-    ]
+    median = float(np.median(cpu)) if cpu else float("nan")
+    out = [Claim("a tracked frame, median processor ms, alone", median, 8.0, False, 1)]
     for name, tally in families.items():
         share = 100.0 * tally.wrong_ok / len(tally.ok) if tally.ok else float("nan")
         out.append(Claim(f"wrong but ok, % of tracked frames, {name}", share, 1.0, False, 1))

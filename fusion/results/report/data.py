@@ -26,8 +26,8 @@ from fusion.truth import metrics
 from fusion.truth.errors import Judge
 from scenes.errors import InputError
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer
 from scenes.recordings.frames import Frame
 
 Array = NDArray[np.float64]

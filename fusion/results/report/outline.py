@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import InputError
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Renderer
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from fusion.results.report import pictures
 from fusion.results.report.outline import silhouette
 from scenes.files.whole import replace_file
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer
 from scenes.recordings.frames import Frame
 
 Array = NDArray[np.float64]

@@ -200,10 +200,7 @@ def _glanced_at(
     share, rms = pixel_agreement(model, near, fit)
     sight = float(Sight(frame, model, beliefs.depth, first.sight).costs(fit[None])[0])
     step = se3.difference(measured.pose, predicted.pose, model.centroid)
-    # what a frame leaves open, as the turn of a handle that is out of sight, a fit has by chance: that is no surprise
-    whole = predicted.own + measured.own + measured.hidden
-    told = step - measured.hidden @ np.linalg.solve(whole, step)
-    surprise = float(step @ np.linalg.solve(whole, step))
+    surprise, told = surprise_of(step, predicted.own + measured.own, measured.hidden)
     changed, surprised = _otherwise(known, share, sight, _apart(residuals), how), False
     if not changed and surprise > how.surprise:
         changed, surprised = f"a surprise of {surprise:.0f} (chi-square)", True
@@ -316,6 +313,16 @@ def fitted(model: ObjectModel, seen: Evidence, felt: Evidence, start: Array, pri
     if not len(rows):
         return start
     return np.asarray(align(model, rows, start[None], prior, AlignSettings(iterations=steps)).poses[0])
+
+
+def surprise_of(step: Array, own: Array, hidden: Array) -> tuple[float, Array]:
+    """How surprising (chi-square, 6 degrees of freedom) a step (6,) from a prediction is that is known to own (6, 6),
+    and the part (6,) of it that a frame tells, which leaves hidden (6, 6) open beside that.
+
+    What is left open, as the turn of a handle that is out of sight, a fit has by chance.
+    """
+    weighed = np.linalg.solve(own + hidden, step)
+    return float(step @ weighed), np.asarray(step - hidden @ weighed)
 
 
 def _touching(felt: Felt) -> Evidence:

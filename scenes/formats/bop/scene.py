@@ -21,10 +21,10 @@ from scenes.files.formats import images
 from scenes.files.formats.ply import write_ply
 from scenes.files.problems import refuse
 from scenes.formats.conversion import Converted, Dropped, at_least_one, located, new_folder
+from scenes.geometry.appearance.rendering import Renderer
+from scenes.geometry.appearance.texture import coloured_mesh
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer
-from scenes.geometry.texture import coloured_mesh
 from scenes.recordings import bop
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.captures import Capture, write_capture

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from scenes.errors import InputError
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer
 from scenes.robot.fingers import find_fingers
 from scenes.robot.hands import Hand
 from scenes.synthesis.grasping.grasps import Grasp, plan_grasp

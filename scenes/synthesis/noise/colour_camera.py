@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer, Rendering
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Renderer, Rendering
 
 Array = NDArray[np.float64]
 

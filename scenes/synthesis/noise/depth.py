@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import InputError
+from scenes.geometry.appearance.rendering import Rendering
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Rendering
 from scenes.synthesis.noise import depth_kernels as kernels
 
 Array = NDArray[np.float64]

@@ -13,8 +13,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from scenes.geometry.appearance.rendering import Rendering, region_rays
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Rendering, region_rays
 
 Array = NDArray[np.float64]
 

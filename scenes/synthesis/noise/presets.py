@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from scenes.errors import InputError, unknown
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Rendering
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Rendering
 from scenes.recordings.frames import DEFAULT_SIGMA_NORMAL, DEFAULT_SIGMA_POINT, Contacts
 from scenes.synthesis.noise.colour_camera import ColourCamera, ColourErrors, draw_lasting
 from scenes.synthesis.noise.depth import (

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Renderer
 from scenes.synthesis.optics.light.things import Material, material_table
 from scenes.synthesis.optics.light.views import Scene
 from scenes.synthesis.optics.settings import OpticalCamera, PatternCamera, StereoCamera

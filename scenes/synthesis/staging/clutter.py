@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from scenes.errors import InputError
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer
 from scenes.synthesis import library
 from scenes.synthesis.settings import SynthesisSettings
 from scenes.synthesis.staging.views import draw_views

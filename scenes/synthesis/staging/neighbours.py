@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from scenes.errors import InputError
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer
 from scenes.synthesis import library
 from scenes.synthesis.staging.tables import at_rest
 

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer, shade
+from scenes.geometry.appearance.texture import Texture, TextureSettings
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer, shade
-from scenes.geometry.texture import Texture, TextureSettings
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from scenes.errors import InputError
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer
 from scenes.synthesis.photography import add_background
 from scenes.synthesis.settings import SynthesisSettings
 from scenes.synthesis.staging import clutter, tables

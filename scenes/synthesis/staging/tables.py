@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer
 from scenes.synthesis.staging.views import ViewSettings
 
 Array = NDArray[np.float64]

@@ -23,9 +23,9 @@ from fusion.truth.metrics import nees
 from scenes.evidence.align import Prior
 from scenes.evidence.modes import Mode
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer
 from scenes.geometry.symmetries import Axis, Symmetries
 from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis import library

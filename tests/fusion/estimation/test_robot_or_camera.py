@@ -14,7 +14,7 @@ from fusion.estimation.settings import EstimateSettings
 from fusion.truth.errors import Judge
 from scenes.evidence.modes import Mode
 from scenes.geometry import poses
-from scenes.geometry.rendering import Renderer
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.synthesis import library
 from scenes.synthesis.recording import synthesize_frames
 from touch.contacts import Contacts

@@ -20,9 +20,9 @@ from fusion.results.report.rows import comparison_rows, summary_rows
 from fusion.truth.errors import Judge
 from scenes.errors import InputError
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer
 from scenes.recordings.frames import Contacts, Frame
 
 CAMERA = Camera(300.0, 300.0, 159.5, 119.5, 320, 240)

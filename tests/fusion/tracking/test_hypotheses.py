@@ -13,8 +13,8 @@ from fusion.tracking.memory.occluders import Occluders
 from fusion.tracking.memory.state import Renewal, RenewalSettings
 from fusion.tracking.tracker import Tracker
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Renderer
 from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis import library
 

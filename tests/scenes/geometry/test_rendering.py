@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from scenes.errors import InputError
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer, region_rays, shade
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Renderer, region_rays, shade
 from scenes.synthesis import library
 from scenes.threads import thread_count
 
@@ -193,7 +193,7 @@ def test_few_faces_are_seen_as_the_ray_caster_sees_them(seed, monkeypatch):
     wall = ([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
     pose = placed(seed, 0.8)
     ours = Renderer({"wall": wall}).render(SMALL, {"wall": pose})
-    monkeypatch.setattr("scenes.geometry.rendering.FEW_FACES", 0)
+    monkeypatch.setattr("scenes.geometry.appearance.rendering.FEW_FACES", 0)
     theirs = Renderer({"wall": wall}).render(SMALL, {"wall": pose})
     same = ours.ids == theirs.ids
     assert same.mean() > 0.999  # a ray through an edge may go either way

@@ -10,9 +10,9 @@ from PIL import Image
 from scenes.errors import MeshError
 from scenes.files.formats.off import write_off
 from scenes.files.formats.ply import write_ply
+from scenes.geometry.appearance.texture import Texture, TextureSettings, coloured_mesh
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.surface_kernels import mix_cells
-from scenes.geometry.texture import Texture, TextureSettings, coloured_mesh
 from scenes.synthesis import library
 from scenes.synthesis.staging.prints import ink, with_print
 

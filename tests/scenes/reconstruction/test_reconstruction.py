@@ -10,9 +10,9 @@ from made_frames import plain_view
 from fusion.cli.main import main
 from scenes.errors import InputError, MeshError
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer
 from scenes.reconstruction.superquadrics import Superquadric, fit_superquadric
 from scenes.reconstruction.volume import DepthView, ReconstructionSettings, reconstruct
 from scenes.recordings.bop import PoseRow, write_poses

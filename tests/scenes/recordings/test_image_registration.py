@@ -8,8 +8,8 @@ import pytest
 from scenes.errors import CaptureError, InputError
 from scenes.files.formats import images
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer, shade
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Renderer, shade
 from scenes.recordings.beliefs import ImageModel
 from scenes.recordings.captures import read_capture, write_capture
 from scenes.recordings.frames import Frame

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import region_rays
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import region_rays
 from scenes.geometry.surface import Surface
 from scenes.robot import posed_kernels as kernels
 from scenes.robot.posed import LEAF, PosedHand

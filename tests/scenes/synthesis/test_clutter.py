@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scenes.geometry.rendering import Renderer
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.synthesis import library
 from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.noise.presets import PRESETS

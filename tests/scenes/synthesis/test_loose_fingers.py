@@ -7,8 +7,8 @@ import trimesh
 
 from scenes.errors import InputError
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Renderer
 from scenes.synthesis import library
 from scenes.synthesis.staging.loose_fingers import capsule_mesh, lay_fingers, random_contacts
 from scenes.synthesis.staging.views import look_at

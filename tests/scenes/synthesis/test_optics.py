@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from scenes.errors import InputError
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Renderer
 from scenes.synthesis import library
 from scenes.synthesis.noise import presets as noise
 from scenes.synthesis.optics import KNOWN_CAMERAS, CameraUnit, Material, TimeOfFlightCamera, draw_unit, take

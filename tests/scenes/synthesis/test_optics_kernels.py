@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Renderer
 from scenes.synthesis.optics.light import bounce_kernels, light_kernels
 from scenes.synthesis.optics.light.infrared import Projector, expose
 from scenes.synthesis.optics.light.pattern import Texture, _add_dots, pattern_texture

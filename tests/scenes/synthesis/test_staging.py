@@ -8,8 +8,8 @@ import trimesh
 
 from scenes.errors import InputError
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Renderer
 from scenes.recordings.captures import read_capture
 from scenes.synthesis import library
 from scenes.synthesis.grasping.gripping import plan_grip

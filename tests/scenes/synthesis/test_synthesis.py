@@ -8,7 +8,7 @@ import pytest
 
 from scenes.errors import InputError
 from scenes.geometry import poses
-from scenes.geometry.rendering import Renderer
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.synthesis import library
 from scenes.synthesis.hands import five_finger_hand
 from scenes.synthesis.noise.presets import PRESETS, NoisePreset, RobotNoise

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Renderer
 from scenes.synthesis.staging.views import ViewSettings, draw_views, find_view, look_at
 
 CAMERA = Camera(570.0, 570.0, 300.0, 250.0, 640, 480)

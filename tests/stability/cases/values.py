@@ -45,8 +45,8 @@ def _contacts(count: int = 20) -> Contacts:
 @cache
 def view() -> Frame:
     """One depth image of 160 x 120 of the drill before a wall, without noise, with prior and truth."""
+    from scenes.geometry.appearance.rendering import Renderer
     from scenes.geometry.cameras import Camera
-    from scenes.geometry.rendering import Renderer
 
     model = library.make("drill")
     camera = Camera(140.0, 140.0, 79.5, 59.5, 160, 120)

@@ -7,8 +7,8 @@ import pytest
 from made_frames import plain_view
 
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer, shade
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Renderer, shade
 from scenes.recordings.beliefs import DepthModel, ImageModel
 from scenes.synthesis import library
 from vision.contour import kernels

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from made_frames import plain_view
 
-from scenes.geometry.rendering import Renderer, shade
+from scenes.geometry.appearance.rendering import Renderer, shade
 from scenes.recordings.beliefs import DepthModel
 from scenes.synthesis import library
 from vision.contour import edge_kernels

@@ -9,7 +9,7 @@ from made_frames import plain_view
 from scenes.evidence.align import AlignSettings, align, costs
 from scenes.evidence.table import GATE_ABOVE, GATE_BELOW, SIGMA
 from scenes.geometry import poses
-from scenes.geometry.rendering import Renderer
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.recordings.beliefs import DepthModel
 from scenes.synthesis import library
 from vision.picture.masked import beside, core_of, missing, uncovered

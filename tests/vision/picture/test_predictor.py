@@ -9,9 +9,9 @@ import trimesh
 from made_frames import plain_view
 
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
-from scenes.geometry.rendering import Renderer
 from scenes.recordings.beliefs import DepthModel
 from scenes.recordings.depth_cameras import DEPTH_CAMERAS
 from scenes.recordings.frames import Frame

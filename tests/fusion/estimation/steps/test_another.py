@@ -14,7 +14,7 @@ from fusion.estimation.steps.another import with_others
 from fusion.estimation.steps.sense import look_once, without_copy
 from fusion.estimation.trace import Trace
 from scenes.geometry import poses
-from scenes.geometry.rendering import Renderer
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis.staging.prints import with_print
 

@@ -13,7 +13,7 @@ from fusion.estimation.settings import EstimateSettings
 from fusion.estimation.steps import facing
 from scenes.errors import InputError
 from scenes.geometry import poses
-from scenes.geometry.texture import Texture, TextureSettings
+from scenes.geometry.appearance.texture import Texture, TextureSettings
 from scenes.synthesis import library
 from scenes.synthesis.recording import synthesize_frames
 from scenes.synthesis.staging.prints import ink, with_print

@@ -12,7 +12,7 @@ from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Belief, Measurement
 from fusion.tracking.memory.hypotheses import Hypothesis
 from fusion.tracking.memory.state import GlanceSettings
-from fusion.tracking.steps.glancing import Glanced, fitted, freed, may_glance, part_counted, steadied
+from fusion.tracking.steps.glancing import Glanced, fitted, freed, may_glance, part_counted, steadied, surprise_of
 from fusion.tracking.steps.refining import loose
 from fusion.tracking.tracker import Tracker
 from scenes.evidence.align import Prior
@@ -132,3 +132,21 @@ def test_other_ways_round_in_the_leaders_place_do_not_keep_it_from_being_glanced
     assert may_glance(model, frame, state, (leader,), settings)
     assert beside(poses.make_pose(poses.exp_rotation([0.0, 0.0, 1.5])))
     assert not beside(poses.make_pose(None, [0.03, 0.0, 0.0]))
+
+
+def test_what_a_frame_leaves_open_surprises_nobody(rng):
+    """A turn about an axis that is left open; across it a step counts as it did, and where nothing is open."""
+    own = np.diag(np.repeat([0.01, 0.001], 3) ** 2.0)
+    axis = np.concatenate([poses.random_unit_vectors(1, rng)[0], 0.02 * rng.normal(size=3)])
+    hidden = np.outer(axis, axis)
+    surprise, told = surprise_of(0.5 * axis, own, hidden)
+    assert surprise < 1.0
+    assert np.linalg.norm(told / np.sqrt(np.diag(own))) < 0.05
+    across = np.linalg.cholesky(own) @ np.linalg.svd(np.linalg.solve(np.linalg.cholesky(own), axis)[None])[2][1:].T
+    step = 6.0 * across[:, 0]
+    surprise, told = surprise_of(step, own, hidden)
+    assert surprise == pytest.approx(36.0)
+    np.testing.assert_allclose(told, step, atol=1e-12)
+    surprise, told = surprise_of(step, own, np.zeros((6, 6)))
+    assert surprise == pytest.approx(36.0)
+    np.testing.assert_array_equal(told, step)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from scenes.geometry import poses
+from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Renderer
 from scenes.synthesis import library
 from scenes.synthesis.noise.colour_camera import ColourCamera, ColourErrors, colour_image, draw_colour_errors
 from scenes.synthesis.noise.presets import NoisePreset, draw_lasting_errors

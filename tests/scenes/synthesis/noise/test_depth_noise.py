@@ -7,8 +7,8 @@ import pytest
 from made_depth import CAMERA, FRONTAL, OFF, plane, tilted, two_walls
 
 from scenes.errors import InputError
+from scenes.geometry.appearance.rendering import Renderer, Rendering
 from scenes.geometry.cameras import Camera
-from scenes.geometry.rendering import Renderer, Rendering
 from scenes.recordings.frames import Contacts
 from scenes.synthesis.noise import depth as depth_noise
 from scenes.synthesis.noise import multipath

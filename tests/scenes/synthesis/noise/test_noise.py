@@ -10,7 +10,7 @@ from made_depth import CAMERA, FRONTAL, OFF, tilted, two_walls
 
 from scenes.errors import InputError
 from scenes.geometry import poses
-from scenes.geometry.rendering import Rendering
+from scenes.geometry.appearance.rendering import Rendering
 from scenes.recordings.frames import Contacts
 from scenes.synthesis.noise import presets as noise
 

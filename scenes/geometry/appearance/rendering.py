@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scenes.errors import InputError
-from scenes.geometry import rendering_kernels as kernels
+from scenes.geometry.appearance import rendering_kernels as kernels
 from scenes.geometry.cameras import Camera
 from scenes.geometry.poses import apply, check_pose, inverse
 from scenes.threads import thread_count
