@@ -18,7 +18,7 @@ from fusion.estimation.posterior.tolerance import good_enough
 from fusion.estimation.settings import EstimateSettings, usual_settings
 from fusion.estimation.steps.doubts.doubted import Question, doubted, on_the_hand
 from fusion.estimation.steps.facing import check_print
-from fusion.estimation.steps.finished import finished
+from fusion.estimation.steps.proposed import finished_with_outline
 from fusion.estimation.steps.searched import search_on, searched, searched_twice
 from fusion.estimation.steps.sense import Sensed, look_again, look_once, sense, without_copy
 from fusion.estimation.steps.told import nothing_told, told
@@ -133,18 +133,16 @@ def _answer(model: ObjectModel, question: Question, trace: Trace, looked: Looked
 def _estimate(sensed: Sensed, asked: Asked, trace: Trace) -> Estimate | None:
     if sensed.nothing:
         return nothing_told(sensed, asked, trace)
-    found = searched(sensed, asked, trace)
-    end = finished(found, trace)
+    found, end = finished_with_outline(searched(sensed, asked, trace), trace)
     if end is None:
         return None
     answer = told(found, end, asked.prior, trace)
     whole = search_on(found.found, asked, answer, trace)
     if whole is not None:
-        found = searched(sensed, whole, trace, found.found.modes)
-        end = finished(found, trace)
+        found, end = finished_with_outline(searched(sensed, whole, trace, found.found.modes), trace)
         answer = answer if end is None else told(found, end, asked.prior, trace)
     other = searched_twice(sensed, found.found, asked, answer, trace, whole is not None)
     if other is not None:
-        end = finished(other, trace)
-        answer = answer if end is None else told(other, end, asked.prior, trace)
+        found, end = finished_with_outline(other, trace)
+        answer = answer if end is None else told(found, end, asked.prior, trace)
     return answer

@@ -23,8 +23,7 @@ from vision.contour.outline import Outline, OutlineSettings, inner_depths, outli
 from vision.look.pixels import median
 from vision.picture.predictor import Predictor
 
-Array = NDArray[np.float64]
-# What an outline far beside depth's says, in words.
+Array = NDArray[np.float64]  # What an outline far beside depth's may tell of, in words.
 UNREGISTERED = "image and depth may not be registered"
 
 # Of a squared standard normal, one over its median.
@@ -382,9 +381,9 @@ class ContourEvidence:
         """How far (px, root mean square) a move by delta (6,) shifts the outline across itself."""
         return float(np.sqrt(np.mean(np.square(self.jacobian @ delta))))
 
-    def unregistered(self, covariance: Array) -> str:
-        """Why the image may not be of the same moment and place as depth: the outline is in it, but shifted by more
-        than the pose's covariance (6, 6) about the centroid explains; "" when it is not.
+    def beside_depth(self, covariance: Array) -> Array:
+        """By how much (2,) px the outline in the image is shifted against where the pose has it, by more than the
+        pose's covariance (6, 6) about the centroid explains; zeros where it is not. Image or pose is off then.
         """
         assert self.lines is not None
         s, most = self.settings, self.settings.lines.reach
@@ -392,17 +391,15 @@ class ContourEvidence:
         kernels.shift_scores(self.lines.edges, -float(most), self.lines.outline.normals, most, 0.0, scores)
         row, column = np.unravel_index(int(np.argmax(scores)), scores.shape)
         shift = np.array([column - most, row - most], dtype=np.float64)
-        size = float(np.linalg.norm(shift))
         steps = np.arange(-most, most + 1)
         near = np.hypot(steps[:, None], steps[None]) <= s.most_shift
-        if size <= s.most_shift or scores[row, column] < s.shift_gain * scores[near].max():
-            return ""
+        if float(np.linalg.norm(shift)) <= s.most_shift or scores[row, column] < s.shift_gain * scores[near].max():
+            return np.zeros(2)
         # how the pose's own error moves the outline as a whole
         fit = np.linalg.lstsq(self.lines.outline.normals, self.jacobian, rcond=None)[0]
         spread = fit @ covariance @ fit.T + s.shift**2 * np.eye(2)
-        if float(shift @ np.linalg.solve(spread, shift)) <= s.most_sigmas**2:
-            return ""
-        return f"the image's outline is {size:.0f} px beside where depth has it: {UNREGISTERED}"
+        explained = float(shift @ np.linalg.solve(spread, shift)) <= s.most_sigmas**2
+        return np.zeros(2) if explained else shift
 
 
 def _hidden(outline: Outline, inner: Array, predictor: Predictor, settings: ContourSettings) -> NDArray[np.bool_]:

@@ -22,9 +22,10 @@ from scenes.evidence.align import costs
 from scenes.evidence.modes import Mode
 from scenes.evidence.solver_kernels import eliminate
 from scenes.geometry import poses as se3
+from scenes.geometry.cameras import Camera
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
-from vision.contour.evidence import ContourEvidence, ContourSettings
+from vision.contour.evidence import UNREGISTERED, ContourEvidence, ContourSettings
 from vision.contour.lines import is_grey
 
 Array = NDArray[np.float64]
@@ -46,6 +47,7 @@ class Outlined:
     lines: int
     why: str
     beside: float = 0.0
+    elsewhere: Array | None = None
 
 
 def shift_of(image: NDArray[np.uint8], beliefs: Beliefs) -> float:
@@ -81,7 +83,11 @@ def outlined(
         why_not = evidence.why_not
         if turn == 0:
             first = evidence
-            why_not = why_not or evidence.uncertain(mode.covariance) or evidence.unregistered(mode.covariance)
+            why_not = why_not or evidence.uncertain(mode.covariance)
+            shift = np.zeros(2) if why_not else evidence.beside_depth(mode.covariance)
+            if shift.any():
+                elsewhere = _shifted(frame.camera, solved.as_seen, model.centroid, shift)
+                return Outlined(mode, solved, 0, _beside(shift), elsewhere=elsewhere)
         if why_not:
             return Outlined(mode, solved, 0, why_not)
         lines = evidence.count
@@ -112,7 +118,7 @@ def outlined(
     worse = _worse(pool, (mode.pose, at), (solved.as_seen, as_seen), settings.most_worse_outlined)
     if tension > how.most_moved or worse > settings.most_worse_outlined:
         why = f"outline and depth disagree (chi-square {tension:.0f}, {worse:.0f} nats worse)"
-        return Outlined(mode, solved, 0, why)
+        return Outlined(mode, solved, 0, why, elsewhere=as_seen)
     inverse = np.linalg.inv(information + hessian)
     kept = np.eye(6) - inverse @ hessian
     # the mesh's own error is in both, and no evidence takes it away
@@ -125,6 +131,20 @@ def outlined(
     calibrated = replace(solved, xi=solved.xi + solved.follows @ moved)
     moved_mode = replace(mode, pose=at, covariance=0.5 * (spread + spread.T))
     return Outlined(moved_mode, calibrated, lines, why, evidence.beside)
+
+
+def _beside(shift: Array) -> str:
+    """That the image shows the outline shifted by (2,) px."""
+    size = float(np.linalg.norm(shift))
+    return f"the image's outline is {size:.0f} px beside where depth has it: {UNREGISTERED}"
+
+
+def _shifted(camera: Camera | None, pose: Array, centroid: Array, shift: Array) -> Array:
+    """A pose (4, 4) moved across the ray to the object's centroid, which moves in the image by shift (2,) px."""
+    assert camera is not None
+    z = float(pose[2, :3] @ centroid + pose[2, 3])
+    across = np.array([shift[0] / camera.fx, shift[1] / camera.fy, 0.0]) * z
+    return se3.perturb(pose, np.concatenate([np.zeros(3), across]), centroid)
 
 
 def _solved(matrix: Array, vector: Array) -> Array:

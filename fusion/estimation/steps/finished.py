@@ -37,7 +37,8 @@ class Finished:
     """An answer's modes, likeliest first, and the evidence as it holds there. seen: vision's rows, rows: all of them;
     felt: touch under the calibration that was solved for. searched (4, 4): where the search ended; seen_from (4, 4):
     takes a pose to where the depth image, as it is, shows the object; beside (m): by how much the outline in the image
-    is off beyond what was solved for; facing: what the print says; useless: why colours are not used, in words.
+    is off beyond what was solved for; facing: what the print says; useless: why colours are not used, in words; here
+    and elsewhere (4, 4): where depth shows the object, and where the image does when that is elsewhere, else None.
     """
 
     modes: tuple[Mode, ...]
@@ -49,6 +50,8 @@ class Finished:
     beside: float
     facing: Facing
     useless: tuple[str, ...]
+    here: Array
+    elsewhere: Array | None
 
 
 def finished(found: Faced, trace: Trace) -> Finished | None:
@@ -106,12 +109,12 @@ def finished(found: Faced, trace: Trace) -> Finished | None:
     coloured = viewed.rgb is not None and predictor.sees and asks_for(viewed.rgb, beliefs, settings.contour)
     no_image = "no image beside depth" if viewed.rgb is None else "an image beside depth's own is not asked for"
     useless: tuple[str, ...] = ()
-    beside = 0.0
+    beside, elsewhere, here = 0.0, None, modes[0].pose
     with trace.stage("outline", finish and coloured, why_not if coloured else no_image) as stage:
         if finish and coloured:
             told = outlined(viewed, pool, best, modes[0], beliefs, settings)
             modes, felt = (told.mode, *modes[1:]), felt.corrected(told.solved.correct())
-            beside = told.beside
+            beside, elsewhere, here = told.beside, told.elsewhere, best.as_seen
             useless = () if told.lines else (f"colours are not used: {told.why}",)
             stage.note(told.lines, told.why)
     first, facing = turned_as_printed(sensed, modes[0], facing, settings.texture)
@@ -120,4 +123,5 @@ def finished(found: Faced, trace: Trace) -> Finished | None:
         # where a print is read, it has asked about every way round
         by_picture = (predictor.costs, predictor.rough_costs) if predictor.sees else (None, None)
         modes = with_twins(model, modes, rows, believed, settings, *by_picture)
-    return Finished(modes, seen, rows, felt, searched, seen_from, beside, facing, (*useless, *unread(facing)))
+    notes = *useless, *unread(facing)
+    return Finished(modes, seen, rows, felt, searched, seen_from, beside, facing, notes, here, elsewhere)

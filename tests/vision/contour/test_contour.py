@@ -236,11 +236,11 @@ def test_a_shifted_image_is_noticed():
     frame, model = coloured("mug")
     truth = frame.camera_from_object_truth
     covariance = np.diag(np.repeat([0.01**2, 0.001**2], 3))
-    assert evidence_at(frame, model, truth).unregistered(covariance) == ""
+    assert not evidence_at(frame, model, truth).beside_depth(covariance).any()
     beside = replace(frame, rgb=np.roll(frame.rgb, 10, axis=1))
-    assert "10 px beside" in evidence_at(beside, model, truth).unregistered(covariance)
+    np.testing.assert_allclose(evidence_at(beside, model, truth).beside_depth(covariance), [10.0, 0.0], atol=1.0)
     # a pose that may be that far off is no reason to doubt the image
-    assert evidence_at(beside, model, truth).unregistered(400.0 * covariance) == ""
+    assert not evidence_at(beside, model, truth).beside_depth(400.0 * covariance).any()
 
 
 def test_an_object_of_the_colour_of_its_ground_says_little():
