@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -9,7 +10,7 @@ from scenes.geometry.cameras import Camera
 from scenes.recordings.beliefs import IN_PIXELS, LARGEST, MOST_TIMES, USUAL_FOCAL, Beliefs, DepthModel
 from scenes.recordings.frames import Frame
 from vision import noise_kernels
-from vision.noise import NoiseSettings, believed_of, noise_ratio
+from vision.noise import NoiseSettings, believed_of, grain, noise_ratio, window_of
 
 CAMERA = Camera(570.0, 570.0, 159.5, 119.5, 320, 240)
 
@@ -65,7 +66,8 @@ def test_edges_and_bent_things_are_no_noise(rng):
 def test_only_more_than_usual_is_news(rng):
     usual, told = Beliefs(), Beliefs(depth=DepthModel(axial_floor=0.0024, axial_growth=0.0038))
     quiet, noisy = (Frame(0, camera=CAMERA, depth=wall(rng, times)) for times in (1.4, 3.2))
-    assert believed_of(quiet, usual) is usual
+    # but that each reads its own place
+    assert believed_of(quiet, usual) == replace(usual, depth=replace(usual.depth, window=0.0))
     # who measured it is believed
     assert believed_of(noisy, told).depth.axial_floor == pytest.approx(told.depth.axial_floor, rel=0.12)
     believed, known = believed_of(noisy, usual).depth, usual.depth
@@ -119,3 +121,40 @@ def test_who_says_less_noise_than_any_camera_has_is_not_believed(rng):
     believed = believed_of(frame, Beliefs(depth=finer)).depth
     assert believed.axial_floor == pytest.approx(usual.axial_floor, rel=0.15)
     assert believed.bias_sigma == pytest.approx(usual.bias_sigma, rel=0.15)
+
+
+def smoothed(rng, side):
+    """A wall whose readings are averages of so many by so many of their neighbours, twice."""
+    noise = cv2.blur(cv2.blur(rng.standard_normal((240, 320)), (side, side)), (side, side))
+    u, v = np.meshgrid(np.arange(320.0), np.arange(240.0))
+    return (0.8 + 2e-4 * u + 1e-4 * v + 0.002 * noise / noise.std()).astype(np.float32)
+
+
+def test_neighbours_that_err_together_are_told_from_those_that_do_not(rng):
+    alone, together = (smoothed(rng, side) for side in (1, 9))
+    assert grain(alone) == pytest.approx(1.0, abs=0.06)
+    assert grain(together) < 0.5
+    assert window_of(alone, 7.0) == 0.0
+    assert window_of(together, 7.0) == 7.0
+    assert 0.0 < window_of(smoothed(rng, 2), 7.0) < 7.0
+    # nobody is told more than he believed, and what is not seen is as it was believed
+    assert window_of(together, 0.0) == 0.0
+    assert window_of(np.zeros((240, 320)), 3.0) == 3.0
+    usual = Beliefs()
+    assert believed_of(Frame(0, camera=CAMERA, depth=together), usual) is usual
+    once = believed_of(Frame(0, camera=CAMERA, depth=alone), usual)
+    assert believed_of(Frame(0, camera=CAMERA, depth=alone), once) == once
+
+
+def test_what_is_averaged_over_more_of_an_object_is_blunter():
+    usual = DepthModel()
+    sizes = [usual.blunting(depth, 285.0, 0.06) for depth in (0.0, 0.3, 0.6, 1.0, 5.0)]
+    assert sizes[:2] == [0.0, 0.0]
+    assert 0.0 < sizes[2] < sizes[3] < sizes[4]
+    # as it is usual, nothing is added
+    assert usual.blunting(0.75, 600.0, 0.06) == 0.0
+    # a pixel of 3.5 mm: 8.6 mm of a mug, less of what is larger, and no more than the window itself of a ball in it
+    assert sizes[3] == pytest.approx(((7.0 / 285.0) ** 2 - 0.0091**2) / 0.06)
+    assert usual.blunting(1.0, 285.0, 0.12) == pytest.approx(0.5 * sizes[3])
+    assert usual.blunting(1.0, 285.0, 1e-12) < 7.0 / 285.0
+    assert replace(usual, window=0.0).blunting(1.0, 285.0, 0.06) == 0.0

@@ -226,7 +226,8 @@ def marginalised(settled: Settled) -> JointResult:
     misfit = system.misfit()
     whole = (settled.normal + np.diag(system.width))[:free, :free]
     variance, share = system.mesh_variance(), problem.settings.mesh_share
-    mesh = mesh_spread(problem.model, (1.0 - share) * variance + share * max(either, variance), problem.settings)
+    surface = (1.0 - share) * variance + share * max(either, variance) + _blunted(problem, here)
+    mesh = mesh_spread(problem.model, surface, problem.settings)
     unsolved = system.excess_spread(whole, misfit) + mesh
     return JointResult(
         here,
@@ -265,6 +266,15 @@ def as_believed(settled: Settled) -> Array:
         return gain
     inverse = np.linalg.solve(whole[:free, :free], whole[:free, free:])[:6]
     return np.asarray(gain + inverse @ inverse.T)
+
+
+def _blunted(problem: JointProblem, pose: Array) -> float:
+    """Variance (m^2) of the surface at pose (4, 4) by what a window of readings averages over."""
+    if problem.camera is None or not problem.on.any():
+        return 0.0
+    model, beliefs = problem.model, problem.beliefs
+    depth = float(pose[2, :3] @ model.centroid + pose[2, 3])
+    return beliefs.depth.blunting(max(depth, 0.0), problem.camera.fx, model.radius) ** 2
 
 
 def mesh_spread(model: ObjectModel, variance: float, settings: JointSettings) -> Array:
