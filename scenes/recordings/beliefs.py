@@ -120,10 +120,11 @@ class DepthModel:
     def blunting(self, depth: float, focal: float, radius: float) -> float:
         """Standard deviation (m) of the surface of an object of this radius (m) at this depth (m), as its readings
         show it with a focal length of so many pixels, beyond what is usual: averaged over w to either side, what is
-        bent by 1 / radius moves by some w^2 / radius. Nothing where w is what everything was tuned with.
+        bent by 1 / radius moves by some w^2 / radius, and no more than half of w. Nothing where w is what everything
+        was tuned with.
         """
         across = self.window * depth / focal
-        return max(across**2 - USUAL_WINDOW**2, 0.0) / max(radius, across, 1e-9)
+        return min(max(across**2 - USUAL_WINDOW**2, 0.0) / max(radius, 1e-9), 0.5 * across)
 
     def independent_sigma(self, depth: Array) -> Array:
         """Standard deviation (m) of one pixel's independent noise at depth (m)."""

@@ -27,6 +27,7 @@ from scenes.geometry.appearance.rendering import Renderer
 from scenes.geometry.cameras import Camera
 from scenes.geometry.objects import ObjectModel
 from scenes.geometry.symmetries import Axis, Symmetries
+from scenes.recordings.beliefs import Beliefs, DepthModel
 from scenes.recordings.frames import Contacts, Frame
 from scenes.synthesis import library
 from scenes.synthesis.hands import five_finger_hand
@@ -221,10 +222,12 @@ def test_what_fills_a_hundred_pixels_is_no_sure_answer():
     start = poses.displaced(pose, 0.1, 0.01, model.centroid, np.random.default_rng(2))
     depth = Renderer({"object": (model.vertices, model.faces)}).render(camera, {"object": pose}).depth
     assert 30 < (depth > 0).sum() < 120
-    found = estimate(Frame(0, camera=camera, depth=np.where(depth > 0, depth, 2.5), prior=start), model)
-    assert found.verdict == "ambiguous"
+    exact = Beliefs(depth=DepthModel(window=0.0))
+    frame = Frame(0, camera=camera, depth=np.where(depth > 0, depth, 2.5), prior=start)
+    assert estimate(frame, model).verdict == "ambiguous"
+    assert estimate(frame, model, beliefs=exact).verdict == "ambiguous"
     sure = replace(EstimateSettings(), confidence=replace(EstimateSettings().confidence, sure=0.0))
-    found = estimate(Frame(0, camera=camera, depth=np.where(depth > 0, depth, 2.5), prior=start), model, settings=sure)
+    found = estimate(frame, model, beliefs=exact, settings=sure)
     assert found.verdict == "ambiguous"
     assert "pixels agree and nothing touches it" in found.notes[0]
 
