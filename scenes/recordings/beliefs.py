@@ -74,8 +74,9 @@ class DepthModel:
     # mixed light of time of flight.
     edge_pixels: int = 4
     # How far (pixels, to either side) a reading averages over what is beside its place, at most: windows of stereo,
-    # smoothing. A frame whose neighbours do not err together shows that it is less. Of the tuning families at 2 and
-    # 3.5 mm a pixel what made the true errors of 700 answers likeliest, about, and regions hold what they should.
+    # smoothing. A frame whose neighbours do not err together shows that it is less. Of cameras of seven tuning families
+    # at 2 and 3.5 mm a pixel 6 makes the true errors of 749 answers likeliest; with 7, less likely by 0.01 nats each,
+    # regions of both senses hold 93 and 94 % of them, with 6 they hold 93 and 91.
     window: float = 7.0
     # Smooth bias of the surface, metres, and the correlation length of that bias in pixels: exp(-d^2 / (2 length^2)).
     bias_sigma: float = 0.0025

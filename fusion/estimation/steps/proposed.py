@@ -17,7 +17,7 @@ from scenes.evidence.search import leaders
 
 
 def finished_with_outline(found: Faced, trace: Trace) -> tuple[Faced, Finished | None]:
-    """What `finished` makes of a search's modes, and of one more where the image proposes it."""
+    """What `finished` makes of a search's modes, with what the image proposes where it does; and these modes."""
     end = finished(found, trace)
     more = None if end is None else by_outline(found, end, trace)
     if more is None:
@@ -27,7 +27,9 @@ def finished_with_outline(found: Faced, trace: Trace) -> tuple[Faced, Finished |
 
 
 def by_outline(found: Faced, end: Finished, trace: Trace) -> Faced | None:
-    """The search's modes with the one to which the image led, solved like them; None where it has none to add."""
+    """The search's modes with the pose that the image shows and what a fit makes of it, to be solved like them; None
+    where the image shows none elsewhere, it is hopeless, or its fit is no likelier than where depth has the object.
+    """
     elsewhere, pool = end.elsewhere, found.sensed.pool
     why_not = "" if elsewhere is not None else "the image shows the outline where depth does, or not at all"
     if not why_not and trace.over_budget:

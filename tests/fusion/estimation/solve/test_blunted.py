@@ -8,16 +8,13 @@ import pytest
 from fusion import estimate
 from fusion.benchmarks.families import making
 from fusion.benchmarks.families.table import FAMILIES
-from scenes.geometry.cameras import Camera
 from scenes.recordings.beliefs import Beliefs, DepthModel
-
-SMALL = Camera(285.0, 285.0, 159.5, 119.5, 320, 240)
 
 
 @pytest.mark.parametrize(("camera", "wider"), [("d435", True), ("lab", False)])
 def test_what_windows_blunt_widens_where_the_image_shows_windows(camera, wider):
     """A held drill a metre off, 3.5 mm a pixel: of stereo, and of a camera each of whose pixels errs by itself."""
-    family = replace(FAMILIES[camera], lens=SMALL, distance=(0.9, 1.1))
+    family = replace(FAMILIES[camera], lens=FAMILIES["coarse"].lens, distance=(0.9, 1.1))
     made = next(iter(making.frames_of(family, 0.3, 1, 5, ("drill",))))
     none, usual = (
         estimate(made.frame, made.model, beliefs=Beliefs(depth=DepthModel(window=pixels))) for pixels in (0.0, 7.0)
