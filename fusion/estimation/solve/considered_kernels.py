@@ -91,3 +91,26 @@ def confounded(part, pull):
             for p in range(POSE):
                 total += half[p, i] * half[p, j]
             part[POSE + i, POSE + j] = total
+
+
+@numba.njit(cache=True, nogil=True)
+def field_spread(points, gain, length, out):
+    """Fill out (m, m) with what a smooth error of standard deviation 1 at points (n, 3), whose correlation is
+    exp(-|p - q|^2 / (2 length^2)), makes of m unknowns that an error at each moves by a row of gain (n, m).
+    """
+    count, size = gain.shape
+    sharpness = -0.5 / length**2
+    moved = np.zeros(size)
+    for i in range(count):
+        moved[:] = gain[i]
+        for j in range(i):
+            square = 0.0
+            for axis in range(3):
+                square += (points[i, axis] - points[j, axis]) ** 2
+            # both orders of each pair
+            shared = 2.0 * math.exp(sharpness * square)
+            for k in range(size):
+                moved[k] += shared * gain[j, k]
+        for k in range(size):
+            for m in range(size):
+                out[k, m] += 0.5 * (gain[i, k] * moved[m] + moved[k] * gain[i, m])

@@ -226,9 +226,9 @@ def marginalised(settled: Settled) -> JointResult:
     misfit = system.misfit()
     whole = (settled.normal + np.diag(system.width))[:free, :free]
     variance, share = system.mesh_variance(), problem.settings.mesh_share
-    surface = (1.0 - share) * variance + share * max(either, variance) + _blunted(problem, here)
+    surface = (1.0 - share) * variance + share * max(either, variance)
     mesh = mesh_spread(problem.model, surface, problem.settings)
-    unsolved = system.excess_spread(whole, misfit) + mesh
+    unsolved = system.excess_spread(whole, misfit) + mesh + _blunted(system, here, whole)
     return JointResult(
         here,
         misfit * as_believed(settled) + unsolved,
@@ -268,13 +268,19 @@ def as_believed(settled: Settled) -> Array:
     return np.asarray(gain + inverse @ inverse.T)
 
 
-def _blunted(problem: JointProblem, pose: Array) -> float:
-    """Variance (m^2) of the surface at pose (4, 4) by what a window of readings averages over."""
+def _blunted(system: System, pose: Array, whole: Array) -> Array:
+    """(6, 6) what windows of readings, which average over the surface at pose (4, 4), make of the pose: pixels nearer
+    to one another than a window is wide are off together. whole (m, m): the information on all that is solved for.
+    """
+    problem = system.problem
     if problem.camera is None or not problem.on.any():
-        return 0.0
-    model, beliefs = problem.model, problem.beliefs
-    depth = float(pose[2, :3] @ model.centroid + pose[2, 3])
-    return beliefs.depth.blunting(max(depth, 0.0), problem.camera.fx, model.radius) ** 2
+        return np.zeros((6, 6))
+    model, depth, s = problem.model, problem.beliefs.depth, problem.settings
+    away = max(float(pose[2, :3] @ model.centroid + pose[2, 3]), 0.0)
+    off = s.blunt_times * depth.blunting(away, problem.camera.fx, model.radius)
+    if not off > 0.0:
+        return np.zeros((6, 6))
+    return off**2 * system.field_spread(whole, s.blunt_length * depth.window * away / problem.camera.fx)
 
 
 def mesh_spread(model: ObjectModel, variance: float, settings: JointSettings) -> Array:

@@ -103,6 +103,11 @@ class JointSettings:
     # of 1 to 6, and of the leverage of sixteen blocks of the image, what made the true errors of 530 answers of the
     # tuning families likeliest.
     mesh_parts: float = 4.0
+    # Of what windows of readings blunt (DepthModel.blunting): its size as a factor, and how far it is alike, in windows
+    # (no unit). Of 1 to 1.5 and of 0.5 to 2 these make the true errors of 240 answers to small images of three tuning
+    # families' cameras likeliest, and hold most.
+    blunt_times: float = 1.5
+    blunt_length: float = 0.7
     # Share of what a smooth bias of depth explains that counts as the mesh's own error in the covariance: both are
     # smooth, and nothing in a frame tells them apart. Of 0, 0.3, 0.6 and 1, of which the true errors of 704 answers of
     # tuning families, a third of them from 14 to 26 cm, are as likely, half.
@@ -112,7 +117,8 @@ class JointSettings:
 
     def __post_init__(self) -> None:
         """Refuse what leaves nothing to solve: no rigs, no modes, bias that is known at no spacing."""
-        check_above(self, ("modes", "spacing", "places", "groups", "block", "evidence_temperature", "mesh_parts"))
+        above = "modes", "spacing", "places", "groups", "block", "evidence_temperature", "mesh_parts", "blunt_length"
+        check_above(self, above)
         for name in ("rigs", "biases"):
             if not getattr(self, name):
                 raise InputError(f"{name}: expected one size of shared errors or more, got none")

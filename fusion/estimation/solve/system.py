@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.solve import newton_kernels as kernels
+from fusion.estimation.solve.considered_kernels import field_spread
 from fusion.estimation.solve.kernels import blocks_off, number_blocks, prior_row, surface_met, vision_rows
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.settings import Level
@@ -247,6 +248,23 @@ class System:
         inverse = np.linalg.solve(whole, np.eye(free)[:, :6])
         said = misfit * (inverse.T @ own @ inverse)
         return exceeding(spread, said)
+
+    def field_spread(self, whole: Array, length: float) -> Array:
+        """(6, 6) what a smooth error of 1 m along the pixels' residuals, of that correlation length (m), makes of the
+        pose where `terms` last was. whole (m, m): the information on the first m unknowns, all that is solved for.
+
+        It is considered, not solved for (Schmidt 1966): contacts and the prior hold against it as they are told, and
+        what little is seen of an object turns it farther.
+        """
+        (index, _, _, _, information, design), free = (part[: self._used] for part in self.problem.room), len(whole)
+        mine = self.problem.on[index]
+        columns = np.concatenate([np.arange(6), np.arange(SCALE, self.size)])
+        solved = columns < free
+        inverse = np.linalg.solve(whole, np.eye(free)[:, :6])
+        pull = design[mine][:, : len(columns)][:, solved] * information[mine, None]
+        out = np.zeros((6, 6))
+        field_spread(self.problem.seen.points[index[mine]], pull @ inverse[columns[solved]], length, out)
+        return out
 
     def believed(self, pose: Array) -> Array:
         """(6, 6) what the prior tells of the pose."""

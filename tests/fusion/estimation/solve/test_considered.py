@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from joint_twin import CAMERA, made_problem
 
-from fusion.estimation.solve.considered_kernels import add_of_pose, confounded
+from fusion.estimation.solve.considered_kernels import add_of_pose, confounded, field_spread
 from fusion.estimation.solve.joint import settle, solve
 from fusion.estimation.solve.problem import JointProblem
 from fusion.estimation.solve.settings import Level
@@ -30,6 +30,29 @@ def test_what_a_pose_explains_is_a_projection(rng, count, size):
     np.testing.assert_allclose(np.tril(part)[6:, :6], rows[:, 6:].T @ rows[:, :6], atol=1e-9)
     np.testing.assert_allclose(np.tril(part)[6:, 6:], np.tril(rows[:, 6:].T @ onto @ rows[:, 6:]), atol=1e-6)
     np.testing.assert_allclose(pull[6:], rows[:, 6:].T @ onto @ off, atol=1e-6)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 40])
+def test_a_smooth_error_moves_by_its_correlations(rng, count):
+    points, gain, length, out = rng.normal(size=(count, 3)), rng.normal(size=(count, 6)), 0.7, np.zeros((6, 6))
+    field_spread(points, gain, length, out)
+    apart = np.square(points[:, None] - points).sum(axis=2)
+    np.testing.assert_allclose(out, gain.T @ np.exp(-0.5 * apart / length**2) @ gain, atol=1e-12)
+
+
+@pytest.mark.parametrize(("length", "like"), [(1e-6, "noise"), (1e3, "shift")])
+def test_a_smooth_error_of_no_reach_is_noise_and_of_any_reach_a_shift(drill, rng, length, like):
+    """Of pixels that are off alike a pose takes the mean along its ray, of those that are not their noise."""
+    problem, pose = made_problem(drill, rng, prior=False, noise=1e-4)
+    system = System(problem, pose, Level())
+    normal = system.terms(pose, np.zeros(system.size))[2]
+    whole = normal[:6, :6] + np.diag(system.width[:6])
+    found = system.field_spread(whole, length)
+    index, _, _, _, information, design = (part[: system._used] for part in problem.room)
+    own = problem.on[index]
+    gain = np.linalg.solve(whole, (design[own, :6] * information[own, None]).T)
+    expected = gain @ gain.T if like == "noise" else np.outer(gain.sum(axis=1), gain.sum(axis=1))
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(3))
