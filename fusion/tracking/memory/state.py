@@ -19,6 +19,7 @@ from fusion.estimation.posterior.verdict import VerdictSettings
 from fusion.estimation.solve.settings import Level
 from fusion.tracking.filter import Belief, Measurement, block
 from fusion.tracking.memory.hypotheses import Hypotheses, moved
+from fusion.tracking.memory.last_image import LastImage
 from fusion.tracking.memory.occluders import Occluders
 from fusion.tracking.memory.sizes import Jumps, Sizes, SizeSettings
 from fusion.tracking.memory.touched import Touched
@@ -201,7 +202,8 @@ class TrackState:
     and shares of the image) of the last image looked at, and lens_for: images since, which had others; touched: what
     the fingers have felt of it last, None where there is no hand or they have not; marks: on its surface in the last
     colour image, where no hand tells how it moves; released: the hand has let go; camera: of the last image, None
-    before; imaged: whether an image has shown it; glanced: glances since the last look in full at an image.
+    before; imaged: whether an image has shown it; glanced: glances since the last look in full at an image;
+    image: the last that was a new one, None before one.
     """
 
     belief: Belief | None = None
@@ -231,6 +233,7 @@ class TrackState:
     camera: Camera | None = None
     imaged: bool = False
     glanced: int = 0
+    image: LastImage | None = None
 
     def before_its_camera(self, frame: Frame) -> Frame:
         """A frame between images, before the camera of the last one: it has not gone, and what is felt is off by what
