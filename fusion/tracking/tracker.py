@@ -129,7 +129,7 @@ class Tracker:
     def step(self, frame: Frame) -> TrackedEstimate:
         """The object in this frame."""
         state = self._state
-        frame, unused = through_one_lens(frame, state, self.settings)
+        frame, unused = through_one_lens(frame, state, self.settings, self._looker.correction is not None)
         frame, filled = as_measured(frame, self.settings.first.look.filling)
         if state.belief is None:
             self._believe(believed_of(frame, self._asked or frame.beliefs or Beliefs(), self.settings.first.look.noise))

@@ -2,7 +2,8 @@
 
 A driver that hangs gives the image that it has beside the robot's reports of now, and what was seen then is taken for
 where the object is. No image of a camera is that of another instant reading for reading. One that a program draws
-without noise may be, while nothing in it moves; so it takes fingers that feel the object and have moved.
+without noise may be, while nothing in it moves; so it takes fingers that feel the object, or a hand in view, that has
+moved.
 """
 
 from __future__ import annotations
@@ -55,11 +56,13 @@ class LastImage:
         joints, sensors = dict(frame.joints or {}), tuple(frame.contacts.sensors)
         return LastImage(frame.index, readings, camera_from_hand(frame), joints, sensors, felt)
 
-    def is_again(self, other: LastImage) -> bool:
-        """Whether the image of a later frame, `other`, is this one, while fingers that feel something have moved."""
+    def is_again(self, other: LastImage, in_view: bool = False) -> bool:
+        """Whether the image of a later frame, `other`, is this one, while what is in it has moved: fingers that feel
+        something, or a hand that is `in_view`.
+        """
         if not np.array_equal(self.readings, other.readings):
             return False
-        if self.hung or not len(self.felt) or not len(other.felt):
+        if self.hung or not (in_view or (len(self.felt) and len(other.felt))):
             return self.hung
         if self.hand is not None and other.hand is not None:
             since = se3.difference(other.hand, self.hand, np.zeros(3))

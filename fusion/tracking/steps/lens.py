@@ -18,10 +18,12 @@ from scenes.recordings.checking.validation import check_is_frame
 from scenes.recordings.frames import Frame
 
 
-def through_one_lens(frame: Frame, state: TrackState, settings: TrackSettings) -> tuple[Frame, tuple[str, ...]]:
+def through_one_lens(
+    frame: Frame, state: TrackState, settings: TrackSettings, in_view: bool = False
+) -> tuple[Frame, tuple[str, ...]]:
     """The frame, without what its camera saw where its focal lengths have leapt or that is what it saw before, and a
     note of that; the state knows the lens that is used. A part of an image has the lengths (px) of the whole, a smaller
-    image its field of view. Raises InputError for what is no frame.
+    image its field of view. in_view: images show the hand. Raises InputError for what is no frame.
     """
     check_is_frame(frame)
     frame = state.before_its_camera(frame)
@@ -36,17 +38,17 @@ def through_one_lens(frame: Frame, state: TrackState, settings: TrackSettings) -
             focal = f"{camera.fx:.5g}, {camera.fy:.5g} px, expected about {known[0]:.5g}, {known[1]:.5g} as before"
             return frame.without_vision(), (f"its image is not looked at: focal lengths of {focal}",)
     state.lens, state.lens_for = lens, 0
-    return _if_new(frame, state)
+    return _if_new(frame, state, in_view)
 
 
-def _if_new(frame: Frame, state: TrackState) -> tuple[Frame, tuple[str, ...]]:
+def _if_new(frame: Frame, state: TrackState, in_view: bool) -> tuple[Frame, tuple[str, ...]]:
     """The frame, without an image that was there before, and a note of that; the state knows the last new one. A frame
     that comes late may well have one of before.
     """
     if state.belief is not None and frame.index <= state.index:
         return frame, ()
     image = LastImage.of(frame)
-    if image is not None and state.image is not None and state.image.is_again(image):
+    if image is not None and state.image is not None and state.image.is_again(image, in_view):
         state.image = replace(state.image, hung=True)
         return frame.without_vision(), (f"its image is not looked at: it is that of frame {state.image.index} again",)
     if image is not None and (state.image is None or not np.array_equal(image.readings, state.image.readings)):

@@ -57,6 +57,12 @@ def test_an_image_is_that_of_before_if_it_is_alike_and_what_holds_has_moved(late
     assert first.is_again(second) == again
 
 
+def test_a_hand_in_view_tells_by_itself():
+    first, second = (LastImage.of(frame(n, felt=0, move=(0.0, 0.0, 0.01 * n))) for n in range(2))
+    assert first.is_again(second, in_view=True)
+    assert not first.is_again(second)
+
+
 def test_an_image_of_next_to_no_readings_tells_nothing():
     bare = np.zeros((120, 160))
     bare[0, :50] = 0.5
