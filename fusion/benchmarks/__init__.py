@@ -31,6 +31,7 @@ BENCHMARKS = {
     "segmentation": "fusion.benchmarks.camera.segmentation",
     "colour": "fusion.benchmarks.camera.colour",
     "tracking": "fusion.benchmarks.tracking.bench",
+    "failing": "fusion.benchmarks.tracking.failing",
     "memory": "fusion.benchmarks.tracking.memory",
 }
 

@@ -20,6 +20,7 @@ HEEDED = {
     "faults": ("objects", "family"),
     "colour": ("objects", "family", "data"),
     "tracking": ("objects", "family", "motions", "frames", "methods"),
+    "failing": ("objects", "family", "motions", "frames"),
     "memory": ("frames",),
 }
 OPTIONS = ("objects", "family", "motions", "frames", "methods", "data", "bop", "told")
@@ -50,7 +51,11 @@ def check(name: str, settings: BenchSettings) -> None:
     known = {one for family in families for one in family.objects}
     if any(family.name == RECORDED for family in families):
         known |= {path.name for path in recordings()}
-    if settings.family is None or name in ("tracking", "all"):  # these follow any object in a family's scenes
+    if settings.family is None or name in (
+        "tracking",
+        "failing",
+        "all",
+    ):  # these follow any object in a family's scenes
         known |= {*library.names(), *library.tool_names(), *library.held_out_names(), *objects()}
     for one in settings.objects:
         if one not in known:

@@ -51,7 +51,7 @@ def follow_cell(cell: Cell) -> list[Followed]:
     """Every sequence of a cell, followed by every method."""
     out = []
     for motion in cell.motions:
-        made = _made(cell, motion)
+        made = sequence_of(cell, motion)
         tallies = None
         if made is not None:
             tallies = {method: Tally() for method in cell.methods}
@@ -66,14 +66,14 @@ def follow_alone(cell: Cell) -> tuple[str, Tally]:
     frame takes. Other cells are followed side by side, and share cores, caches and memory. Empty where there is none.
     """
     motion, tally = cell.motions[0], Tally()
-    made = _made(cell, motion)
+    made = sequence_of(cell, motion)
     if made is not None:
         with one_thread():
             follow(tally, "track", *made, cell.seed)
     return motion, tally
 
 
-def _made(cell: Cell, motion: str) -> tuple[ObjectModel, list[Frame], dict[str, Any]] | None:
+def sequence_of(cell: Cell, motion: str) -> tuple[ObjectModel, list[Frame], dict[str, Any]] | None:
     """A sequence of a cell; None where no grasp hides the object by as much as is asked."""
     family, seed = FAMILIES[cell.family], own_seed(cell.seed, *cell.key, motion)
     hidden, placement = min(OCCLUSION, max(family.levels)), Placement(own_seed(cell.seed, *cell.key))

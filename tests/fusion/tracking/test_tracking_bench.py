@@ -1,10 +1,13 @@
 """The benchmark of tracks: sequences that share a grasp are what they are without, and every sequence is counted."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from made_frames import recording
 
 from fusion.benchmarks.printing.tables import BenchSettings, Rate
-from fusion.benchmarks.tracking import tables
+from fusion.benchmarks.tracking import failing, tables
 from fusion.benchmarks.tracking.bench import _claims, run
 from fusion.benchmarks.tracking.methods import METHODS, WRONG_STARTS
 from fusion.benchmarks.tracking.sequences import recorded
@@ -126,3 +129,47 @@ def test_a_tracked_frames_time_is_that_of_a_sequence_by_itself():
     tallies = {method: Tally() for method in METHODS}
     claim = _claims({("lab", "slip"): tallies}, [4.0, 6.0, 50.0])[0]
     assert (claim.what, claim.value) == ("a tracked frame, median processor ms, alone", 6.0)
+
+
+def test_a_sensor_fails_in_some_frames_and_the_others_stay(drill):
+    """Of each failure: frames in which it changes depth, contacts, or what the robot says of itself."""
+    frames = [replace(one, joints={"finger": 0.1 * one.index}) for one in recording(drill, 14)]
+    before = [one.depth.copy() for one in frames]
+
+    def changed(name):
+        out = failing.FAILURES[name](list(frames), 4, np.random.default_rng(0))
+        parts = "depth", "contacts", "joints", "camera_from_world"
+        told = {one.index: one for one in out}
+        return {
+            part: [n for n, one in enumerate(frames) if n in told and differs(part, one, told[n])] for part in parts
+        }
+
+    def differs(part, one, other):
+        a, b = (getattr(frame, part) for frame in (one, other))
+        if part == "contacts":
+            return not np.array_equal(a.points, b.points)
+        return (a is None) != (b is None) or (a != b if isinstance(a, dict) else not np.array_equal(a, b))
+
+    names = list(failing.FAILURES)
+    some, later, every = list(range(4, 12)), list(range(4, 14)), list(range(1, 14))
+    expected = [{}, {"depth": some}, {"depth": some}, {}, {"contacts": later}, {"contacts": later}, {"depth": some}]
+    expected += [{"depth": some}, {"depth": every}, {"joints": later}, {"camera_from_world": later}]
+    expected += [{"depth": every}, {"depth": every}]
+    for name, parts in zip(names, expected, strict=True):
+        assert {part: at for part, at in changed(name).items() if at} == parts, name
+    assert [one.index for one in failing.FAILURES["8 frames are missing"](frames, 4, None)] == [0, 1, 2, 3, 12, 13]
+    late = failing.FAILURES["images are two frames late"](frames, 4, None)
+    assert late[7].depth is frames[5].depth
+    assert late[0].depth is frames[0].depth
+    for one, depth in zip(frames, before, strict=True):
+        np.testing.assert_array_equal(one.depth, depth)
+
+
+def test_every_failure_is_a_row_and_a_demand():
+    settings = BenchSettings(quick=True, objects=("box",), frames=3, seed=2)
+    report = failing.run(settings)
+    (table,) = report.tables
+    assert [row[0] for row in table.rows] == list(failing.FAILURES)
+    assert len(report.claims) == len(failing.FAILURES)
+    with pytest.raises(InputError, match="motion"):
+        failing.run(BenchSettings(motions=("dance",)))

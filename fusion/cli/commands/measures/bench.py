@@ -27,10 +27,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--family",
         metavar="A,B",
         help="frames of these families, or all, tuning or report (docs/evaluation.md), where accuracy is measured:"
-        " search, occlusion, calibration, vision, faults, tracking, colour, peers, profile",
+        " search, occlusion, calibration, vision, faults, tracking, failing, colour, peers, profile",
     )
     parser.add_argument(
-        "--motions", metavar="A,B", type=names_list, help="motions of the sequences of `tracking` (default: all nine)"
+        "--motions",
+        metavar="A,B",
+        type=names_list,
+        help="motions of the sequences of `tracking` and `failing` (default: all nine; four)",
     )
     parser.add_argument(
         "--frames",
