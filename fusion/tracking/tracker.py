@@ -154,7 +154,7 @@ class Tracker:
         if state.sure and answer.verdict != "ok":
             state.renewal.hurry(frame.index, self.settings.renewal)
         state.sure = answer.verdict == "ok"
-        unused = *unused, *unused_touch(self._felt_frame(frame), self.settings.first.touch)
+        unused = *unused, *state.lateness.said, *unused_touch(self._felt_frame(frame), self.settings.first.touch)
         return replace(answer, notes=tuple(dict.fromkeys((*answer.notes, *unused)))) if unused else answer
 
     def _begin(self, frame: Frame) -> TrackedEstimate:

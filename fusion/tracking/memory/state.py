@@ -20,6 +20,7 @@ from fusion.estimation.solve.settings import Level
 from fusion.tracking.filter import Belief, Measurement, block
 from fusion.tracking.memory.hypotheses import Hypotheses, moved
 from fusion.tracking.memory.last_image import LastImage
+from fusion.tracking.memory.lateness import Lateness
 from fusion.tracking.memory.occluders import Occluders
 from fusion.tracking.memory.sizes import Jumps, Sizes, SizeSettings
 from fusion.tracking.memory.touched import Touched
@@ -203,7 +204,8 @@ class TrackState:
     the fingers have felt of it last, None where there is no hand or they have not; marks: on its surface in the last
     colour image, where no hand tells how it moves; released: the hand has let go; camera: of the last image, None
     before; imaged: whether an image has shown it; glanced: glances since the last look in full at an image;
-    image: the last that was a new one, None before one.
+    image: the last that was a new one, None before one; lateness:
+    of images beside the robot's reports.
     """
 
     belief: Belief | None = None
@@ -234,6 +236,7 @@ class TrackState:
     imaged: bool = False
     glanced: int = 0
     image: LastImage | None = None
+    lateness: Lateness = field(default_factory=Lateness)
 
     def before_its_camera(self, frame: Frame) -> Frame:
         """A frame between images, before the camera of the last one: it has not gone, and what is felt is off by what
@@ -304,6 +307,9 @@ class TrackState:
         """
         if hand is None or late:
             return hand
+        if seen is not None:
+            off = se3.difference(seen @ pose, pose, model.centroid)
+            self.lateness = self.lateness.looked(seen, off, np.repeat([model.radius, 1.0], 3))
         if len(hand.points):
             self.released = False
         elif self.touched is not None and not self.released:
@@ -333,4 +339,6 @@ class TrackState:
 
     def told(self, belief: Belief, settings: SizeSettings, sizes: Sizes | None = None) -> Belief:
         """A belief as wide as it is to be told; sizes: with those of a look that is not remembered yet."""
-        return self.jumps.told_of((sizes or self.sizes).told_of(belief, settings), settings)
+        told = self.jumps.told_of((sizes or self.sizes).told_of(belief, settings), settings)
+        smear = self.lateness.smear
+        return replace(told, own=told.own + np.outer(smear, smear)) if smear.any() else told

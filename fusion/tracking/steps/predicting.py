@@ -76,7 +76,10 @@ def predict(
     before, now = right @ before, right @ now
     motion = now @ se3.inverse(before)
     hold = se3.inverse(before) @ belief.pose
-    expected = hand_motion.in_hand(state.hand, frame, hold, max(1, abs(frame.index - state.index)))
+    steps = max(1, abs(frame.index - state.index))
+    along = np.asarray(se3.difference(motion @ belief.pose, belief.pose, model.centroid), dtype=np.float64)
+    state.lateness = replace(state.lateness, velocity=along / steps)
+    expected = hand_motion.in_hand(state.hand, frame, hold, steps)
     expected = expected.turned(now[:3, :3])
     moved = belief.moved(motion)
     centre = se3.apply(moved.pose, model.centroid[None])[0]
