@@ -51,11 +51,8 @@ def check(name: str, settings: BenchSettings) -> None:
     known = {one for family in families for one in family.objects}
     if any(family.name == RECORDED for family in families):
         known |= {path.name for path in recordings()}
-    if settings.family is None or name in (
-        "tracking",
-        "failing",
-        "all",
-    ):  # these follow any object in a family's scenes
+    # sequences follow any object in a family's scenes
+    if settings.family is None or name in ("tracking", "failing", "all"):
         known |= {*library.names(), *library.tool_names(), *library.held_out_names(), *objects()}
     for one in settings.objects:
         if one not in known:

@@ -53,7 +53,7 @@ def _for_a_while(change: Callable[[Frame, Frame], Frame]) -> Fails:
 
 
 def _late(by: int) -> Fails:
-    """Every image is that of so many frames before."""
+    """Every image is that of so many frames before; the first comes again until there is another."""
 
     def fails(frames: list[Frame], at: int, rng: np.random.Generator) -> list[Frame]:
         seen = [frames[max(0, n - by)] for n in range(len(frames))]

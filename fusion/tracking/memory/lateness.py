@@ -62,6 +62,11 @@ class Lateness:
         )
 
     @property
+    def unmoved(self) -> Lateness:
+        """The same in a frame whose motion no hand tells: images are as late, and nothing says what that makes."""
+        return replace(self, velocity=np.zeros(6))
+
+    @property
     def frames(self) -> tuple[float, float]:
         """By how many frames images are late (early where it is below 0), and its standard deviation."""
         n = self.looks

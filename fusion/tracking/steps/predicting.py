@@ -61,6 +61,7 @@ def predict(
     """
     now = camera_from_hand(frame)
     if state.hand is None or now is None:
+        state.lateness = state.lateness.unmoved
         pose, noise = velocity.predict(frame.index)
         why = "at its last velocity"
         if seen is not None:

@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--frames",
         metavar="N",
         type=positive,
-        help="frames of each sequence of `tracking` (default: 45), or of `memory` (5000)",
+        help="frames of each sequence of `tracking` (default: 45) and `failing` (24), or of `memory` (5000)",
     )
     parser.add_argument(
         "--methods",

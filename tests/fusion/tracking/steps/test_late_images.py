@@ -9,6 +9,12 @@ from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Belief
 from fusion.tracking.memory.lateness import FASTEST, FEWEST, Lateness
 from fusion.tracking.memory.state import TrackState
+from fusion.tracking.motion import HandMotion
+from fusion.tracking.slip import SlipWatch
+from fusion.tracking.steps.predicting import predict
+from scenes.recordings.beliefs import CalibrationModel
+from scenes.recordings.frames import Frame
+from vision.tracking.by_vision import ConstantVelocity
 
 UNITS = np.array([0.06, 0.06, 0.06, 1.0, 1.0, 1.0])
 
@@ -56,6 +62,18 @@ def test_what_moves_too_fast_for_a_look_does_not_count():
     once = before.looked(seen, np.zeros(6), UNITS)
     assert once.looked(seen, np.zeros(6), UNITS) is once
     assert before.looked(None, np.zeros(6), UNITS) is before
+
+
+def test_without_a_hand_nothing_is_smeared_by_how_it_moved_last(drill):
+    """The next frame has no hand's pose: what is held may move any way."""
+    state = TrackState(belief=Belief(np.eye(4), 1e-6 * np.eye(6), np.zeros((6, 6))), lateness=looked(2.0, noise=0.0))
+    assert state.lateness.smear.any()
+    velocity = ConstantVelocity(drill.centroid, TrackSettings().velocity)
+    velocity.restart(0, np.eye(4))
+    watch = SlipWatch(drill, 40.0, TrackSettings().slip)
+    predict(drill, Frame(1), state.belief, state, velocity, HandMotion(drill), watch, CalibrationModel(), None)
+    assert not state.lateness.smear.any()
+    assert state.lateness.there > 1.5
 
 
 def test_an_answer_is_as_wide_as_the_delay_makes_it(drill):
