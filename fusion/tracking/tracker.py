@@ -30,12 +30,13 @@ from fusion.tracking.filter import Belief, Measurement, after_slip, gone_on, rel
 from fusion.tracking.memory import hypotheses as several
 from fusion.tracking.memory.hypotheses import Hypotheses
 from fusion.tracking.memory.state import TrackState, is_empty
-from fusion.tracking.memory.touched import Touched
 from fusion.tracking.motion import HandMotion, HandState
 from fusion.tracking.slip import SlipWatch, Watched
 from fusion.tracking.steps import searching
 from fusion.tracking.steps.aside import ANEW, AROUND, Aside
+from fusion.tracking.steps.bumped import bump
 from fusion.tracking.steps.contradicting import NOT_HERE, without_strangers
+from fusion.tracking.steps.delays import as_of_image, moved_on
 from fusion.tracking.steps.glancing import as_judged, glance, known_of, may_glance, steadied
 from fusion.tracking.steps.judging import as_believed, as_followed, as_learned, judge
 from fusion.tracking.steps.lens import through_one_lens
@@ -131,6 +132,7 @@ class Tracker:
         state = self._state
         frame, unused = through_one_lens(frame, state, self.settings, self._looker.correction is not None)
         frame, filled = as_measured(frame, self.settings.first.look.filling)
+        frame, on = as_of_image(frame, state)
         if state.belief is None:
             self._believe(believed_of(frame, self._asked or frame.beliefs or Beliefs(), self.settings.first.look.noise))
             answer = self._begin(frame)
@@ -155,6 +157,7 @@ class Tracker:
             state.renewal.hurry(frame.index, self.settings.renewal)
         state.sure = answer.verdict == "ok"
         unused = *unused, *state.lateness.said, *unused_touch(self._felt_frame(frame), self.settings.first.touch)
+        answer = moved_on(answer, on, state.corrected(self._looker.correction))
         return replace(answer, notes=tuple(dict.fromkeys((*answer.notes, *unused)))) if unused else answer
 
     def _begin(self, frame: Frame) -> TrackedEstimate:
@@ -162,10 +165,9 @@ class Tracker:
             built_pair_table(self.model)
         answer = self.estimated(frame, self._prior)
         self._prior = None  # it was the first frame's
-        if answer.verdict == "lost":
-            return as_tracked(answer, "lost")
-        self.believe(frame, answer)
-        return as_tracked(answer, "started")
+        if answer.verdict != "lost":
+            self.believe(frame, answer)
+        return as_tracked(answer, "started" if answer.verdict != "lost" else "lost")
 
     def believe(self, frame: Frame, answer: Estimate) -> None:
         """Begin (again) from an estimate of this frame, wherever it comes from."""
@@ -283,9 +285,14 @@ class Tracker:
             if glanced is not None:
                 return glanced
         with trace.stage("look", "vision" in self._senses, "vision not asked for") as stage:
-            looked = self._looker.look(viewed, predicted.pose)
+            last, looked = self._looker.told, self._looker.look(viewed, predicted.pose)
             seen = looked.rows(beliefs.depth, self._looker.first.rows)
             stage.note(len(seen), f"{len(looked.pixels)} object pixels, {len(looked.of_hand)} of the hand")
+        moved = bump(last, self._looker.told, middle_of(model, predicted.pose)) if there is None else None
+        if moved is not None:
+            state.known = None
+            self._watch.restart()
+            return self._follow(frame, belief, False, moved @ predicted.pose)
         with trace.stage("feel", "touch" in self._senses, "touch not asked for") as stage:
             felt = self._feel(frame, looked)
             contacts, felt_rows = len(felt.reported_contacts), len(felt.reported_rows)
@@ -384,7 +391,7 @@ class Tracker:
 
     def _holding(self, frame: Frame, felt: Felt, pose: Array) -> HandState | None:
         hand, late = HandState.of(frame, felt.reported_contacts), frame.index < self._state.index
-        return self._state.holding(self.model, hand, pose, late, self._looker.correction, self.settings.first.verdict)
+        return self._state.holding(self.model, hand, pose, late, self._looker.told, self.settings.first.verdict)
 
     def _skins(self, frame: Frame, felt: Felt) -> Watched:
         """Whether what presses arrays and gels has moved over them."""
@@ -416,21 +423,14 @@ class Tracker:
         """Keep what this frame taught; a late frame's lesson is moved on to the present."""
         state = self._state
         state.lost_for = state.unseen = 0
-        if np.isfinite(share):
-            state.imaged = True
-            state.usual = share if state.usual is None else 0.9 * state.usual + 0.1 * share
+        state.explained(share)
         kept = several.sifted(self.model, several.leading(found, belief), self.settings.hypotheses)
         hand = self._holding(frame, felt, belief.pose)
         if frame.index < state.index:
-            motion = state.since(hand, self._looker.correction)
-            if motion is not None:
-                state.belief, state.hypotheses = belief.moved(motion), several.moved(kept, motion)
-                self._watch.carry(motion)
-            return
+            motion = state.taught_late(belief, kept, hand, self._looker.correction)
+            return None if motion is None else self._watch.carry(motion)
         state.belief, state.hypotheses, state.index, state.hand = belief, kept, frame.index, hand
-        if hand is not None and len(felt.reported_contacts):
-            at = felt.correction @ hand.camera_from_hand
-            state.touched = Touched.of(self.model, felt.contacts, at, belief.pose, self.settings.first.verdict)
+        state.feeling(self.model, felt, hand, belief.pose, self.settings.first.verdict)
         if np.isfinite(share):
             state.seen_at = None if hand is None else hand.camera_from_hand
         self._velocity.update(frame.index, belief.pose, belief.covariance)

@@ -8,6 +8,7 @@ one ended: one pass over few pixels, and the hand's mesh is laid out anew only w
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
 from scenes.robot.posed import PosedHand
-from vision.look.hand.hand import HandView, camera_from_hand, fit_hand, view_hand
+from vision.look.hand.hand import HandTold, HandView, camera_from_hand, fit_hand, view_hand, where_seen_better
 from vision.look.look import LookSettings, large_planes, look
 from vision.look.looked import Looked, no_pixels, no_planes, nothing_seen
 from vision.look.mask.planes import on_planes
@@ -67,10 +68,15 @@ class Looker:
         rows = replace(first.rows, most=s.most_rows, free_rays=s.free_rays, free_steps=s.free_steps)
         self.first = replace(first, slack=s.slack, most_others=s.free_rays, rows=rows)
         self.beliefs = beliefs or Beliefs()
-        self.correction: Array | None = None
+        self.told: HandTold | None = None
         self.planes = no_planes()
         self._surface: PosedHand | None = None
         self._joints: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def correction(self) -> Array | None:
+        """(4, 4) camera_from_camera of what the robot reports, as the last look that found the hand has it."""
+        return None if self.told is None else self.told.correction
 
     def look(self, frame: Frame, predicted: Array, share: float | None = None) -> Looked:
         """Sort the frame's pixels near `predicted` (4, 4) camera_from_object; clouds are cut out as they are.
@@ -124,9 +130,10 @@ class Looker:
             wide = read_pixels(frame.depth, frame.camera, full, self.first.most_hand)
             found = view_hand(frame, wide, self.beliefs, self.first.hand)
         else:
-            found = self._view_again(frame, measured, self._hand_surface(frame), self.correction)
+            again = partial(self._view_again, frame, measured, self._hand_surface(frame))
+            found = where_seen_better(frame, again(self.correction), again, self.first.hand.search)
         if found is not None and len(found.points) >= self.first.hand.fewest:
-            self.correction = found.correct()
+            self.told = HandTold(found.correct(), found.centre, found.information, found.pull)
         return found
 
     def _as_last_seen(self, frame: Frame) -> HandView | None:

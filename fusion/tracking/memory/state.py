@@ -30,6 +30,8 @@ from scenes.geometry import poses as se3
 from scenes.geometry.cameras import Camera, is_reading
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts, Frame
+from touch.contacts import Felt
+from vision.look.hand.hand import HandTold
 from vision.tracking.by_image import Marks
 from vision.tracking.by_vision import FASTEST, FASTEST_TURN, VelocitySettings
 
@@ -281,6 +283,31 @@ class TrackState:
             return None
         return palm_motion(then, self.hand, self.corrected(seen))
 
+    def explained(self, share: float) -> None:
+        """An accepted frame's pixels, of which the pose explains a share; NaN where none were looked at."""
+        if np.isfinite(share):
+            self.imaged = True
+            self.usual = share if self.usual is None else 0.9 * self.usual + 0.1 * share
+
+    def feeling(
+        self, model: ObjectModel, felt: Felt, hand: HandState | None, pose: Array, settings: VerdictSettings
+    ) -> None:
+        """What an accepted frame's fingers feel of the object at a pose (4, 4)."""
+        if hand is not None and len(felt.reported_contacts):
+            at = felt.correction @ hand.camera_from_hand
+            self.touched = Touched.of(model, felt.contacts, at, pose, settings)
+
+    def taught_late(
+        self, belief: Belief, hypotheses: Hypotheses, hand: HandState | None, seen: Array | None
+    ) -> Array | None:
+        """Keep what a frame taught that came late, and had the hand so, moved on to the present: by that motion (4, 4);
+        nothing is kept and None where nothing tells it. seen: as in `corrected`.
+        """
+        motion = self.since(hand, seen)
+        if motion is not None:
+            self.belief, self.hypotheses = belief.moved(motion), moved(hypotheses, motion)
+        return motion
+
     def _move(self, motion: Array) -> None:
         assert self.belief is not None
         self.belief, self.hypotheses = self.belief.moved(motion), moved(self.hypotheses, motion)
@@ -298,22 +325,20 @@ class TrackState:
         hand: HandState | None,
         pose: Array,
         late: bool,
-        seen: Array | None,
+        told: HandTold | None,
         settings: VerdictSettings,
     ) -> HandState | None:
         """The hand of a frame with the object at `pose` (4, 4), None when it has let go: nothing is felt, and where it
-        was felt last in the hand is no object. It is not carried then, until something is felt again. seen: as in
-        `corrected`; late: the frame is older than the last one, and says nothing of what is held now.
+        was felt last in the hand is no object. It is not carried then, until something is felt again. told: by the
+        last look at the hand; late: the frame is older than the last one, and says nothing of what is held now.
         """
         if hand is None or late:
             return hand
-        if seen is not None:
-            off = se3.difference(seen @ pose, pose, model.centroid)
-            self.lateness = self.lateness.looked(seen, off, np.repeat([model.radius, 1.0], 3))
+        self.lateness = self.lateness.looked(told, se3.apply(pose, model.centroid[None])[0])
         if len(hand.points):
             self.released = False
         elif self.touched is not None and not self.released:
-            right = self.corrected(seen)
+            right = self.corrected(None if told is None else told.correction)
             at = hand.camera_from_hand if right is None else right @ hand.camera_from_hand
             self.released = self.touched.is_let_go(model, pose, at @ self.touched.hold, at, settings)
         return None if self.released else hand

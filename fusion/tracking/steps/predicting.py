@@ -79,7 +79,7 @@ def predict(
     hold = se3.inverse(before) @ belief.pose
     steps = max(1, abs(frame.index - state.index))
     along = np.asarray(se3.difference(motion @ belief.pose, belief.pose, model.centroid), dtype=np.float64)
-    state.lateness = replace(state.lateness, velocity=along / steps)
+    state.lateness = state.lateness.moving(along, frame.index, state.index)
     expected = hand_motion.in_hand(state.hand, frame, hold, steps)
     expected = expected.turned(now[:3, :3])
     moved = belief.moved(motion)

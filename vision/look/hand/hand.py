@@ -7,7 +7,9 @@ left perturbation of camera_from_hand about the hand's seen centre.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,12 +47,31 @@ class HandViewSettings:
 
 
 @dataclass(frozen=True)
+class HandTold:
+    """What a look at the hand tells: its correction (4, 4) camera_from_camera, and what the pixels alone say of that as
+    xi (6,) about centre (3,), camera frame: -xi'information xi / 2 + pull'xi nats, information (6, 6) and pull (6,).
+    """
+
+    correction: Array
+    centre: Array
+    information: Array
+    pull: Array
+
+    def about(self, point: Array) -> tuple[Array, Array]:
+        """Information (6, 6) and pull (6,) about another point (3,)."""
+        lever = np.eye(6)
+        lever[3:, :3] = -se3.skew(self.centre - point)
+        return lever.T @ self.information @ lever, lever.T @ self.pull
+
+
+@dataclass(frozen=True)
 class HandView:
     """The hand as the robot reports it and as the camera sees it: camera_from_hand (4, 4) measured and aligned.
 
     xi (6,): the correction found, poses.perturb of the identity about centre (3,) camera frame. points (n, 3): pixels
     that agree, camera frame; residual (n,) m: their distances to the aligned hand; directions (n, 3): the gradients of
-    those. surface: the hand's at its joints, hand frame.
+    those. surface: the hand's at its joints, hand frame. information (6, 6) and pull (6,): what the pixels alone say of
+    the correction, -xi'information xi / 2 + pull'xi nats.
     """
 
     measured: Array
@@ -61,6 +82,8 @@ class HandView:
     residual: Array
     directions: Array
     surface: PosedHand
+    information: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    pull: Array = field(default_factory=lambda: np.zeros(6))
 
     def nearer(self, points: Array, distance: float) -> NDArray[np.bool_]:
         """(n,) whether camera-frame points (n, 3) are nearer than `distance` (m) to the aligned hand, or inside it
@@ -132,16 +155,26 @@ def view_hand(
         return None
     surface = PosedHand(frame.hand, frame.joints)
     view = _aligned(surface, measured, np.eye(4), pixels, beliefs, settings)
-    if frame.depth is None or frame.camera is None:
+    again = partial(_aligned, surface, measured, pixels=pixels, beliefs=beliefs, settings=settings)
+    return where_seen_better(frame, view, again, settings.search)
+
+
+def where_seen_better(
+    frame: Frame, view: HandView, aligned: Callable[[Array], HandView], settings: HandSearchSettings
+) -> HandView:
+    """An aligned hand, or where it is seen better far from there: `aligned` from that correction (4, 4)."""
+    if frame.depth is None or frame.camera is None or frame.hand is None or frame.joints is None:
         return view
-    how, points = settings.search, frame.hand.points_on_surface(frame.joints, most=settings.search.points)
-    shift = elsewhere(frame, points, view.aligned, how)
+    points = frame.hand.points_on_surface(frame.joints, most=settings.points)
+    shift = elsewhere(frame, points, view.aligned, settings)
     if shift is None:
         return view
-    other = _aligned(surface, measured, se3.make_pose(None, shift) @ view.correct(), pixels, beliefs, settings)
-    both = (view, other)
-    told = [float(shares(frame, points, one.aligned, here_alone(), how.close, how.beyond).max()) for one in both]
-    return other if told[1] > told[0] + how.better else view
+    other = aligned(se3.make_pose(None, shift) @ view.correct())
+    told = [
+        float(shares(frame, points, one.aligned, here_alone(), settings.close, settings.beyond).max())
+        for one in (view, other)
+    ]
+    return other if told[1] > told[0] + settings.better else view
 
 
 def _aligned(
@@ -194,4 +227,5 @@ def fit_hand(
     aligned = se3.perturb(np.eye(4), xi, centre) @ measured
     # the last step is a fraction of a millimetre: what it changes is linear
     distance, agree = distance + jac @ (xi - off), robust > 0
-    return HandView(measured, aligned, centre, xi, points[agree], distance[agree], direction[agree], surface)
+    seen = points[agree], distance[agree], direction[agree]
+    return HandView(measured, aligned, centre, xi, *seen, surface, hessian - prior, hessian @ xi)

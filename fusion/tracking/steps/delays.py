@@ -1,0 +1,62 @@
+"""What the robot reports, as of the time of the image beside it, where the two are known to be apart.
+
+Images that are late show where hand and object were. So a track that knows by how much (`memory.lateness`) lives in the
+time of the images: the robot's reports are taken as of then, between the last ones, and the answer is moved on to the
+frame's own time as the hand has since. Where images are ahead of the reports, these are moved on, and the answer is of
+the images' time: the newest that was sensed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.tracking.answer import TrackedEstimate
+from fusion.tracking.filter import block, moved_modes
+from fusion.tracking.memory.state import TrackState
+from scenes.geometry import poses as se3
+from scenes.recordings.frames import Frame
+from vision.look.hand.hand import camera_from_hand
+
+Array = NDArray[np.float64]
+
+
+def as_of_image(frame: Frame, state: TrackState) -> tuple[Frame, Array | None]:
+    """The frame with the robot's reports as of its image, and the motion (4, 4) camera_from_camera, as reported, by
+    which the answer is to be moved on to the frame's own time; None where it stays. The state remembers the reports.
+    """
+    now = camera_from_hand(frame)
+    if now is None:
+        return frame, None
+    late = state.lateness.reported(frame.index, now)
+    then = late.reported_at(frame.index - late.used) if late.used else None
+    if then is None:
+        state.lateness = replace(late, used=0.0)
+        return frame, None
+    state.lateness = late
+    back = then @ se3.inverse(now)
+    # all that the robot reports is placed in the world; a cloud is what the camera saw, and stays where it is
+    placed = back @ frame.camera_from_world
+    cloud = frame.cloud
+    if cloud is not None:
+        cloud = se3.apply(se3.inverse(placed) @ frame.camera_from_world, np.asarray(cloud, dtype=np.float64))
+    return replace(frame, camera_from_world=placed, cloud=cloud), se3.inverse(back) if late.used > 0.0 else None
+
+
+def moved_on(answer: TrackedEstimate, on: Array | None, seen: Array | None) -> TrackedEstimate:
+    """An answer of an image's time after the motion `on` (4, 4), as reported, of what the hand holds; seen (4, 4):
+    camera_from_camera of what the robot reports, None where no image has shown it.
+    """
+    if on is None:
+        return answer
+    motion = on if seen is None else seen @ on @ se3.inverse(seen)
+    turn = block(motion[:3, :3])
+    return replace(
+        answer,
+        pose=motion @ answer.pose,
+        covariance=turn @ answer.covariance @ turn.T,
+        modes=moved_modes(answer.modes, motion),
+        as_seen=answer.pose if answer.as_seen is None else answer.as_seen,
+    )
