@@ -34,7 +34,7 @@ from fusion.tracking.motion import HandMotion, HandState
 from fusion.tracking.slip import SlipWatch, Watched
 from fusion.tracking.steps import searching
 from fusion.tracking.steps.aside import ANEW, AROUND, Aside
-from fusion.tracking.steps.bumped import bump
+from fusion.tracking.steps.bumped import bump, recalibrated
 from fusion.tracking.steps.contradicting import NOT_HERE, without_strangers
 from fusion.tracking.steps.delays import as_of_image, moved_on
 from fusion.tracking.steps.glancing import as_judged, glance, known_of, may_glance, steadied
@@ -263,9 +263,7 @@ class Tracker:
         return searching.by_itself(self.model, found, around, how)
 
     def _follow(self, frame: Frame, belief: Belief, briefly: bool, there: Array | None = None) -> TrackedEstimate:
-        """Predict, look, solve, judge; at a glance only where that may be brief. there: a pose (4, 4), that it was
-        solved to, farther from the prediction than that knew: it is looked at once more from there.
-        """
+        """Predict, look, solve, judge; a glance where it may be brief. there (4, 4): where else it is, as it told."""
         trace, s, state, model = Trace(), self.settings, self._state, self.model
         first, beliefs = s.first, self._beliefs
         viewed = frame if "vision" in self._senses else frame.without_vision()
@@ -288,10 +286,12 @@ class Tracker:
             last, looked = self._looker.told, self._looker.look(viewed, predicted.pose)
             seen = looked.rows(beliefs.depth, self._looker.first.rows)
             stage.note(len(seen), f"{len(looked.pixels)} object pixels, {len(looked.of_hand)} of the hand")
-        moved = bump(last, self._looker.told, middle_of(model, predicted.pose)) if there is None else None
+        moved = None if there is not None else bump(model, viewed, predicted.pose, last, self._looker.told)
         if moved is not None:
             state.known = None
             self._watch.restart()
+            self._beliefs = self._looker.beliefs = recalibrated(beliefs, self._looker.correction)
+            self._asked = replace(self._asked or frame.beliefs or Beliefs(), calibration=self._beliefs.calibration)
             return self._follow(frame, belief, False, moved @ predicted.pose)
         with trace.stage("feel", "touch" in self._senses, "touch not asked for") as stage:
             felt = self._feel(frame, looked)

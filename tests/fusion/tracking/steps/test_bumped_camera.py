@@ -7,9 +7,10 @@ import pytest
 
 from fusion.benchmarks.tracking.cells import Cell, sequence_of
 from fusion.tracking.memory.lateness import Lateness
-from fusion.tracking.steps.bumped import FAR, bump
+from fusion.tracking.steps.bumped import FAR, bump, recalibrated
 from fusion.tracking.tracker import track
 from scenes.geometry import poses
+from scenes.recordings.beliefs import Beliefs
 from vision.look.hand.hand import HandTold
 
 CENTRE = np.array([0.0, 0.0, 0.6])
@@ -22,21 +23,50 @@ def look(move, sigma=0.0005):
     return HandTold(poses.make_pose(None, move), CENTRE, information, information @ xi)
 
 
-def test_it_is_what_the_hand_is_seen_to_leap_by():
-    before, after = look(np.array([0.002, 0.0, 0.0])), look(np.array([0.002, 0.015, 0.0]))
-    np.testing.assert_allclose(bump(before, after, CENTRE)[:3, 3], [0.0, 0.015, 0.0], atol=1e-12)
+def seen(frame, move):
+    """A frame whose robot reports its hand at -move (3,) beside where it is seen; images are what they were."""
+    off = poses.make_pose(None, -np.asarray(move))
+    return replace(frame, camera_from_world=off @ frame.camera_from_world)
+
+
+@pytest.fixture(scope="module")
+def clean():
+    """A drill in a hand whose camera and calibration are right."""
+    model, frames, _ = sequence_of(Cell("clean", "drill", 0, ("carry",), 3, (), 1, None), "carry")
+    return model, frames[0]
+
+
+LEAP = np.array([0.0, 0.015, 0.0])
+
+
+def test_it_is_what_the_hand_is_seen_to_leap_by(clean):
+    model, frame = clean
+    before, after = look(np.zeros(3)), look(LEAP)
+    found = bump(model, seen(frame, LEAP), frame.camera_from_object_truth, before, after)
+    np.testing.assert_allclose(found[:3, 3], LEAP, atol=1e-12)
+
+
+def test_a_hand_that_is_seen_no_better_there_has_not_leapt(clean):
+    model, frame = clean
+    pose, looks = frame.camera_from_object_truth, (look(np.zeros(3)), look(LEAP))
+    assert bump(model, frame, pose, *looks) is None
+    assert bump(model, replace(frame, depth=np.zeros_like(frame.depth)), pose, *looks) is None
+    assert bump(model, frame.without_vision(), pose, *looks) is None
+    assert bump(model, replace(frame, hand=None), pose, *looks) is None
 
 
 @pytest.mark.parametrize(
     "after",
-    [None, look(np.array([0.0, 0.9 * FAR, 0.0])), look(np.array([0.0, 0.015, 0.0]), sigma=0.01)],
+    [None, look(np.array([0.0, 0.9 * FAR, 0.0])), look(LEAP, sigma=0.01)],
     ids=["no look", "near", "hardly told"],
 )
-def test_what_is_near_or_hardly_told_is_none(after):
+def test_what_is_near_or_hardly_told_is_none(clean, after):
+    model, frame = clean
+    there = model, seen(frame, LEAP), frame.camera_from_object_truth
     before = look(np.zeros(3))
-    assert bump(before, after, CENTRE) is None
-    assert bump(None, before, CENTRE) is None
-    assert bump(before, before, CENTRE) is None
+    assert bump(*there, before, after) is None
+    assert bump(*there, None, before) is None
+    assert bump(*there, before, before) is None
 
 
 def leapt(at, count=12):
@@ -78,3 +108,13 @@ def test_what_is_held_goes_where_the_hand_is_seen(seed):
             frame.camera_from_object_truth, model.centroid[None]
         )
         assert np.linalg.norm(gone) < 0.006, frame.index
+
+
+def test_its_calibration_may_be_as_far_off_as_it_is_seen_to_be():
+    seen = poses.make_pose(poses.exp_rotation([0.0, 0.05, 0.0]), [0.02, 0.0, 0.01])
+    was = Beliefs()
+    now = recalibrated(was, seen)
+    assert now.calibration.rotation_sigma == pytest.approx(0.05 / np.sqrt(3.0))
+    assert now.calibration.translation_sigma == pytest.approx(np.hypot(0.02, 0.01) / np.sqrt(3.0))
+    assert replace(now, calibration=was.calibration) == was
+    assert recalibrated(was, np.eye(4)) == was  # never less than was believed
