@@ -34,12 +34,12 @@ from fusion.tracking.motion import HandMotion, HandState
 from fusion.tracking.slip import SlipWatch, Watched
 from fusion.tracking.steps import searching
 from fusion.tracking.steps.aside import ANEW, AROUND, Aside
-from fusion.tracking.steps.bumped import bump, recalibrated
-from fusion.tracking.steps.contradicting import NOT_HERE, without_strangers
-from fusion.tracking.steps.delays import as_of_image, moved_on
+from fusion.tracking.steps.doubts.bumped import bump, recalibrated
+from fusion.tracking.steps.doubts.contradicting import NOT_HERE, without_strangers
+from fusion.tracking.steps.doubts.delays import as_of_image, moved_on
+from fusion.tracking.steps.doubts.lens import through_one_lens
 from fusion.tracking.steps.glancing import as_judged, glance, known_of, may_glance, steadied
 from fusion.tracking.steps.judging import as_believed, as_followed, as_learned, judge
-from fusion.tracking.steps.lens import through_one_lens
 from fusion.tracking.steps.marking import mark, seen_motion
 from fusion.tracking.steps.outlining import with_outline
 from fusion.tracking.steps.predicting import SHOWN_ELSEWHERE, as_moved, predict, where_shown

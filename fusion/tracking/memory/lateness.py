@@ -3,7 +3,7 @@
 A camera's stamps are late by what it takes to expose, read out and match: a frame or two of motion. A hand that moves
 is then seen where it was: off by its velocity times the delay, and by what the calibration is off, which stays. So the
 delay is the slope of how far looks have the hand off, over how it moves. Once it is known, the robot's reports are
-taken as of the image (`steps.delays`).
+taken as of the image (`steps.doubts.delays`).
 """
 
 from __future__ import annotations

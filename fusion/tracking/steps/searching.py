@@ -23,7 +23,7 @@ from fusion.tracking.memory import hypotheses as several
 from fusion.tracking.memory.hypotheses import Hypothesis
 from fusion.tracking.memory.state import TrackState
 from fusion.tracking.steps.aside import ANEW, AROUND, Aside
-from fusion.tracking.steps.contradicting import may_be_strangers
+from fusion.tracking.steps.doubts.contradicting import may_be_strangers
 from fusion.tracking.steps.refining import prefers
 from fusion.tracking.steps.sensing import Sensed
 from scenes.errors import CaptureError

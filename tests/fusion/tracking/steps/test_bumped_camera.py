@@ -7,7 +7,7 @@ import pytest
 
 from fusion.benchmarks.tracking.cells import Cell, sequence_of
 from fusion.tracking.memory.lateness import Lateness
-from fusion.tracking.steps.bumped import FAR, bump, recalibrated
+from fusion.tracking.steps.doubts.bumped import FAR, bump, recalibrated
 from fusion.tracking.tracker import track
 from scenes.geometry import poses
 from scenes.recordings.beliefs import Beliefs

@@ -7,7 +7,7 @@ import pytest
 from made_frames import recording
 
 from fusion.tracking.checkpoint import restore_tracker, save_tracker
-from fusion.tracking.steps.contradicting import NOT_HERE, strain
+from fusion.tracking.steps.doubts.contradicting import NOT_HERE, strain
 from fusion.tracking.tracker import Tracker
 from scenes.geometry import poses
 from scenes.recordings.beliefs import CalibrationModel

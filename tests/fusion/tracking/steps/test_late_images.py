@@ -13,7 +13,7 @@ from fusion.tracking.memory.lateness import FASTEST, Lateness, of_look
 from fusion.tracking.memory.state import TrackState
 from fusion.tracking.motion import HandMotion
 from fusion.tracking.slip import SlipWatch
-from fusion.tracking.steps.delays import as_of_image, moved_on
+from fusion.tracking.steps.doubts.delays import as_of_image, moved_on
 from fusion.tracking.steps.predicting import predict
 from fusion.tracking.tracker import track
 from scenes.evidence.modes import Mode

@@ -7,7 +7,7 @@ import pytest
 
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.memory.state import TrackState
-from fusion.tracking.steps.lens import through_one_lens
+from fusion.tracking.steps.doubts.lens import through_one_lens
 from scenes.geometry.cameras import Camera
 from scenes.recordings.frames import Frame
 

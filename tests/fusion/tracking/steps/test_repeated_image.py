@@ -10,7 +10,7 @@ from fusion import Tracker, track
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.memory.last_image import BENT, FELT_ELSEWHERE, MOVED, TURNED, LastImage
 from fusion.tracking.memory.state import TrackState
-from fusion.tracking.steps.lens import through_one_lens
+from fusion.tracking.steps.doubts.lens import through_one_lens
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.recordings.frames import Contacts, Frame
