@@ -36,7 +36,7 @@ from fusion.tracking.steps import searching
 from fusion.tracking.steps.aside import ANEW, AROUND, Aside
 from fusion.tracking.steps.doubts.bumped import bump, recalibrated
 from fusion.tracking.steps.doubts.contradicting import NOT_HERE, without_strangers
-from fusion.tracking.steps.doubts.delays import as_of_image, moved_on
+from fusion.tracking.steps.doubts.delays import as_of_image, learn_delay, moved_on
 from fusion.tracking.steps.doubts.lens import through_one_lens
 from fusion.tracking.steps.glancing import as_judged, glance, known_of, may_glance, steadied
 from fusion.tracking.steps.judging import as_believed, as_followed, as_learned, judge
@@ -157,8 +157,7 @@ class Tracker:
             state.renewal.hurry(frame.index, self.settings.renewal)
         state.sure = answer.verdict == "ok"
         unused = *unused, *state.lateness.said, *unused_touch(self._felt_frame(frame), self.settings.first.touch)
-        answer = moved_on(answer, on, state.corrected(self._looker.correction))
-        return replace(answer, notes=tuple(dict.fromkeys((*answer.notes, *unused)))) if unused else answer
+        return moved_on(answer, on, state.corrected(self._looker.correction), unused)
 
     def _begin(self, frame: Frame) -> TrackedEstimate:
         if self.live:  # a search beside the frames would build it, and keep them waiting
@@ -348,6 +347,7 @@ class Tracker:
             return self._carry(frame, predicted, carried, trace, felt, OUT_OF_SIGHT)
         if said.verdict != "lost":
             self._accept(frame, felt, belief, found.hypotheses, said.share)
+            learn_delay(model, frame, found.seen, solved.pose, self._looker, state)
             state.right, state.untold, state.sizes = said.right, untold, said.sizes
             if felt_rows and not placed and looked.hand is None:
                 state.correction = felt.correction

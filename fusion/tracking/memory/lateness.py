@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 # Looks from which a delay may be told, and its standard deviations from which one is there (no unit): of 27 sequences
 # of tuning families without one (24 frames each) the largest is 3.7.
 FEWEST, SURE = 3.0, 4.0
+# The same where what the hand holds tells, and no hand: what slips or is turned in it drifts, too (of 60 sequences
+# without a delay, five tuning families whose hands were left out, two reach 4.6, and one 5.8 as if images came early).
+SURE_HELD = 5.0
 # Frames whose reports are remembered: more than images are late by, and come late by themselves.
 REMEMBERED = 12
 # How well a look has the hand, at least (rad, m, per axis): what an alignment is off by itself. And what nothing tells
@@ -59,7 +62,8 @@ class Lateness:
     frames, and (4, 4) camera_from_hand as reported. looks: at the hand, in full, as many as they count for; sums over
     these, about a point (3,) `about` of the camera frame: of their information (6, 6), of what it says of how far the
     hand was seen off (6,), of that and of the motion a frame (6,), and of the products of the two. seen: the last;
-    held: motion, look and centroid where the next frame tells whether the hand has leapt.
+    held: motion, look and centroid where the next frame tells whether the hand has leapt; hold (4, 4): hand_from_object
+    where an image showed the object first, and no hand; None before.
     """
 
     velocity: Array = field(default_factory=lambda: np.zeros(6))
@@ -76,6 +80,7 @@ class Lateness:
     off_off: float = 0.0
     seen: HandTold | None = None
     held: tuple[Array, HandTold, Array] | None = None
+    hold: Array | None = None
 
     def looked(self, seen: HandTold | None, centroid: Array) -> Lateness:
         """After a look at the hand; the same where none was since. centroid (3,): camera frame, of what it holds."""
@@ -86,6 +91,11 @@ class Lateness:
         if self._leaps(len(self.before) - 2):
             return replace(self, seen=seen, held=(self.velocity, seen, centroid))
         return self._counted(self.velocity, seen, centroid)
+
+    @property
+    def of_hand(self) -> Lateness:
+        """The same before a look at the hand: what it holds has told until now, which is off by something else."""
+        return self if self.hold is None else Lateness(self.velocity, self.used, self.was, self.before)
 
     def _counted(self, velocity: Array, seen: HandTold, centroid: Array) -> Lateness:
         about = self.about if self.looks else seen.centre
@@ -114,7 +124,7 @@ class Lateness:
         """The camera has been moved: what looks have told is of another calibration, and so is what was reported before
         the `first` of the reports that are remembered.
         """
-        return Lateness(self.velocity, self.used, self.was, self.before[first:], seen=self.seen)
+        return Lateness(self.velocity, self.used, self.was, self.before[first:], seen=self.seen, hold=self.hold)
 
     def _leaps(self, step: int) -> bool:
         """Whether the hand moves much otherwise in one step between reports than in those before and after it, of which
@@ -189,6 +199,8 @@ class Lateness:
     def there(self) -> float:
         """By how many frames images are late, 0 where nothing says so for sure."""
         late, sigma = self.frames
+        if self.hold is not None:
+            return late if late > max(SHORTEST, SURE_HELD * sigma) else 0.0
         return late if abs(late) > max(SHORTEST, SURE * sigma) else 0.0
 
     @property

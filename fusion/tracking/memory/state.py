@@ -334,7 +334,8 @@ class TrackState:
         """
         if hand is None or late:
             return hand
-        self.lateness = self.lateness.looked(told, se3.apply(pose, model.centroid[None])[0])
+        lateness = self.lateness if told is None else self.lateness.of_hand
+        self.lateness = lateness.looked(told, se3.apply(pose, model.centroid[None])[0])
         if len(hand.points):
             self.released = False
         elif self.touched is not None and not self.released:

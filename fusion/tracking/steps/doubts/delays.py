@@ -16,9 +16,13 @@ from numpy.typing import NDArray
 from fusion.tracking.answer import TrackedEstimate
 from fusion.tracking.filter import block, moved_modes
 from fusion.tracking.memory.state import TrackState
+from scenes.evidence.align import terms
+from scenes.evidence.table import Evidence
 from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
-from vision.look.hand.hand import camera_from_hand
+from vision.look.hand.hand import HandTold, camera_from_hand
+from vision.look.warm import Looker
 
 Array = NDArray[np.float64]
 
@@ -45,10 +49,14 @@ def as_of_image(frame: Frame, state: TrackState) -> tuple[Frame, Array | None]:
     return replace(frame, camera_from_world=placed, cloud=cloud), se3.inverse(back) if late.used > 0.0 else None
 
 
-def moved_on(answer: TrackedEstimate, on: Array | None, seen: Array | None) -> TrackedEstimate:
-    """An answer of an image's time after the motion `on` (4, 4), as reported, of what the hand holds; seen (4, 4):
-    camera_from_camera of what the robot reports, None where no image has shown it.
+def moved_on(
+    answer: TrackedEstimate, on: Array | None, seen: Array | None, notes: tuple[str, ...] = ()
+) -> TrackedEstimate:
+    """An answer of an image's time after the motion `on` (4, 4), as reported, of what the hand holds, with more notes;
+    seen (4, 4): camera_from_camera of what the robot reports, None where no image has shown it.
     """
+    if notes:
+        answer = replace(answer, notes=tuple(dict.fromkeys((*answer.notes, *notes))))
     if on is None:
         return answer
     motion = on if seen is None else seen @ on @ se3.inverse(seen)
@@ -60,3 +68,21 @@ def moved_on(answer: TrackedEstimate, on: Array | None, seen: Array | None) -> T
         modes=moved_modes(answer.modes, motion),
         as_seen=answer.pose if answer.as_seen is None else answer.as_seen,
     )
+
+
+def learn_delay(
+    model: ObjectModel, frame: Frame, rows: Evidence, pose: Array, looker: Looker, state: TrackState
+) -> None:
+    """Of a frame looked at in full, where no image has shown a hand that is known: what the hand holds tells, too, as
+    far as it stays in the palm. rows: the image's; pose (4, 4): where all that was sensed has it.
+    """
+    hand, late = camera_from_hand(frame), state.lateness
+    if looker.told is not None or hand is None or not len(rows) or frame.index < state.index:
+        return
+    hold = se3.inverse(hand) @ pose if late.hold is None else late.hold
+    carried = hand @ hold
+    centre = se3.apply(carried, model.centroid[None])[0]
+    _, gradient, hessian = terms(model, rows, pose)
+    # of the image alone: contacts are of the robot's time
+    pull = hessian @ se3.difference(pose, carried, model.centroid) - gradient
+    state.lateness = replace(late, hold=hold).looked(HandTold(np.eye(4), centre, hessian, pull), centre)

@@ -208,3 +208,31 @@ def test_a_track_with_late_images_is_of_the_frames_time(late):
     off = [np.linalg.norm(a.pose[:3, 3] - f.camera_from_object_truth[:3, 3]) for a, f in zip(answers, told)]
     assert np.median(off[12:]) < 0.006
     assert any("late, as the hand is seen to move" in note for note in answers[-1].notes)
+
+
+def test_what_is_held_tells_where_no_hand_is_known():
+    """The same shake, of a robot without a model of its hand."""
+    cell = Cell("lab", "drill", 0, ("shake",), 24, (), 3, None)
+    model, frames, _ = sequence_of(cell, "shake")
+    told = FAILURES["images are two frames late"]([replace(one, hand=None) for one in frames], 8, None)
+    answers = list(track(told, model, seed=3))
+    off = [np.linalg.norm(a.pose[:3, 3] - f.camera_from_object_truth[:3, 3]) for a, f in zip(answers, told)]
+    assert np.median(off[12:]) < 0.008
+    assert any("late, as the hand is seen to move" in note for note in answers[-1].notes)
+
+
+@pytest.mark.parametrize("late", [1.5, -1.5])
+def test_what_is_held_must_tell_it_surely_and_that_they_are_late(late):
+    """It may slip in the hand, as if images came early or late."""
+    told = replace(looked(late, seed=3), hold=np.eye(4))
+    assert told.there == (told.frames[0] if late > 0.0 else 0.0)
+    found, sigma = told.frames
+    doubted = replace(told, moved_moved=told.moved_moved, off_off=told.off_off + (60.0 * found / sigma) ** 2)
+    assert doubted.there == 0.0
+
+
+def test_a_hand_that_comes_into_view_tells_by_itself():
+    before = replace(looked(1.0), used=1.0, hold=np.eye(4))
+    told = before.of_hand
+    assert (told.looks, told.hold, told.used) == (0.0, None, 1.0)
+    assert told.of_hand is told
