@@ -262,7 +262,7 @@ class Tracker:
         return searching.by_itself(self.model, found, around, how)
 
     def _follow(self, frame: Frame, belief: Belief, briefly: bool, there: Array | None = None) -> TrackedEstimate:
-        """Predict, look, solve, judge; a glance where it may be brief. there (4, 4): where else it is, as it told."""
+        """Predict, look, solve, judge; a glance where it may be brief. there (4, 4): where else to predict it."""
         trace, s, state, model = Trace(), self.settings, self._state, self.model
         first, beliefs = s.first, self._beliefs
         viewed = frame if "vision" in self._senses else frame.without_vision()

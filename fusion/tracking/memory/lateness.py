@@ -19,10 +19,10 @@ from vision.look.hand.hand import HandTold
 
 Array = NDArray[np.float64]
 
-# Looks from which a delay may be told, and its standard deviations from which one is there (no unit): of 27 sequences
-# of tuning families without one (24 frames each) the largest is 3.7.
+# Looks from which a delay may be told, and its standard deviations from which one is there (no unit): of 36 sequences
+# of tuning families without one (24 frames each) one is told half a frame.
 FEWEST, SURE = 3.0, 4.0
-# The same where what the hand holds tells, and no hand: what slips or is turned in it drifts, too (of 60 sequences
+# The same where what the hand holds tells, and no hand: what slips or is turned in it drifts, too (of 52 sequences
 # without a delay, five tuning families whose hands were left out, two reach 4.6, and one 5.8 as if images came early).
 SURE_HELD = 5.0
 # Frames whose reports are remembered: more than images are late by, and come late by themselves.
@@ -84,7 +84,7 @@ class Lateness:
 
     def looked(self, seen: HandTold | None, centroid: Array) -> Lateness:
         """After a look at the hand; the same where none was since. centroid (3,): camera frame, of what it holds."""
-        if seen is None or seen is self.seen:
+        if seen is None or (self.seen is not None and seen.is_same(self.seen)):
             return self
         if float(np.linalg.norm(self.velocity[3:])) * (self._doubt if self.used else 1.0) > FASTEST:
             return replace(self, seen=seen)

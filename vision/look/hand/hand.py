@@ -57,6 +57,10 @@ class HandTold:
     information: Array
     pull: Array
 
+    def is_same(self, other: HandTold) -> bool:
+        """Whether it is of the same look: also of one that was saved since."""
+        return np.array_equal(self.pull, other.pull) and np.array_equal(self.correction, other.correction)
+
     def about(self, point: Array) -> tuple[Array, Array]:
         """Information (6, 6) and pull (6,) about another point (3,)."""
         lever = np.eye(6)

@@ -81,6 +81,7 @@ def learn_delay(
         return
     hold = se3.inverse(hand) @ pose if late.hold is None else late.hold
     carried = hand @ hold
+    pose = model.symmetries.nearest(pose, carried)
     centre = se3.apply(carried, model.centroid[None])[0]
     _, gradient, hessian = terms(model, rows, pose)
     # of the image alone: contacts are of the robot's time

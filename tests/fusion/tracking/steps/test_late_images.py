@@ -8,6 +8,7 @@ import pytest
 from fusion.benchmarks.tracking.cells import Cell, sequence_of
 from fusion.benchmarks.tracking.failing import FAILURES
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
+from fusion.tracking.checkpoint import restore_tracker, save_tracker
 from fusion.tracking.filter import Belief
 from fusion.tracking.memory.lateness import FASTEST, Lateness, of_look
 from fusion.tracking.memory.state import TrackState
@@ -15,7 +16,7 @@ from fusion.tracking.motion import HandMotion
 from fusion.tracking.slip import SlipWatch
 from fusion.tracking.steps.doubts.delays import as_of_image, moved_on
 from fusion.tracking.steps.predicting import predict
-from fusion.tracking.tracker import track
+from fusion.tracking.tracker import Tracker, track
 from scenes.evidence.modes import Mode
 from scenes.geometry import poses
 from scenes.recordings.beliefs import CalibrationModel
@@ -236,3 +237,19 @@ def test_a_hand_that_comes_into_view_tells_by_itself():
     told = before.of_hand
     assert (told.looks, told.hold, told.used) == (0.0, None, 1.0)
     assert told.of_hand is told
+
+
+def test_a_track_that_was_saved_counts_no_look_twice():
+    """Resumed in the midst, it goes on to the bit."""
+    cell = Cell("lab", "drill", 0, ("shake",), 14, (), 3, None)
+    model, frames, _ = sequence_of(cell, "shake")
+    told = FAILURES["images are one frame late"](list(frames), 5, None)
+    whole, resumed = Tracker(model, seed=3), Tracker(model, seed=3)
+    for n, frame in enumerate(told):
+        answer, again = whole.step(frame), resumed.step(frame)
+        np.testing.assert_array_equal(answer.pose, again.pose)
+        np.testing.assert_array_equal(answer.covariance, again.covariance)
+        assert answer.notes == again.notes
+        if n in (1, 4, 9):
+            saved, resumed = save_tracker(resumed, frame.hand), Tracker(model, seed=3)
+            restore_tracker(resumed, saved, frame.hand)
