@@ -32,7 +32,7 @@ REMEMBERED = 12
 LOOK_TURN, LOOK = 0.01, 0.0007
 UNKNOWN_TURN, UNKNOWN_MOVE = 1.0, 0.1
 # Squared residuals (no unit) that one look adds, from which no delay explains it, and the camera has been moved: of 270
-# looks of 27 sequences of tuning families the largest is 34, of 678 with images late 143; after a camera was bumped by
+# looks of 36 sequences of tuning families the largest is 34, of 678 with images late 143; after a camera was bumped by
 # 15 mm and 2 degrees half have more.
 STRANGE = 200.0
 # A hand that is reported to leap: by so much (m a frame) and this share of its motion before and after (no unit) it
