@@ -58,6 +58,11 @@ class ModeSettings:
     # share errors) and the power of its width, the root of its covariance's determinant. 1 and 1 are Laplace's method.
     temper: float = 1.0
     width: float = 1.0
+    # How much of what lies between a mode and the minima that are one with it, weighed as modes are, its covariance has
+    # (no unit): a valley in which several solutions end is as wide as they lie apart, whatever the curvature in each.
+    # Nearer than this share of `merge_share` minima are the same one, which solutions ended in more than once.
+    scatter: float = 0.0
+    same_share: float = 0.25
 
     def __post_init__(self) -> None:
         """Refuse no modes at all, and widths that are none."""
@@ -110,6 +115,25 @@ def displaced(model: ObjectModel, poses: Array, pose: Array) -> Array:
     return out
 
 
+def _scatter(
+    model: ObjectModel, alignment: Alignment, lead: int, others: NDArray[np.intp], off: Array, settings: ModeSettings
+) -> Array:
+    """(6, 6) of how far minima `others` (n,) lie from `lead`, by off (n, 6) (rad, m), each weighed as a mode would be:
+    each counts once, however many solutions ended there.
+    """
+    units = np.repeat([model.radius, 1.0], 3)
+    nearest = settings.same_share * settings.merge_share * model.radius
+    apart: list[int] = []
+    for k, one in enumerate(off):
+        if min(float(np.linalg.norm((one - there) * units)) for there in (np.zeros(6), *off[apart])) > nearest:
+            apart.append(k)
+    if not apart:
+        return np.zeros((6, 6))
+    every = [lead, *others[apart]]
+    shares = _weights(alignment.costs[every], covariance_of(model, alignment.hessians[every], settings), settings)[1:]
+    return np.asarray((off[apart] * shares[:, None]).T @ off[apart])
+
+
 def distinct_modes(model: ObjectModel, alignment: Alignment, settings: ModeSettings | None = None) -> tuple[Mode, ...]:
     """Modes of an alignment's poses, highest posterior density (lowest cost) first; empty only for no poses.
 
@@ -123,6 +147,7 @@ def distinct_modes(model: ObjectModel, alignment: Alignment, settings: ModeSetti
     best = alignment.costs[order[0]]
     order = order[alignment.costs[order] <= best + settings.cost_margin]
     kept: list[int] = []
+    merged: list[tuple[NDArray[np.intp], Array]] = []
     hessians = np.ascontiguousarray(alignment.hessians, dtype=np.float64)
     pending = order[:400]
     while len(pending) and len(kept) < settings.most:
@@ -130,15 +155,20 @@ def distinct_modes(model: ObjectModel, alignment: Alignment, settings: ModeSetti
         kept.append(int(lead))
         rest = pending[1:]
         if not len(rest):
+            merged.append((rest, np.zeros((0, 6))))
             break
         equivalents = model.symmetries.nearest(alignment.poses[rest], alignment.poses[lead])
         delta = se3.difference(equivalents, alignment.poses[lead], model.centroid)
         same = np.zeros(len(rest), dtype=bool)
         apart = settings.merge_share * model.radius
         are_one(delta, hessians[lead], hessians[rest], model.radius, apart, float(settings.merge_sigmas), same)
+        merged.append((rest[same], delta[same]))
         pending = rest[~same]
     covariances = covariance_of(model, alignment.hessians[kept], settings)
     weights = _weights(alignment.costs[kept], covariances, settings)
+    if settings.scatter > 0.0:
+        for k, (lead, (others, off)) in enumerate(zip(kept, merged)):
+            covariances[k] += settings.scatter * _scatter(model, alignment, lead, others, off, settings)
     return tuple(
         Mode(alignment.poses[i], float(w), float(alignment.costs[i]), c) for i, w, c in zip(kept, weights, covariances)
     )

@@ -19,6 +19,7 @@ import numpy as np
 from fusion.benchmarks.families.making import frames_of, judge_of, objects_of
 from fusion.benchmarks.families.table import FAMILIES, TUNING, Family
 from fusion.benchmarks.printing.provenance import source_version
+from fusion.benchmarks.printing.tables import own_seed
 from fusion.estimation.posterior.confidence import FEATURES
 from fusion.estimation.posterior.spread import mean_square
 from fusion.truth.errors import json_number
@@ -27,8 +28,13 @@ from scenes.errors import InputError
 if TYPE_CHECKING:
     from scenes.recordings.frames import Frame
 
-# Senses that answer, by name.
-SENSES = {"fused": ("vision", "touch"), "vision": ("vision",), "touch": ("touch",)}
+# Senses that answer, by name. "few": both, of a frame as most hands would record it (`told_little`).
+FEW = "few"
+SENSES = {"fused": ("vision", "touch"), FEW: ("vision", "touch"), "vision": ("vision",), "touch": ("touch",)}
+# Of such a frame: most contacts, errors (m, 1 sigma) that each gets beside its own, and how often (shares) it is said
+# how sharp they are, and what the hand looks like.
+MOST_FELT, BLUNTER = 3, (0.0, 0.001, 0.003)
+SHARPNESS_TOLD, HAND_TOLD = 0.5, 0.5
 # A place of a frame: family, hidden share, object, trial, seed.
 Place = tuple[str, float, str, int, int]
 
@@ -120,9 +126,12 @@ def answered(work: Work) -> list[Told]:
     settings = replace(usual, confidence=replace(usual.confidence, sure=0.0))
     out = []
     for sense, start in work.asked:
-        if sense == "touch" and not len(frame.contacts):
+        if sense in ("touch", FEW) and not len(frame.contacts):
             continue
-        given = frame if start else replace(frame, prior=None)
+        shown = (
+            told_little(frame, np.random.default_rng(own_seed(work.seed, *work.place[:-1]))) if sense == FEW else frame
+        )
+        given = shown if start else replace(shown, prior=None)
         answer = estimate(given, judge.model, use=SENSES[sense], settings=settings)
         if not answer.observed:
             continue  # nothing was sensed
@@ -141,6 +150,22 @@ def answered(work: Work) -> list[Told]:
             )
         )
     return out
+
+
+def told_little(frame: Frame, rng: np.random.Generator) -> Frame:
+    """The frame with no more than a few of its contacts, which may be blunter and of unknown sharpness, and maybe
+    without a model of the hand: families have hands that feel with every finger and say how well.
+    """
+    from scenes.recordings.frames import Contacts
+
+    felt = frame.contacts
+    some = rng.choice(len(felt), min(int(rng.integers(1, MOST_FELT + 1)), len(felt)), replace=False)
+    blunter = float(rng.choice(BLUNTER))
+    points = felt.points[some] + rng.normal(0.0, 1.0, (len(some), 3)) * blunter
+    sigmas = np.hypot(felt.sigma_point[some], blunter) if rng.random() < SHARPNESS_TOLD else None
+    hand = frame.hand if rng.random() < HAND_TOLD else None
+    sensors = [felt.sensors[k] for k in some]
+    return replace(frame, contacts=Contacts(points, None, sigmas, sensors=sensors), no_contact=None, hand=hand)
 
 
 def frame_of(work: Work) -> Frame | None:
@@ -194,7 +219,7 @@ def works_of(
                 for trial in range(trials):
                     work = Work(family, level, name, trial, seed, tuple(methods), captures)
                     had = there.get(work.place, set())
-                    lacks = tuple(m for m in methods if m not in had and (m[0] != "touch" or family.touch))
+                    lacks = tuple(m for m in methods if m not in had and (m[0] not in ("touch", FEW) or family.touch))
                     if lacks and ("none", True) not in had:
                         out.append(replace(work, asked=lacks))
     return out

@@ -33,9 +33,10 @@ class Regression:
 
     Tuned on answers to frames of all tuning families (docs/evaluation.md; `palpate fit-confidence`), with a start and
     without: the product of both factors of the probability, at tolerances of 3, 5 and 10 mm, by maximum likelihood,
-    factors held to the sign that they must have: 5284 answers with a picture, to 1321 frames, and 736 by touch alone,
-    to 456. What a fit states of families that were left out is 1 % off (touch alone 3 and 6 %, with and without a
-    start).
+    factors held to the sign that they must have: 8855 answers with a picture, to 1563 frames, a third of them to frames
+    that tell little (a few contacts, of unknown sharpness, a hand without a model), and 2619 by touch alone, to 1308.
+    What a fit states of families that were left out is 0.6 % off, of a single family 6 % at most, but for `crude`, of
+    which it states 10 too much.
     """
 
     # Of the logarithm of the first mode's odds, with those that look like it, against the others, within `most_odds`.
@@ -58,7 +59,9 @@ class Regression:
     within: float = 0.0
     # Of the share of the outline at which what agrees ends in a step of depth: there the object's own shape is seen.
     ends: float = 0.0
-    # Of there being contacts, of the share of them that are outliers, and of their cost (nats each).
+    # Of how much is felt: the logarithm of one more than how many fingers do, each as sharp as its contacts are beside
+    # the finest (`finest` over sigma, 1 at most); of the share of contacts that are outliers, and of their cost (nats
+    # each).
     touch: float = 0.0
     outliers: float = 0.0
     contact_nats: float = 0.0
@@ -128,32 +131,33 @@ class ConfidenceSettings:
     sure: float = 0.95
     # Whether the first mode is the right one, with a picture of it and by touch alone.
     seen: Regression = Regression(
-        weight=0.07318,
-        near=0.2299,
-        agree=7.975,
-        sharp=0.1815,
+        weight=0.05848,
+        near=0.2549,
+        agree=0.4082,
+        sharp=0.57,
         past=-8.0,
-        hidden=-0.2962,
-        behind_hand=-0.06245,
-        outline=-23.12,
-        within=-9.356,
-        ends=9.406,
-        touch=3.099,
-        outliers=-4.815,
-        contact_nats=-0.2552,
-        spread=-0.3225,
-        anywhere=-1.337,
-        constant=-0.6855,
-        nearest=0.5335,
+        hidden=-0.04436,
+        behind_hand=0.3112,
+        outline=-12.38,
+        within=-12.81,
+        ends=9.175,
+        touch=1.651,
+        outliers=-3.158,
+        contact_nats=-0.2569,
+        spread=-0.2787,
+        anywhere=-1.062,
+        constant=-1.19,
+        nearest=0.5343,
     )
     felt: Regression = Regression(
-        weight=0.3257,
-        near=0.6186,
-        outliers=-6.688,
-        blunt=-1.867,
-        far=1.798,
-        constant=0.69,
-        nearest=0.6571,
+        weight=0.3457,
+        near=0.5692,
+        outliers=-6.55,
+        contact_nats=-0.1741,
+        blunt=-2.195,
+        far=4.163,
+        constant=1.137,
+        nearest=0.6868,
     )
     # Share of the picture above which agreement speaks for an answer, and the most of what is seen past, of the outline
     # that runs on and of borders within it (shares) that speaks against one: cameras that blend edges draw surfaces on.
@@ -248,7 +252,7 @@ def observations(
         "constant": 1.0,
     }
     if contacts:
-        found["touch"] = 1.0
+        found["touch"] = math.log1p(sum(c.of_finger * _sharp(c, s) for c in contacts))
         found["outliers"] = float(np.average([c.outlier for c in contacts], weights=[c.of_finger for c in contacts]))
         found["contact_nats"] = min(contact_nats / len(contacts), s.most_nats)
         found["blunt"] = _blunt(contacts, s)
@@ -267,6 +271,12 @@ def observations(
 def _odds(weight: float) -> float:
     """Logarithm of the odds of a share, of neither less than 1e-12."""
     return math.log(max(weight, 1e-12)) - math.log(max(1.0 - weight, 1e-12))
+
+
+def _sharp(contact: ContactResidual, settings: ConfidenceSettings) -> float:
+    """How sharp a contact is beside the finest, from 0 to 1; one without a sigma is as the bluntest that was fitted."""
+    sigma = 1e-3 * contact.sigma_mm if math.isfinite(contact.sigma_mm) else settings.bluntest
+    return settings.finest / max(sigma, settings.finest)
 
 
 def _blunt(contacts: tuple[ContactResidual, ...], settings: ConfidenceSettings) -> float:

@@ -11,7 +11,19 @@ import pytest
 from commands import refused, run
 
 from fusion.benchmarks.confidence import answers as answers_module
-from fusion.benchmarks.confidence.answers import Told, Work, answered, mend, read_answers, works_of, write_line
+from fusion.benchmarks.confidence.answers import (
+    BLUNTER,
+    MOST_FELT,
+    Told,
+    Work,
+    answered,
+    frame_of,
+    mend,
+    read_answers,
+    told_little,
+    works_of,
+    write_line,
+)
 from fusion.benchmarks.confidence.fit import Sample, _Cost, as_literal, fit, fit_model
 from fusion.benchmarks.families.table import FAMILIES
 from fusion.cli.config import read_config
@@ -115,6 +127,26 @@ def test_only_what_lacks_is_answered():
     assert works_of([FAMILIES["desk"]], [0.3], ["box"], 1, 0, methods)[0].asked == (("fused", True),)
 
 
+def test_frames_that_tell_little_have_a_few_of_their_contacts():
+    frame = frame_of(Work(FAMILIES["lab"], 0.3, "box", 0, 5, ()))
+    assert len(frame.contacts) > MOST_FELT
+    given = [told_little(frame, np.random.default_rng(seed)) for seed in range(40)]
+    counts = [len(one.contacts) for one in given]
+    assert set(counts) == set(range(1, MOST_FELT + 1))
+    assert {one.hand is None for one in given} == {True, False}
+    assert {bool(one.contacts.sigma_told.all()) for one in given} == {True, False}
+    finest = frame.contacts.sigma_point.min()
+    for one in given:
+        away = np.linalg.norm(one.contacts.points[:, None] - frame.contacts.points, axis=2)
+        assert away.min(axis=1).max() < 6.0 * max(BLUNTER)
+        assert np.all(one.contacts.sigma_point >= finest)
+        assert set(one.contacts.sensors) <= set(frame.contacts.sensors)
+        assert one.no_contact is None
+        np.testing.assert_array_equal(one.depth, frame.depth)
+    again = told_little(frame, np.random.default_rng(7))
+    np.testing.assert_array_equal(again.contacts.points, given[7].contacts.points)
+
+
 def test_a_frame_is_answered_the_same_when_it_was_kept(tmp_path):
     work = Work(FAMILIES["lab"], 0.3, "box", 0, 5, (("vision", True), ("touch", False)), tmp_path)
     first, again = answered(work), answered(work)
@@ -168,8 +200,8 @@ def test_what_cannot_be_fitted_is_refused_in_one_line(answering, tmp_path, capsy
     assert "only reported" in refused(capsys, "fit-confidence", "--family", "all", *here)
     few = ["--family", "lab", "--objects", "box", "--levels", "0"]
     assert run("fit-confidence", *few, *here) == 2
-    assert "got 6, " in capsys.readouterr().err  # and they are kept
-    assert len(read_answers(here[1])) == 6
+    assert "got 8, " in capsys.readouterr().err  # and they are kept
+    assert len(read_answers(here[1])) == 8
     path = tmp_path / "b.jsonl"
     path.write_text('{"family": "harsh"}\n')
     assert "line 1: expected an answer" in refused(capsys, "fit-confidence", "--from", path)

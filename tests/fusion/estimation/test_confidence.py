@@ -23,6 +23,7 @@ from fusion.estimation.posterior.confidence import (
     as_shown,
     below,
     chances,
+    observations,
 )
 from fusion.estimation.posterior.spread import mean_square
 from fusion.estimation.settings import EstimateSettings
@@ -224,6 +225,40 @@ def test_touch_alone_is_less_sure_of_what_blunt_fingertips_say(box):
     assert right(float("nan")) == pytest.approx(usual, rel=1e-12)
 
 
+def test_how_much_is_felt_counts_fingers_and_how_sharp_they_are(box):
+    """One contact that may be 4 mm off is not five that are good to one, however well it agrees; a finger that is felt
+    in many places is one finger.
+    """
+    pose = np.eye(4)
+    pose[2, 3] = 0.6
+    mode = Mode(pose, 0.99, 0.0, np.diag(np.repeat([0.01, 0.001], 3) ** 2))
+
+    def told(count, sigma_mm, of_finger=1.0):
+        felt = tuple(ContactResidual(f"tip {i}", 0.3, 2.0, False, sigma_mm, of_finger) for i in range(count))
+        return observations(box, (mode,), None, felt, 0.0, ConfidenceSettings()).get("touch")
+
+    assert told(0, 0.9) is None
+    sharp = [told(count, 0.9) for count in (1, 3, 5)]
+    np.testing.assert_allclose(sharp, np.log1p([1.0, 3.0, 5.0]), rtol=1e-12)
+    assert sharp[2] > told(5, 1.8) > told(5, 4.0) > told(1, 4.0) > 0.0
+    assert told(5, 0.1) == sharp[2]
+    assert told(40, 0.9, 0.125) == pytest.approx(sharp[2], rel=1e-12)
+    assert told(5, float("nan")) == pytest.approx(told(5, 1.6), rel=1e-12)
+
+
+def test_a_picture_that_many_sharp_fingers_agree_with_is_surer_than_one_blunt_finger(box):
+    settings = ConfidenceSettings()
+    pose = np.eye(4)
+    pose[2, 3] = 0.6
+    mode = Mode(pose, 0.99, 0.0, np.diag(np.repeat([0.01, 0.001], 3) ** 2))
+
+    def right(count, sigma_mm):
+        felt = tuple(ContactResidual(f"tip {i}", 0.3, 2.0, False, sigma_mm) for i in range(count))
+        return chances(box, (mode,), picture(agree=0.5), felt, 0.0, settings)[0]
+
+    assert right(5, 0.9) > right(2, 0.9) > right(1, 4.0) >= right(0, 0.9)
+
+
 def test_touch_alone_is_likelier_near_than_a_wide_spread_has_it(box):
     """ADD-S of a pose far off is less than its spread: what the second factor makes too little of the first makes up
     for, from a spread of a tenth of the radius on; what does not belong speaks against an answer.
@@ -237,7 +272,7 @@ def test_touch_alone_is_likelier_near_than_a_wide_spread_has_it(box):
         return chances(box, (mode,), None, felt, 5.0)
 
     narrow, usual, wide, wider = (right(share * box.radius) for share in (0.005, 0.03, 0.2, 0.4))
-    assert narrow[0] == usual[0] < wide[0] < wider[0]
+    assert narrow[0] == usual[0] < wide[0] <= wider[0]
     stated = [right * near for right, near in (narrow, usual, wide, wider)]
     assert stated == sorted(stated, reverse=True)
     assert right(0.001, outliers=3)[0] < 0.95 * right(0.001, outliers=1)[0] < 0.95 * narrow[0]

@@ -78,6 +78,40 @@ def test_near_poses_merge_and_far_costs_are_left_out():
     assert len(modes) == 1
 
 
+def test_minima_that_are_one_mode_widen_it_by_as_much_as_they_lie_apart():
+    model = library.make("drill")
+    base = draw(1)[0]
+    slid = poses.perturb(base, [0, 0, 0, 0.0, 0.008, 0.0], model.centroid)
+    back = poses.perturb(base, [0, 0, 0, 0.0, -0.008, 0.0], model.centroid)
+    own = ModeSettings(scatter=1.0, width=0.0)
+    (plain,) = distinct_modes(model, aligned([base, slid, back], [0.0, 0.0, 0.0]))
+    (wide,) = distinct_modes(model, aligned([base, slid, back], [0.0, 0.0, 0.0]), own)
+    added = wide.covariance - plain.covariance
+    expected = np.zeros((6, 6))
+    expected[4, 4] = 2.0 / 3.0 * 0.008**2
+    np.testing.assert_allclose(added, expected, atol=1e-9)
+    np.testing.assert_array_equal(wide.pose, plain.pose)
+    # one that is unlikely adds little, one that solutions ended in twice counts once, and where all end in one place
+    # nothing is added
+    (less,) = distinct_modes(model, aligned([base, slid], [0.0, 4.0]), own)
+    share = np.exp(-4.0) / (1.0 + np.exp(-4.0))
+    assert less.covariance[4, 4] - plain.covariance[4, 4] == pytest.approx(share * 0.008**2, rel=1e-6)
+    (again,) = distinct_modes(model, aligned([base, slid, slid, back], [0.0, 0.0, 0.0, 0.0]), own)
+    np.testing.assert_allclose(again.covariance, wide.covariance, atol=1e-12)
+    (same,) = distinct_modes(model, aligned([base, base, base], [0.0, 0.0, 0.0]), own)
+    np.testing.assert_array_equal(same.covariance, plain.covariance)
+
+
+@pytest.mark.parametrize("name", ["bottle", "box"])
+def test_minima_that_symmetry_makes_one_widen_nothing(name):
+    model = library.make(name)
+    base = draw(1)[0]
+    equivalents = base @ model.symmetry_poses(steps=5)
+    stack = aligned(equivalents, np.zeros(len(equivalents)))
+    (wide,) = distinct_modes(model, stack, ModeSettings(scatter=1.0))
+    np.testing.assert_allclose(wide.covariance, distinct_modes(model, stack)[0].covariance, atol=1e-12)
+
+
 def test_a_wide_minimum_swallows_what_lies_within_its_own_width():
     model = library.make("drill")
     base = draw(1)[0]

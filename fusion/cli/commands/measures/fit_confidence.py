@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from fusion.benchmarks.confidence.answers import Told
     from fusion.benchmarks.confidence.fit import Fitted
 
-METHODS = ("fused", "vision", "touch")
+METHODS = ("fused", "few", "vision", "touch")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
