@@ -35,8 +35,8 @@ class Regression:
     without: the product of both factors of the probability, at tolerances of 3, 5 and 10 mm, by maximum likelihood,
     factors held to the sign that they must have: 8855 answers with a picture, to 1563 frames, a third of them to frames
     that tell little (a few contacts, of unknown sharpness, a hand without a model), and 2619 by touch alone, to 1308.
-    What a fit states of families that were left out is 0.6 % off, of a single family 6 % at most, but for `crude`, of
-    which it states 10 too much.
+    What a fit states of families that were left out is 0.7 % off, of a single family 6 % at most, but for `crude`, of
+    which it states 11 too much.
     """
 
     # Of the logarithm of the first mode's odds, with those that look like it, against the others, within `most_odds`.
@@ -59,9 +59,9 @@ class Regression:
     within: float = 0.0
     # Of the share of the outline at which what agrees ends in a step of depth: there the object's own shape is seen.
     ends: float = 0.0
-    # Of how much is felt: the logarithm of one more than how many fingers do, each as sharp as its contacts are beside
-    # the finest (`finest` over sigma, 1 at most); of the share of contacts that are outliers, and of their cost (nats
-    # each).
+    # Of how much is felt: the logarithm of one more than how many numbers fingers tell, one of a place and two of a
+    # normal, each as sharp as its contacts are beside the finest (`finest` over sigma, 1 at most); of the share of
+    # contacts that are outliers, and of their cost (nats each).
     touch: float = 0.0
     outliers: float = 0.0
     contact_nats: float = 0.0
@@ -131,23 +131,23 @@ class ConfidenceSettings:
     sure: float = 0.95
     # Whether the first mode is the right one, with a picture of it and by touch alone.
     seen: Regression = Regression(
-        weight=0.05848,
-        near=0.2549,
-        agree=0.4082,
-        sharp=0.57,
+        weight=0.05393,
+        near=0.2512,
+        agree=0.6322,
+        visible=0.0129,
+        sharp=0.7169,
         past=-8.0,
-        hidden=-0.04436,
-        behind_hand=0.3112,
-        outline=-12.38,
-        within=-12.81,
-        ends=9.175,
-        touch=1.651,
-        outliers=-3.158,
-        contact_nats=-0.2569,
-        spread=-0.2787,
-        anywhere=-1.062,
-        constant=-1.19,
-        nearest=0.5343,
+        behind_hand=0.3071,
+        outline=-12.37,
+        within=-12.46,
+        ends=9.24,
+        touch=1.297,
+        outliers=-1.774,
+        contact_nats=-0.4434,
+        spread=-0.2649,
+        anywhere=-1.092,
+        constant=-1.193,
+        nearest=0.5325,
     )
     felt: Regression = Regression(
         weight=0.3457,
@@ -252,7 +252,7 @@ def observations(
         "constant": 1.0,
     }
     if contacts:
-        found["touch"] = math.log1p(sum(c.of_finger * _sharp(c, s) for c in contacts))
+        found["touch"] = math.log1p(sum(c.of_finger * _numbers(c) * _sharp(c, s) for c in contacts))
         found["outliers"] = float(np.average([c.outlier for c in contacts], weights=[c.of_finger for c in contacts]))
         found["contact_nats"] = min(contact_nats / len(contacts), s.most_nats)
         found["blunt"] = _blunt(contacts, s)
@@ -271,6 +271,11 @@ def observations(
 def _odds(weight: float) -> float:
     """Logarithm of the odds of a share, of neither less than 1e-12."""
     return math.log(max(weight, 1e-12)) - math.log(max(1.0 - weight, 1e-12))
+
+
+def _numbers(contact: ContactResidual) -> float:
+    """How many numbers of a pose a contact ties: one by its place, two more by its normal."""
+    return 3.0 if math.isfinite(contact.normal_deg) else 1.0
 
 
 def _sharp(contact: ContactResidual, settings: ConfidenceSettings) -> float:

@@ -227,14 +227,14 @@ def test_touch_alone_is_less_sure_of_what_blunt_fingertips_say(box):
 
 def test_how_much_is_felt_counts_fingers_and_how_sharp_they_are(box):
     """One contact that may be 4 mm off is not five that are good to one, however well it agrees; a finger that is felt
-    in many places is one finger.
+    in many places is one finger, and a normal ties two numbers where a place ties one.
     """
     pose = np.eye(4)
     pose[2, 3] = 0.6
     mode = Mode(pose, 0.99, 0.0, np.diag(np.repeat([0.01, 0.001], 3) ** 2))
 
-    def told(count, sigma_mm, of_finger=1.0):
-        felt = tuple(ContactResidual(f"tip {i}", 0.3, 2.0, False, sigma_mm, of_finger) for i in range(count))
+    def told(count, sigma_mm, of_finger=1.0, normal_deg=float("nan")):
+        felt = tuple(ContactResidual(f"tip {i}", 0.3, normal_deg, False, sigma_mm, of_finger) for i in range(count))
         return observations(box, (mode,), None, felt, 0.0, ConfidenceSettings()).get("touch")
 
     assert told(0, 0.9) is None
@@ -242,6 +242,7 @@ def test_how_much_is_felt_counts_fingers_and_how_sharp_they_are(box):
     np.testing.assert_allclose(sharp, np.log1p([1.0, 3.0, 5.0]), rtol=1e-12)
     assert sharp[2] > told(5, 1.8) > told(5, 4.0) > told(1, 4.0) > 0.0
     assert told(5, 0.1) == sharp[2]
+    assert told(5, 0.9, normal_deg=2.0) == pytest.approx(np.log1p(15.0), rel=1e-12)
     assert told(40, 0.9, 0.125) == pytest.approx(sharp[2], rel=1e-12)
     assert told(5, float("nan")) == pytest.approx(told(5, 1.6), rel=1e-12)
 
