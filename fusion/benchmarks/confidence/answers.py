@@ -128,10 +128,10 @@ def answered(work: Work) -> list[Told]:
     for sense, start in work.asked:
         if sense in ("touch", FEW) and not len(frame.contacts):
             continue
-        shown = (
-            told_little(frame, np.random.default_rng(own_seed(work.seed, *work.place[:-1]))) if sense == FEW else frame
-        )
-        given = shown if start else replace(shown, prior=None)
+        given = frame if start else replace(frame, prior=None)
+        if sense == FEW:
+            # the same contacts with a start and without
+            given = told_little(given, np.random.default_rng(own_seed(work.seed, *work.place[:-1])))
         answer = estimate(given, judge.model, use=SENSES[sense], settings=settings)
         if not answer.observed:
             continue  # nothing was sensed

@@ -9,8 +9,8 @@ the regression keeps the sign that its feature must have; the penalty is Gaussia
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,10 +75,11 @@ def _logistic(score: Array) -> Array:
     return np.asarray(1.0 / (1.0 + np.exp(-np.clip(score, -40.0, 40.0))), dtype=np.float64)
 
 
-def fit(sample: Sample) -> Regression:
+def fit(sample: Sample, held: Regression | None = None, only: Collection[str] = ()) -> Regression:
     """The regression that makes the answers most likely. Features that none of them tells keep a factor of 0.
 
-    Raises InputError for too few answers, right or wrong.
+    held: with the names of factors in `only`, these alone are fitted, and the others stay as there. Raises InputError
+    for too few answers, right or wrong.
     """
     from scipy.optimize import minimize
 
@@ -102,9 +103,19 @@ def fit(sample: Sample) -> Regression:
     bounds = [(one if f.sign > 0 else None, one if f.sign < 0 else None) for f, one in zip(features, least)]
     start = np.append(least, np.log(NEAREST))
     limits = [*bounds, tuple(np.log(NEAREST_BOUNDS))]
+    if held is not None:
+        names = [*(f.name for f in features), "nearest"]
+        stands = np.array([getattr(held, name) for name in names])
+        stands = np.append(stands[:-1] * scale, np.log(stands[-1]))
+        stays = np.array([name not in only for name in names])
+        start = np.where(stays, stands, start)
+        limits = [(at, at) if stay else limit for at, stay, limit in zip(stands, stays, limits)]
     found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": STEPS})
-    named = dict(zip([f.name for f in features], found.x[:-1] / scale))
-    return Regression(**{name: float(value) for name, value in named.items()}, nearest=float(np.exp(found.x[-1])))
+    named = {f.name: float(value) for f, value in zip(features, found.x[:-1] / scale)}
+    nearest = float(np.exp(found.x[-1]))
+    if held is None:
+        return Regression(**named, nearest=nearest)
+    return replace(held, **{name: value for name, value in {**named, "nearest": nearest}.items() if name in only})
 
 
 @dataclass(frozen=True)
@@ -170,23 +181,26 @@ class Fitted:
         return min(found), max(found)
 
 
-def fit_model(answers: Sequence[Told], seen: bool) -> Fitted:
+def fit_model(
+    answers: Sequence[Told], seen: bool, held: Regression | None = None, only: Collection[str] = ()
+) -> Fitted:
     """The regression of the answers with a picture, or of those without, of all and with each family left out in turn.
+    held, only: see `fit`.
 
     With one family alone none can be left out: what it holds is then what it was fitted to.
     """
     mine = tuple(sorted((a for a in answers if a.seen == seen and a.sense != "none"), key=_order))
     sample = Sample.of(mine, seen)
-    factors = fit(sample)
+    factors = fit(sample, held, only)
     families = np.array([a.family for a in mine])
     tolerance = ConfidenceSettings().tolerance
-    held, left_out = sample.confidence(factors, tolerance), {}
+    stated, left_out = sample.confidence(factors, tolerance), {}
     names = sorted(set(families.tolist()))
     for name in names if len(names) > 1 else []:
         own = families == name
-        left_out[name] = fit(sample.part(~own))
-        held[own] = sample.part(own).confidence(left_out[name], tolerance)
-    return Fitted(seen, mine, factors, left_out, held, sample)
+        left_out[name] = fit(sample.part(~own), held, only)
+        stated[own] = sample.part(own).confidence(left_out[name], tolerance)
+    return Fitted(seen, mine, factors, left_out, stated, sample)
 
 
 def _order(told: Told) -> tuple[object, ...]:

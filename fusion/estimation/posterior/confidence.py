@@ -33,10 +33,11 @@ class Regression:
 
     Tuned on answers to frames of all tuning families (docs/evaluation.md; `palpate fit-confidence`), with a start and
     without: the product of both factors of the probability, at tolerances of 3, 5 and 10 mm, by maximum likelihood,
-    factors held to the sign that they must have: 8855 answers with a picture, to 1563 frames, a third of them to frames
-    that tell little (a few contacts, of unknown sharpness, a hand without a model), and 2619 by touch alone, to 1308.
-    What a fit states of families that were left out is 0.7 % off, of a single family 6 % at most, but for `crude`, of
-    which it states 11 too much.
+    factors held to the sign that they must have. With a picture: 5284 answers, to 1321 frames; that of touch, when what
+    it counts was changed, alone (`--only touch`), to 8855 others, to 1563 frames, a third of which tell little (a few
+    contacts, of unknown sharpness, a hand without a model), which the others' factors explain as well as factors of
+    their own. By touch alone 2619 answers, to 1308 frames. What it states of families that were left out is 0.8 % off,
+    of a single family 6 % at most, but for `crude`, of which it states 11 too much.
     """
 
     # Of the logarithm of the first mode's odds, with those that look like it, against the others, within `most_odds`.
@@ -131,23 +132,23 @@ class ConfidenceSettings:
     sure: float = 0.95
     # Whether the first mode is the right one, with a picture of it and by touch alone.
     seen: Regression = Regression(
-        weight=0.05393,
-        near=0.2512,
-        agree=0.6322,
-        visible=0.0129,
-        sharp=0.7169,
+        weight=0.07318,
+        near=0.2299,
+        agree=7.975,
+        sharp=0.1815,
         past=-8.0,
-        behind_hand=0.3071,
-        outline=-12.37,
-        within=-12.46,
-        ends=9.24,
-        touch=1.297,
-        outliers=-1.774,
-        contact_nats=-0.4434,
-        spread=-0.2649,
-        anywhere=-1.092,
-        constant=-1.193,
-        nearest=0.5325,
+        hidden=-0.2962,
+        behind_hand=-0.06245,
+        outline=-23.12,
+        within=-9.356,
+        ends=9.406,
+        touch=1.233,
+        outliers=-4.815,
+        contact_nats=-0.2552,
+        spread=-0.3225,
+        anywhere=-1.337,
+        constant=-0.6855,
+        nearest=0.5335,
     )
     felt: Regression = Regression(
         weight=0.3457,

@@ -111,6 +111,18 @@ def test_lines_are_read_back_and_a_half_written_one_is_none(tmp_path):
     assert path.read_text() == "".join(map(write_line, told))
 
 
+def test_some_factors_are_fitted_and_the_others_stay():
+    sample = Sample.of(made(1500), True)
+    stands = replace(TRUE, weight=-3.0, nearest=1.2)
+    found = fit(sample, stands, ("weight",))
+    assert found == replace(stands, weight=found.weight)
+    assert found.weight > 0.0
+    assert fit(sample, TRUE, ("nearest",)).nearest == pytest.approx(TRUE.nearest, rel=0.1)
+    assert fit(sample, TRUE, ("touch",)) == TRUE  # what varies in no answer
+    held = fit_model(made(400), True, TRUE, ("weight",))
+    assert {one.agree for one in held.left_out.values()} <= {TRUE.agree}
+
+
 def test_only_what_lacks_is_answered():
     methods = [("fused", True), ("touch", True)]
     asked = [FAMILIES["lab"]], [0.3], ["box", "mug"], 2, 0, methods
@@ -208,6 +220,7 @@ def test_what_cannot_be_fitted_is_refused_in_one_line(answering, tmp_path, capsy
     path.write_text("".join(write_line(replace(one, features={"constant": 1.0})) for one in made(40)))
     line = refused(capsys, "fit-confidence", "--from", path)
     assert "expected the feature 'weight'" in line
+    assert "got 'weight,mood'" in refused(capsys, "fit-confidence", "--from", path, "--only", "weight,mood")
     assert "make the answers anew" in line
     assert "expected some of fused" in refused(capsys, "fit-confidence", "--methods", "smell")
     assert "nowhere.jsonl: expected a file" in refused(capsys, "fit-confidence", "--from", Path("nowhere.jsonl"))

@@ -44,6 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         help="answer nothing: fit this file; again for more files",
     )
+    parser.add_argument(
+        "--only", metavar="A,B", type=_factor_names, help="fit these factors; the others stay as they stand"
+    )
     parser.add_argument("--captures", metavar="DIR", type=Path, help="keep the frames here, and read those that are")
     parser.add_argument("--jobs", metavar="N", type=positive, help="processes (default: the threads that are allowed)")
     parser.add_argument(
@@ -72,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     tuned_on(FAMILIES[one.family] for one in told)
     kinds = [seen for seen in (True, False) if any(one.seen == seen and one.sense != "none" for one in told)]
     # nothing at all is refused by the fit, in its words
-    fits = [fit_model(told, seen) for seen in kinds or [True]]
+    fits = [fit_model(told, seen, *_held(args.only, seen)) for seen in kinds or [True]]
     report = report_of(fits, args.seed)
     _mixed(told)
     show_report(report, console())
@@ -101,6 +104,16 @@ def _answer(args: argparse.Namespace, families: Iterable[Any]) -> None:
             file.write("".join(write_line(one) for one in found))
             file.flush()
     say(f"{len(works)} frames answered, {len({one.place for one in known})} known; {args.answers}")
+
+
+def _held(only: tuple[str, ...] | None, seen: bool) -> tuple[Any, tuple[str, ...]]:
+    """The regression whose other factors stay, and those that do not; None to fit them all."""
+    from fusion.estimation.posterior.confidence import ConfidenceSettings
+
+    if only is None:
+        return None, ()
+    settings = ConfidenceSettings()
+    return (settings.seen if seen else settings.felt), only
 
 
 def _is_asked(told: Told, args: argparse.Namespace) -> bool:
@@ -140,6 +153,15 @@ def _write(path: Path, fits: list[Fitted]) -> None:
 
 def _shares(text: str) -> tuple[float, ...]:
     return tuple(share(part) for part in names(text))
+
+
+def _factor_names(text: str) -> tuple[str, ...]:
+    from fusion.estimation.posterior.confidence import FEATURES
+
+    found, known = names(text), [*(feature.name for feature in FEATURES), "nearest"]
+    if not found or not set(found) <= set(known):
+        raise argparse.ArgumentTypeError(f"expected some of {', '.join(known)}, got {text!r}")
+    return found
 
 
 def _methods(text: str) -> tuple[str, ...]:
