@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from scenes.geometry import poses
-from scenes.geometry.appearance.rendering import Renderer
+from scenes.geometry.appearance.rendering import Renderer, shade
 from scenes.geometry.cameras import Camera
 from scenes.recordings.frames import Contacts, EmptyRegions, Frame, Wrench
 from scenes.robot.hands import Hand
@@ -84,6 +84,17 @@ def plain_view(name: str = "box", seed: int = 0) -> Frame:
         prior=poses.displaced(pose, np.deg2rad(8), 0.010, model.centroid, rng),
         camera_from_object_truth=pose,
     )
+
+
+def coloured(name, back=(138, 142, 146)):
+    """A plain view with a colour image of it, and the model."""
+    frame, model = plain_view(name), make(name)
+    meshes = {"object": (model.vertices, model.faces)}
+    seen = Renderer(meshes).render(frame.camera, {"object": frame.camera_from_object_truth})
+    rgb = shade(seen, {"object": (206, 116, 58)})
+    rgb[~seen.mask("object")] = back
+    noise = np.random.default_rng(3).normal(0.0, 4.0, rgb.shape)
+    return replace(frame, rgb=np.clip(rgb + noise, 0, 255).astype(np.uint8)), model
 
 
 def recording(model, count=CARRIED, slip=None, seed=0, step=(0.01, 0.02, 0.0, 0.003, 0.001, 0.001)):

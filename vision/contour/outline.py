@@ -177,3 +177,14 @@ def _normals(places: Array, away: Array, step: float, settings: OutlineSettings)
     normals *= np.where(np.einsum("ij,ij->i", normals, away) < 0.0, -1.0, 1.0)[:, None]
     straight = (least < settings.straight**2 * largest) & (count >= 4)
     return normals, straight
+
+
+def bends(outline: Outline) -> Array:
+    """(n, 3) how far (px) places move along their normals where an image has the outline turned, stretched along one
+    axis as it shrinks along the other, and sheared, each by a pixel at the mean distance (root mean square) of places
+    from their middle.
+    """
+    about = outline.places - outline.places.mean(axis=0)
+    size = max(float(np.sqrt(np.square(about).sum(axis=1).mean())), 1.0)
+    (x, y), (u, v) = about.T / size, outline.normals.T
+    return np.stack([v * x - u * y, u * x - v * y, u * y + v * x], axis=1)

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_frames import plain_view
+from made_frames import coloured, plain_view
 
 from scenes.geometry import poses
-from scenes.geometry.appearance.rendering import Renderer, shade
 from scenes.geometry.cameras import Camera
 from scenes.recordings.beliefs import DepthModel, ImageModel
 from scenes.synthesis import library
@@ -19,17 +18,6 @@ from vision.picture.predictor import Predictor
 
 MESH = 1e-4
 COLOURED = ImageModel().colour_sigma
-
-
-def coloured(name, back=(138, 142, 146)):
-    """A plain view with a colour image of it, and the model."""
-    frame, model = plain_view(name), library.make(name)
-    meshes = {"object": (model.vertices, model.faces)}
-    seen = Renderer(meshes).render(frame.camera, {"object": frame.camera_from_object_truth})
-    rgb = shade(seen, {"object": (206, 116, 58)})
-    rgb[~seen.mask("object")] = back
-    noise = np.random.default_rng(3).normal(0.0, 4.0, rgb.shape)
-    return replace(frame, rgb=np.clip(rgb + noise, 0, 255).astype(np.uint8)), model
 
 
 def evidence_at(frame, model, pose, settings=None):
