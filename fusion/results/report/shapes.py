@@ -13,7 +13,10 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 # Raised whenever the reduction changes what it makes, so that old cache entries are not read.
-SHAPES_VERSION = 1
+SHAPES_VERSION = 2
+# A mesh of more than so many times what is asked for is thinned to that on a grid first: quadric decimation of a scan of
+# millions of triangles takes minutes and gigabytes, and ends in the same look.
+THINNED_FIRST = 20
 # A link of a hand keeps at least this many triangles: a box.
 FEWEST = 12
 
@@ -72,5 +75,9 @@ def _reduced(vertices: Array, faces: Indices, most: int) -> tuple[Array, Indices
     mesh = o3d.geometry.TriangleMesh(
         o3d.utility.Vector3dVector(vertices), o3d.utility.Vector3iVector(np.asarray(faces, dtype=np.int32))
     )
+    if len(faces) > THINNED_FIRST * most:
+        # a cell has two triangles, about
+        cell = float(np.sqrt(2.0 * mesh.get_surface_area() / (THINNED_FIRST * most)))
+        mesh = mesh.simplify_vertex_clustering(cell) if cell > 0.0 else mesh
     small = mesh.simplify_quadric_decimation(most)
     return np.asarray(small.vertices), np.asarray(small.triangles, dtype=np.int64)
