@@ -37,7 +37,7 @@ from fusion.tracking.steps.aside import ANEW, AROUND, Aside
 from fusion.tracking.steps.doubts.bumped import bump, recalibrated
 from fusion.tracking.steps.doubts.contradicting import NOT_HERE, without_strangers
 from fusion.tracking.steps.doubts.delays import as_of_image, learn_delay, moved_on
-from fusion.tracking.steps.doubts.lens import through_one_lens
+from fusion.tracking.steps.doubts.repeated import of_now
 from fusion.tracking.steps.glancing import as_judged, glance, known_of, may_glance, steadied
 from fusion.tracking.steps.judging import as_believed, as_followed, as_learned, judge
 from fusion.tracking.steps.marking import mark, seen_motion
@@ -130,7 +130,7 @@ class Tracker:
     def step(self, frame: Frame) -> TrackedEstimate:
         """The object in this frame."""
         state = self._state
-        frame, unused = through_one_lens(frame, state, self.settings, self._looker.correction is not None)
+        frame, unused = of_now(frame, state, self.settings, self._looker.correction is not None)
         frame, filled = as_measured(frame, self.settings.first.look.filling)
         frame, on = as_of_image(frame, state)
         if state.belief is None:

@@ -14,8 +14,8 @@ Indices = NDArray[np.int64]
 
 # Raised whenever the reduction changes what it makes, so that old cache entries are not read.
 SHAPES_VERSION = 2
-# A mesh of more than so many times what is asked for is thinned to that on a grid first: quadric decimation of a scan of
-# millions of triangles takes minutes and gigabytes, and ends in the same look.
+# A mesh of more than so many times what is asked for is thinned to that on a grid first: quadric decimation of millions
+# of triangles takes minutes and gigabytes, and ends in the same look.
 THINNED_FIRST = 20
 # A link of a hand keeps at least this many triangles: a box.
 FEWEST = 12

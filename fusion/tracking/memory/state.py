@@ -20,6 +20,7 @@ from fusion.estimation.solve.settings import Level
 from fusion.tracking.filter import Belief, Measurement, block
 from fusion.tracking.memory.hypotheses import Hypotheses, moved
 from fusion.tracking.memory.last_image import LastImage
+from fusion.tracking.memory.last_touch import LastTouch
 from fusion.tracking.memory.lateness import Lateness
 from fusion.tracking.memory.occluders import Occluders
 from fusion.tracking.memory.sizes import Jumps, Sizes, SizeSettings
@@ -206,8 +207,8 @@ class TrackState:
     the fingers have felt of it last, None where there is no hand or they have not; marks: on its surface in the last
     colour image, where no hand tells how it moves; released: the hand has let go; camera: of the last image, None
     before; imaged: whether an image has shown it; glanced: glances since the last look in full at an image;
-    image: the last that was a new one, None before one; lateness:
-    of images beside the robot's reports.
+    image, touch: the last image and contacts that were new ones, None before some; lateness: of images beside the
+    robot's reports.
     """
 
     belief: Belief | None = None
@@ -238,6 +239,7 @@ class TrackState:
     imaged: bool = False
     glanced: int = 0
     image: LastImage | None = None
+    touch: LastTouch | None = None
     lateness: Lateness = field(default_factory=Lateness)
 
     def before_its_camera(self, frame: Frame) -> Frame:

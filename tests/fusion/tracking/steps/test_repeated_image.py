@@ -10,7 +10,7 @@ from fusion import Tracker, track
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.memory.last_image import BENT, FELT_ELSEWHERE, MOVED, TURNED, LastImage
 from fusion.tracking.memory.state import TrackState
-from fusion.tracking.steps.doubts.lens import through_one_lens
+from fusion.tracking.steps.doubts.repeated import of_now
 from scenes.geometry import poses
 from scenes.geometry.cameras import Camera
 from scenes.recordings.frames import Contacts, Frame
@@ -73,21 +73,21 @@ def test_an_image_of_next_to_no_readings_tells_nothing():
 def test_it_is_that_of_the_frame_that_had_it_first_until_another_comes():
     state = TrackState()
     told = [
-        through_one_lens(frame(n, image=max(n, 3) if n < 7 else n, move=(0.0, 0.0, 0.004 * n)), state, SETTINGS)
+        of_now(frame(n, image=max(n, 3) if n < 7 else n, move=(0.0, 0.0, 0.004 * n)), state, SETTINGS)
         for n in (2, 3, 4)
     ]
     assert [one[0].depth is not None for one in told] == [True, False, True]
-    assert told[1][1] == ("its image is not looked at: it is that of frame 2 again",)
+    assert told[1][1][0] == "its image is not looked at: it is that of frame 2 again"
     # and is, though the hand comes back to where it was, or feels nothing any more
     for later in (
         frame(5, image=4, move=(0.0, 0.0, 0.03)),
         frame(6, image=4, move=(0.0, 0.0, 0.016)),
         frame(7, 4, felt=0),
     ):
-        assert through_one_lens(later, state, SETTINGS)[0].depth is None
+        assert of_now(later, state, SETTINGS)[0].depth is None
     # a slow hand has moved after a while
     slowly = [frame(10 + n, image=9, move=(0.0, 0.0, 0.3 * MOVED * n)) for n in range(6)]
-    looked = [through_one_lens(one, state, SETTINGS)[0].depth is not None for one in slowly]
+    looked = [of_now(one, state, SETTINGS)[0].depth is not None for one in slowly]
     assert looked == [True, True, True, True, False, False]
 
 
