@@ -37,13 +37,14 @@ class WatchSettings:
 @dataclass(frozen=True)
 class Watched:
     """What one frame says. slip: otherwise than the fingers; moved: against the palm, or a slip; statistic: above 1 is
-    a slip; by: who says so, in words, empty without a slip.
+    a slip; by: who says so, in words, empty without a slip; by_skin: what presses arrays or gels says so, too.
     """
 
     slip: bool = False
     moved: bool = False
     statistic: float = 0.0
     by: str = ""
+    by_skin: bool = False
 
 
 class SlipWatch:
@@ -105,14 +106,15 @@ class SlipWatch:
         self._quiet = 0 if said else self._quiet + 1
         self._said = " and ".join(said) or self._said
         slip = self._quiet <= self._lasts
-        return Watched(slip, slip, max(pattern.statistic, patch.statistic), self._said if slip else "")
+        return Watched(slip, slip, max(pattern.statistic, patch.statistic), self._said if slip else "", slip)
 
     def step(self, measured: Measurement, belief: Belief, pixel: Array | None, felt: Watched) -> Watched:
         """What a frame's own answer says, and what its skins said; belief: the tracker's own, to start from."""
         slip = self._fingers.step(measured, belief, pixel)
         moved = (self._palm is not None and self._palm.step(measured, belief, pixel)) or slip
         by = " and ".join(word for word in ("its poses do not go with the hand" if slip else "", felt.by) if word)
-        return Watched(slip or felt.slip, moved or felt.slip, max(self._fingers.statistic, felt.statistic), by)
+        statistic = max(self._fingers.statistic, felt.statistic)
+        return Watched(slip or felt.slip, moved or felt.slip, statistic, by, felt.by_skin)
 
     def follow(self, belief: Belief, pixel: Array | None) -> None:
         """After a slip the object is held as `belief` has it."""

@@ -39,7 +39,7 @@ from fusion.tracking.steps.doubts.contradicting import NOT_HERE, without_strange
 from fusion.tracking.steps.doubts.delays import as_of_image, learn_delay, moved_on
 from fusion.tracking.steps.doubts.repeated import of_now
 from fusion.tracking.steps.glancing import as_judged, glance, known_of, may_glance, steadied
-from fusion.tracking.steps.judging import as_believed, as_followed, as_learned, judge
+from fusion.tracking.steps.judging import as_believed, as_followed, as_learned, by_touch_alone, judge, slips_unseen
 from fusion.tracking.steps.marking import mark, seen_motion
 from fusion.tracking.steps.outlining import with_outline
 from fusion.tracking.steps.predicting import SHOWN_ELSEWHERE, as_moved, predict, where_shown
@@ -338,12 +338,12 @@ class Tracker:
         if there is None and state.hand is None and not found.switched and s.is_far(step):
             return self._follow(frame, belief, False, measured.pose)
         with trace.stage("judge", True, "") as stage:
-            belief, watched = self._updated(frame, predicted, common.measured, found.switched, felt)
+            belief, watched = self._updated(frame, predicted, common.measured, found.switched, felt, len(looked.pixels))
             leap = step * (not found.switched and s.leaps(step, ahead.belief.own + measured.own))
             said = judge(model, found, solved, belief, now, state, leap, beliefs, s)
             stage.note(len(found.seen) + felt_rows, said.why)
-        if said.verdict == "lost" and blind:  # touch alone does not prove that a hand has lost what it held
-            self._watch.restart()
+        if by_touch_alone(said, watched, len(looked.pixels), state, s):
+            self._watch.follow(predicted, None)
             return self._carry(frame, predicted, carried, trace, felt, OUT_OF_SIGHT)
         if said.verdict != "lost":
             self._accept(frame, felt, belief, found.hypotheses, said.share)
@@ -375,7 +375,7 @@ class Tracker:
             stage.note(len(seen) + len(felt.reported_rows), found.otherwise or "nothing is otherwise than expected")
             if found.otherwise or not len(seen):
                 return None
-            belief, watched = self._updated(frame, predicted, found.measured, False, felt)
+            belief, watched = self._updated(frame, predicted, found.measured, False, felt, len(seen))
             state.glanced += 1
             said = as_judged(self.model, known, carried, state.told(belief, s.sizes), found, s)
         self._accept(frame, felt, belief, carried, found.share)
@@ -399,9 +399,9 @@ class Tracker:
         return self._watch.feel(readings_of(placed(self._felt_frame(frame))[0]), patches)
 
     def _updated(
-        self, frame: Frame, predicted: Belief, measured: Measurement, switched: bool, felt: Felt
+        self, frame: Frame, predicted: Belief, measured: Measurement, switched: bool, felt: Felt, pixels: int
     ) -> tuple[Belief, Watched]:
-        """The belief after the frame, and whether the object slips."""
+        """The belief after the frame, and whether the object slips. pixels: of the object, as many as are seen."""
         model, state = self.model, self._state
         pixel = pixel_of(frame, middle_of(model, measured.pose))
         belief = measured.alone() if switched else update(model, predicted, measured, state.hand is not None)
@@ -412,7 +412,7 @@ class Tracker:
             watched = self._watch.step(measured, belief, pixel, watched)
         if state.sizes.looks and not (watched.slip or switched or late):
             state.jumps = state.jumps.learned(model, predicted, measured, self.settings.sizes)
-        if watched.slip and not switched:
+        if watched.slip and not switched and not slips_unseen(watched, pixels, state, self.settings):
             belief = after_slip(model, predicted, measured)
             self._watch.follow(belief, pixel)
             if state.known is not None:  # its contacts are elsewhere now: what looks had in common was of another hold
