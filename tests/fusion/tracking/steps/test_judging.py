@@ -8,11 +8,15 @@ from made_frames import recording
 
 import fusion.tracking.steps.judging as judging
 from fusion.tracking.answer import TrackSettings
-from fusion.tracking.memory.state import GlanceSettings
+from fusion.tracking.memory.state import GlanceSettings, TrackState
+from fusion.tracking.motion import HandState
+from fusion.tracking.slip import Watched
 from fusion.tracking.steps.refining import prefers
 from fusion.tracking.tracker import Tracker
 from scenes.geometry import poses
 from scenes.synthesis import library
+
+FEWEST = TrackSettings().fewest_pixels
 
 
 @pytest.fixture(scope="module")
@@ -81,3 +85,43 @@ def test_what_no_search_speaks_for_is_in_doubt(mug):
     assert len(doubted.notes) == len(answer.notes) + 1
     low = replace(answer, confidence=0.3)
     assert judging.as_believed(mug, low, alone, tracker.settings).confidence == 0.3
+
+
+SLIP = Watched(slip=True, moved=True, statistic=2.0, by="its poses do not go with the hand")
+
+
+@pytest.mark.parametrize(
+    ("watched", "pixels", "seen", "held", "unseen"),
+    [
+        (SLIP, 0, True, True, True),
+        (SLIP, FEWEST - 1, True, True, True),
+        (SLIP, FEWEST, True, True, False),
+        (replace(SLIP, by_skin=True), 0, True, True, False),
+        (Watched(), 0, True, True, False),
+        # nobody has ever seen it: what is felt is all there is
+        (SLIP, 0, False, True, False),
+        (SLIP, 0, True, False, False),
+    ],
+)
+def test_a_slip_of_what_was_seen_is_not_proven_by_fingers_alone(watched, pixels, seen, held, unseen):
+    hand = HandState(np.eye(4), {}, (), np.zeros((0, 3))) if held else None
+    state = TrackState(hand=hand, seen_at=np.eye(4) if seen else None)
+    assert judging.slips_unseen(watched, pixels, state, TrackSettings()) == unseen
+
+
+@pytest.mark.parametrize("image", [True, False], ids=["in sight", "out of sight"])
+def test_what_slips_out_of_sight_goes_with_the_hand_until_it_is_seen(image):
+    drill = library.make("drill")
+    frames = recording(drill, 14, slip={8: np.array([0.0, 0.0, 0.3, 0.0, 0.015, 0.0])})
+    nothing = np.zeros_like(frames[0].depth)
+    tracker = Tracker(drill, seed=2)
+    shown = [one if image or one.index < 6 else replace(one, depth=nothing) for one in frames[:12]]
+    said = [tracker.step(one) for one in shown]
+    slipped = any(answer.slip for answer in said if answer.how == "tracked" and answer.frame >= 8)
+    assert slipped == image
+    if not image:
+        assert said[-1].verdict != "ok"
+    # seen again, it is where it is
+    last = [tracker.step(frame) for frame in frames[12:]][-1]
+    truth = frames[-1].camera_from_object_truth
+    assert np.linalg.norm(last.pose[:3, 3] - truth[:3, 3]) < 0.004
