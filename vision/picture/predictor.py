@@ -221,9 +221,14 @@ class Predictor:
         return self._pieces is None
 
     @property
+    def knows_hand(self) -> bool:
+        """Whether what hides the object is the robot's own hand, which is drawn."""
+        return self.told_apart and self._hand[0].size > 0
+
+    @property
     def score(self) -> PictureScore:
         """What a picture is worth: less surely the object's where nobody knows the hand, or what else is at it."""
-        return self.settings.known_hand if self._hand[0].size and self.told_apart else self.settings.unknown_hand
+        return self.settings.known_hand if self.knows_hand else self.settings.unknown_hand
 
     @property
     def reach(self) -> int:
@@ -231,25 +236,19 @@ class Predictor:
         return max(self.belief.edge_pixels, 0 if self._mask is None else self.settings.mask_margin + 1)
 
     def costs(self, candidates: Array, side: int | None = None) -> Array:
-        """(n,) nats for poses (n, 4, 4) camera_from_object, up to a constant: lower is likelier. side: rays along the
-        outline's box.
-        """
+        """(n,) nats for poses (n, 4, 4), up to a constant: lower is likelier. side: rays along the outline's box."""
         if not self.sees or not len(candidates):
             return np.zeros(len(candidates))
         return self._cost_of(candidates, self.predict(candidates, side)) + self._uncovered_costs(candidates)
 
     def rough_costs(self, candidates: Array) -> Array:
-        """As `costs`, by points that the object shows to cameras nearly there (see `aspects`): without a ray, in a
-        fifth of the time, and off by a few nats.
-        """
+        """As `costs`, by points that are shown to cameras nearly there (`aspects`): in a fifth of the time, roughly."""
         if not self.sees or not len(candidates):
             return np.zeros(len(candidates))
         return self._cost_of(candidates, self.sketch(candidates))
 
     def glimpse(self, candidates: Array) -> Array:
-        """(n,) nats of poses (n, 4, 4) by what is seen of a few of their points and seen past alone, to tell what is
-        hopeless among thousands: lower is likelier.
-        """
+        """(n,) nats of poses (n, 4, 4) by a few of their points, to leave out the hopeless of thousands."""
         if not self.sees or not len(candidates):
             return np.zeros(len(candidates))
         s = self.settings
