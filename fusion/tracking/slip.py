@@ -106,7 +106,8 @@ class SlipWatch:
         self._quiet = 0 if said else self._quiet + 1
         self._said = " and ".join(said) or self._said
         slip = self._quiet <= self._lasts
-        return Watched(slip, slip, max(pattern.statistic, patch.statistic), self._said if slip else "", slip)
+        statistic = max(pattern.statistic, patch.statistic)
+        return Watched(slip, slip, statistic, self._said if slip else "", by_skin=slip)
 
     def step(self, measured: Measurement, belief: Belief, pixel: Array | None, felt: Watched) -> Watched:
         """What a frame's own answer says, and what its skins said; belief: the tracker's own, to start from."""

@@ -371,11 +371,11 @@ class Tracker:
                 self.model, viewed, felt_frame, self._looker, predicted, known, state.things, self._watch.going_on,
                 self._beliefs, s,
             )  # fmt: skip
-            seen, felt = found.sensed.seen, found.sensed.felt
+            seen, felt, pixels = found.sensed.seen, found.sensed.felt, len(found.sensed.looked.pixels)
             stage.note(len(seen) + len(felt.reported_rows), found.otherwise or "nothing is otherwise than expected")
-            if found.otherwise or not len(seen):
+            if found.otherwise or pixels < s.fewest_pixels:
                 return None
-            belief, watched = self._updated(frame, predicted, found.measured, False, felt, len(seen))
+            belief, watched = self._updated(frame, predicted, found.measured, False, felt, pixels)
             state.glanced += 1
             said = as_judged(self.model, known, carried, state.told(belief, s.sizes), found, s)
         self._accept(frame, felt, belief, carried, found.share)

@@ -5,7 +5,7 @@ import numpy as np
 from scenes.geometry import poses as se3
 from scenes.geometry.cameras import is_reading
 from vision.picture import columns
-from vision.picture.predictor import Prediction
+from vision.picture.prediction import Prediction
 
 
 def predicted(found, pose, side):

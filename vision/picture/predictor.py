@@ -9,7 +9,6 @@ thing, of which a part is covered. Camera frame, metres.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -29,6 +28,7 @@ from vision.picture.floor import beneath
 from vision.picture.glimpse_kernels import draw_small
 from vision.picture.hand import hand_depth, widened
 from vision.picture.masked import core_of, covering_rows, uncovered
+from vision.picture.prediction import Prediction, View
 from vision.picture.settings import PictureScore, PredictionSettings
 from vision.picture.shown_kernels import shown_rays
 
@@ -39,118 +39,6 @@ _FEW = 16
 # Stands for an image that is not there.
 _NO_IMAGE = np.zeros((0, 0))
 _NO_PIECES = np.zeros((0, 0), dtype=np.int64)
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """Shares (n,) of the predicted pixels, for n poses; those outside the image are hidden.
-
-    seen: at the depth predicted, falling off smoothly with the difference; beyond: of these, on what goes on beyond the
-    outline in one colour, as far as it does; agree: within the tolerance; past: seen through, or under a table; hidden:
-    behind something that is not the robot's hand; behind_hand: the hand explains it; outline: of the border, where the
-    seen surface runs on smoothly beyond it; within: borders, beside as many as the outline has, across which it runs on
-    within the outline to be what hides the object; ends: of the border, where what agrees ends in a step of depth, to
-    either side; dark: of the border, beyond which nothing is read; scatter: how far what agrees is off, beside being
-    off as a whole (standard deviation, sigmas of noise and bias). count: rays that met the object inside the image.
-    area: of the outline (px^2) that they tell of, what the image's border cuts off included. shares (n, SUMS): in the
-    columns of vision.picture.columns.
-    """
-
-    shares: Array
-    beyond: Array
-    area: Array
-
-    @property
-    def seen(self) -> Array:
-        """(n,)."""
-        return self.shares[:, columns.SEEN]
-
-    @property
-    def agree(self) -> Array:
-        """(n,)."""
-        return self.shares[:, columns.AGREE]
-
-    @property
-    def past(self) -> Array:
-        """(n,)."""
-        return self.shares[:, columns.PAST]
-
-    @property
-    def hidden(self) -> Array:
-        """(n,)."""
-        return self.shares[:, columns.BEHIND]
-
-    @property
-    def behind_hand(self) -> Array:
-        """(n,)."""
-        return self.shares[:, columns.BEHIND_HAND]
-
-    @property
-    def outline(self) -> Array:
-        """(n,)."""
-        return self.shares[:, columns.OUTLINE]
-
-    @property
-    def running(self) -> Array:
-        """(n,): outline, and the same along straight sides of it, at which the rays end."""
-        return self.shares[:, columns.OUTLINE] + self.shares[:, columns.SIDES]
-
-    @property
-    def within(self) -> Array:
-        """(n,)."""
-        return self.shares[:, columns.WITHIN]
-
-    @property
-    def ends(self) -> Array:
-        """(n,)."""
-        return self.shares[:, columns.ENDS]
-
-    @property
-    def dark(self) -> Array:
-        """(n,)."""
-        return self.shares[:, columns.DARK]
-
-    @property
-    def scatter(self) -> Array:
-        """(n,)."""
-        return self.shares[:, columns.SCATTER]
-
-    @property
-    def count(self) -> Array:
-        """(n,)."""
-        return self.shares[:, columns.HITS]
-
-
-@dataclass(frozen=True)
-class View:
-    """The rays of n poses, side^2 each, in a grid: pixels u, v (n, side^2), and step (n, 4): pixels u, v from one
-    to the next of its row, and to that in the next row; expected, seen (n, side^2): depth (m) at which a ray meets
-    the object, and what is read, 0 for none; state: bits of vision.picture.columns; past: how much of a ray is seen
-    past; fade: how well one at the predicted depth agrees; inside (n,): share of the object in the image.
-    """
-
-    u: NDArray[np.int64]
-    v: NDArray[np.int64]
-    step: Array
-    expected: Array
-    seen: Array
-    state: NDArray[np.uint8]
-    past: Array
-    fade: Array
-    inside: Array
-
-    @property
-    def side(self) -> int:
-        """Rays along each side."""
-        return round(self.u.shape[1] ** 0.5)
-
-    def has(self, bit: int) -> NDArray[np.bool_]:
-        """(n, side^2) whether rays are as a bit says."""
-        return np.asarray((self.state & bit) > 0)
-
-    def at(self, place: NDArray[np.intp]) -> NDArray[np.int64]:
-        """(k, 2) pixels (u, v) of rays (k,) of the first pose."""
-        return np.stack([self.u[0, place], self.v[0, place]], axis=1)
 
 
 class Predictor:
@@ -236,19 +124,25 @@ class Predictor:
         return max(self.belief.edge_pixels, 0 if self._mask is None else self.settings.mask_margin + 1)
 
     def costs(self, candidates: Array, side: int | None = None) -> Array:
-        """(n,) nats for poses (n, 4, 4), up to a constant: lower is likelier. side: rays along the outline's box."""
+        """(n,) nats for poses (n, 4, 4) camera_from_object, up to a constant: lower is likelier. side: rays along the
+        outline's box.
+        """
         if not self.sees or not len(candidates):
             return np.zeros(len(candidates))
         return self._cost_of(candidates, self.predict(candidates, side)) + self._uncovered_costs(candidates)
 
     def rough_costs(self, candidates: Array) -> Array:
-        """As `costs`, by points that are shown to cameras nearly there (`aspects`): in a fifth of the time, roughly."""
+        """As `costs`, by points that the object shows to cameras nearly there (see `aspects`): without a ray, in a
+        fifth of the time, and off by a few nats.
+        """
         if not self.sees or not len(candidates):
             return np.zeros(len(candidates))
         return self._cost_of(candidates, self.sketch(candidates))
 
     def glimpse(self, candidates: Array) -> Array:
-        """(n,) nats of poses (n, 4, 4) by a few of their points, to leave out the hopeless of thousands."""
+        """(n,) nats of poses (n, 4, 4) by what is seen of a few of their points and seen past alone, to tell what is
+        hopeless among thousands: lower is likelier.
+        """
         if not self.sees or not len(candidates):
             return np.zeros(len(candidates))
         s = self.settings

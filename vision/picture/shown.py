@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scenes.evidence.table import COLUMNS, VISION, Evidence
 from vision.look.looked import RowSettings
 from vision.picture import shown_kernels as kernels
-from vision.picture.predictor import Predictor, View
+from vision.picture.prediction import View
+from vision.picture.predictor import Predictor
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from scenes.errors import check_above
 from scenes.evidence.align import Prior
 from scenes.evidence.symmetry.alike import Alike, alike
 from scenes.geometry.objects import ObjectModel
-from vision.picture.predictor import Prediction
+from vision.picture.prediction import Prediction
 
 Array = NDArray[np.float64]
 

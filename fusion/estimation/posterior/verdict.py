@@ -17,7 +17,7 @@ from scenes.evidence.table import POINT, SIGMA, TOUCH, VISION, WEIGHT, Evidence,
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts, Frame
-from vision.picture.predictor import Prediction
+from vision.picture.prediction import Prediction
 from vision.visibility import Visibility
 
 Array = NDArray[np.float64]

@@ -24,7 +24,7 @@ from scenes.evidence.symmetry.alike import alike
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.beliefs import Beliefs
 from scenes.recordings.frames import Frame
-from vision.picture.predictor import Prediction
+from vision.picture.prediction import Prediction
 from vision.visibility import Visibility, visibility
 
 Array = NDArray[np.float64]
