@@ -110,18 +110,20 @@ def test_a_slip_of_what_was_seen_is_not_proven_by_fingers_alone(watched, pixels,
 
 
 @pytest.mark.parametrize("image", [True, False], ids=["in sight", "out of sight"])
-def test_what_slips_out_of_sight_goes_with_the_hand_until_it_is_seen(image):
+@pytest.mark.parametrize("slip", [[0.0, 0.0, 0.15, 0.0, 0.004, 0.0], [0.15, 0.0, 0.1, 0.0, 0.0, 0.005]])
+def test_what_slips_out_of_sight_goes_with_the_hand_until_it_is_seen(slip, image):
+    """Slips that the contacts alone are fitted by: by them the object would be elsewhere, and `ok`."""
     drill = library.make("drill")
-    frames = recording(drill, 14, slip={8: np.array([0.0, 0.0, 0.3, 0.0, 0.015, 0.0])})
+    frames = recording(drill, 14, slip={8: np.array(slip)})
     nothing = np.zeros_like(frames[0].depth)
     tracker = Tracker(drill, seed=2)
     shown = [one if image or one.index < 6 else replace(one, depth=nothing) for one in frames[:12]]
-    said = [tracker.step(one) for one in shown]
-    slipped = any(answer.slip for answer in said if answer.how == "tracked" and answer.frame >= 8)
-    assert slipped == image
-    if not image:
-        assert said[-1].verdict != "ok"
+    said = [tracker.step(one) for one in shown][8:]
+    assert any(answer.slip for answer in said) == image
+    assert {(answer.how, answer.verdict) for answer in said} == {
+        ("tracked", "ok") if image else ("carried", "ambiguous")
+    }
     # seen again, it is where it is
     last = [tracker.step(frame) for frame in frames[12:]][-1]
     truth = frames[-1].camera_from_object_truth
-    assert np.linalg.norm(last.pose[:3, 3] - truth[:3, 3]) < 0.004
+    assert np.linalg.norm(last.pose[:3, 3] - truth[:3, 3]) < 0.002
