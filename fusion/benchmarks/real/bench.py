@@ -16,6 +16,7 @@ import numpy as np
 from fusion.benchmarks.printing.tables import BenchSettings, Claim, Column, Quantile, Rate, Report, Table
 from fusion.benchmarks.real import frames as recordings
 from fusion.benchmarks.real import grasps
+from fusion.benchmarks.real.absent import look_for_others
 from fusion.benchmarks.real.diagnosis import diagnose
 from fusion.benchmarks.real.frames import Recorded
 from fusion.benchmarks.real.hidden import look_behind
@@ -102,6 +103,7 @@ def _look(report: Report, ones: list[Recorded], left: list[str], settings: Bench
     title = f"palpate on recorded frames, the worst of {count} tries, seed {settings.seed}"
     report.pictures["sheet"] = contact_sheet(rows, title)
     look_behind(report, ones, settings)
+    look_for_others(report, ones, settings)
 
 
 def _frames_table(ones: list[Recorded], left: list[str]) -> Table:

@@ -126,10 +126,14 @@ def _claims(tracked: Tracked, cpu: list[float]) -> list[Claim]:
     wrong = [one[method] for one in tracked.values() for method in WRONG_STARTS]
     median = float(np.median(cpu)) if cpu else float("nan")
     out = [Claim("a tracked frame, median processor ms, alone", median, 8.0, False, 1)]
+    # of a family or motion that no grasp could be made for nothing is asked
     for name, tally in families.items():
-        share = 100.0 * tally.wrong_ok / len(tally.ok) if tally.ok else float("nan")
-        out.append(Claim(f"wrong but ok, % of tracked frames, {name}", share, 1.0, False, 1))
+        if tally.ok:
+            share = 100.0 * tally.wrong_ok / len(tally.ok)
+            out.append(Claim(f"wrong but ok, % of tracked frames, {name}", share, 1.0, False, 1))
     for name, tally in motions.items():
+        if not tally.nees:
+            continue
         mean = float(np.mean([x for x in tally.nees if np.isfinite(x)] or [np.nan]))
         out.append(Claim(f"NEES / dof, mean, {name}", mean, 0.7, True))
         out.append(Claim(f"NEES / dof, mean, {name}", mean, 1.5, False))

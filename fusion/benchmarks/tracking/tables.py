@@ -143,6 +143,7 @@ def by_family(tracked: Tracked) -> Table:
     columns += [Column("95 % regions hold"), Column("NEES / dof, mean"), Column("median")]
     columns += [Column("processor ms", 1), Column("mean ", 1)]
     table = Table("The track by family, all motions together", columns)
+    without = []
     for family in dict.fromkeys(family for family, _ in tracked):
         own = Tally()
         for (name, _), tallies in tracked.items():
@@ -162,6 +163,10 @@ def by_family(tracked: Tracked) -> Table:
                 float(np.median(own.cpu)) if own.cpu else None,
                 float(np.mean(own.cpu)) if own.cpu else None,
             )
+        else:
+            without.append(family)
+    if without:
+        table.note = f"No grasp hides the object by as much as is asked in {', '.join(without)}: no sequence."
     return table
 
 

@@ -11,8 +11,8 @@ from commands import refused
 from made_frames import plain_view
 from shared_data import DATA
 
-from fusion.benchmarks.printing.tables import BenchSettings
-from fusion.benchmarks.real import bench, frames
+from fusion.benchmarks.printing.tables import BenchSettings, Report
+from fusion.benchmarks.real import absent, bench, frames
 from fusion.benchmarks.real.diagnosis import diagnose
 from fusion.benchmarks.real.hidden import FROM, behind_fingers, hidden_trials
 from fusion.benchmarks.real.sheet import HIGH, TEXT, WIDE, tile
@@ -153,6 +153,38 @@ def test_methods_behind_fingers_start_alike_and_only_two_are_told_of_contacts(on
         if told is not None:
             assert bool(told.contacts) == (t.method == "fused")
     assert not list(hidden_trials(replace(one, reference=None), (0.3,), 1, seed=3))
+
+
+def test_a_frame_is_asked_for_what_it_does_not_show_and_for_nothing_else(one):
+    other = frames.recorded("box", masked("box"), make("box"))
+    twice = replace(one, name="drill again")
+    assert [m.name for m in absent.others_of(one, [one, twice, other, other], 6)] == ["box"]
+    assert absent.others_of(one, [one, twice], 6) == []
+    put = absent.in_its_place(one, other.model)
+    middles = [poses.apply(p, m.centroid[None])[0] for p, m in ((put, other.model), (one.reference, one.model))]
+    np.testing.assert_allclose(*middles, atol=1e-12)
+    np.testing.assert_array_equal(put[:3, :3], one.reference[:3, :3])
+    found = list(absent.absent_trials(one, [one, other], 6, 0))
+    assert [(t.model, t.start) for t in found] == [("box", False), ("box", True)]
+    assert not any(t.sure for t in found)
+
+
+def test_an_ok_where_nothing_is_misses_the_demand(one, monkeypatch):
+    other = frames.recorded("box", masked("box"), make("box"))
+    said = iter(["ok", "ambiguous", "lost", "lost"])
+    answer = absent.estimate
+
+    def estimate(*given, **told):
+        return replace(answer(*given, **told), verdict=next(said))
+
+    monkeypatch.setattr(absent, "estimate", estimate)
+    report = Report("real", "", "", 0)
+    absent.look_for_others(report, [one, other], BenchSettings(quick=True))
+    (claim,) = report.claims
+    assert claim.value == 0.25
+    assert not claim.met
+    none, placed = report.tables[0].rows
+    assert [row[2] for row in (none, placed)] == ["1 / 0 / 1", "0 / 1 / 1"]
 
 
 def test_a_wrong_answer_is_looked_at_again(one):

@@ -131,6 +131,18 @@ def test_a_tracked_frames_time_is_that_of_a_sequence_by_itself():
     assert (claim.what, claim.value) == ("a tracked frame, median processor ms, alone", 6.0)
 
 
+def test_a_family_without_a_sequence_is_named_and_misses_no_demand():
+    some = Tally(add_s=[0.001], ok=[True], nees=[1.0], means=[1.0])
+    followed = {("lab", "slip"): some, ("aligned", "shake"): Tally()}
+    tracked = {key: {method: Tally() for method in METHODS} | {"track": tally} for key, tally in followed.items()}
+    assert [row[0] for row in tables.by_family(tracked).rows] == ["lab"]
+    assert "aligned" in tables.by_family(tracked).note
+    asked = [claim.what for claim in _claims(tracked, [1.0])]
+    assert any("lab" in what for what in asked)
+    assert any("slip" in what for what in asked)
+    assert not any("aligned" in what or "shake" in what for what in asked)
+
+
 def test_a_sensor_fails_in_some_frames_and_the_others_stay(drill):
     """Of each failure: frames in which it changes depth, contacts, or what the robot says of itself."""
     frames = [replace(one, joints={"finger": 0.1 * one.index}) for one in recording(drill, 14)]
