@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from fusion.benchmarks.tracking.cells import Cell, sequence_of
 from fusion.benchmarks.tracking.failing import FAILURES
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
 from fusion.tracking.checkpoint import restore_tracker, save_tracker
 from fusion.tracking.filter import Belief
-from fusion.tracking.memory.lateness import FASTEST, Lateness, of_look
+from fusion.tracking.memory.lateness import BELIEVED, FASTEST, RARE, Lateness, of_look
 from fusion.tracking.memory.state import TrackState
 from fusion.tracking.motion import HandMotion
 from fusion.tracking.slip import SlipWatch
@@ -96,7 +97,9 @@ def test_it_is_said_in_words():
 def test_few_looks_and_a_hand_that_hardly_moves_tell_of_none(how):
     told = looked(2.0, **how)
     assert told.there == 0.0
-    assert not told.smear.any()
+    # what any image may be late by is left
+    np.testing.assert_allclose(told.smear, told.maybe * told.velocity)
+    assert told.maybe < 1.5 * np.sqrt(RARE) * BELIEVED
 
 
 def test_what_moves_too_fast_for_a_look_does_not_count():
@@ -135,6 +138,32 @@ def test_an_answer_is_as_wide_as_the_delay_makes_it(drill):
     state.lateness = replace(state.lateness, used=late)
     known = state.told(state.belief, settings).covariance - plain
     assert known[4, 4] == pytest.approx((0.004 * sigma) ** 2, rel=1e-6)
+
+
+@pytest.mark.parametrize(("late", "sigma"), [(0.0, 0.2), (0.4, 0.3), (1.0, 0.3), (1.0, 1.0), (-2.0, 0.05), (3.0, 20.0)])
+def test_what_a_delay_may_be_is_what_bayes_makes_of_the_looks(monkeypatch, late, sigma):
+    """By quadrature: a delay of none, or rarely of some frames, and what the looks say of either."""
+    monkeypatch.setattr(Lateness, "frames", (late, sigma))
+    delays = np.linspace(-12.0, 12.0, 200001)
+    some = RARE * norm.pdf(delays, 0.0, BELIEVED) * norm.pdf(late, delays, sigma)
+    none = (1.0 - RARE) * norm.pdf(late, 0.0, sigma)
+    mean = np.trapezoid(some * delays**2, delays) / (np.trapezoid(some, delays) + none)
+    assert Lateness().maybe == pytest.approx(np.sqrt(mean), rel=1e-4)
+
+
+def test_an_answer_is_wider_while_a_delay_may_be(drill):
+    settings = TrackSettings().sizes
+    state = TrackState(belief=Belief(np.eye(4), 1e-6 * np.eye(6), np.zeros((6, 6))))
+    plain = state.told(state.belief, settings).covariance
+    wide = {}
+    for late in (0.0, 1.0):
+        unsure = replace(looked(late, count=4, noise=0.5, seed=2), velocity=np.array([0.0, 0.0, 0.0, 0.0, 0.006, 0.0]))
+        assert not unsure.there
+        state.lateness = unsure
+        more = state.told(state.belief, settings).covariance - plain
+        wide[late] = np.sqrt(more[4, 4])
+        np.testing.assert_allclose(np.delete(np.delete(more, 4, 0), 4, 1), 0.0, atol=1e-12)
+    assert wide[0.0] < 0.0012 < 0.002 < wide[1.0]
 
 
 def path(n):
