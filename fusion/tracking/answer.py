@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate, Mode, Stage
+from fusion.estimation.asked import sure_to_be_within
 from fusion.estimation.posterior import verdict as posterior
 from fusion.estimation.posterior.confidence import ConfidenceSettings, near_enough
 from fusion.estimation.posterior.whole import whole_covariance
@@ -138,6 +139,13 @@ class TrackSettings:
     # relative to a fixed camera, per frame without a hand.
     left_angle: float = float(np.deg2rad(0.15))
     left_distance: float = 0.001
+
+    def asked(self, sure_within: float | None, model: ObjectModel) -> TrackSettings:
+        """With the tolerance (ADD-S, m) that answers are to be sure within, None for these settings' own, and a track's
+        rules of what is `ok`. Raises InputError for a tolerance that is none, or beyond the object.
+        """
+        first = sure_to_be_within(self.first, sure_within, model)
+        return replace(self, first=replace(first, verdict=replace(first.verdict, way_round=self.way_round)))
 
     @property
     def confident(self) -> ConfidenceSettings:

@@ -149,7 +149,7 @@ class HandMotion:
         s = self.settings
         noise = np.diag(np.repeat([s.angle, s.distance], 3) ** 2) * steps
         still = InHand(np.zeros(6), noise, 0.1 * noise, 0.1 * noise)
-        moved = self._fingertips(before, frame)
+        moved = fingertips(before, frame)
         if moved is None:
             return still
         points, displacements = moved
@@ -163,22 +163,24 @@ class HandMotion:
         held = np.linalg.inv(covariance) + np.diag(np.repeat([s.turn_held, s.move_held], 3) ** -2.0)
         return InHand(motion, wide, 0.1 * noise + np.linalg.inv(held), 0.1 * noise, misfit)
 
-    @staticmethod
-    def _fingertips(before: HandState, frame: Frame) -> tuple[Array, Array] | None:
-        """Contact points (n, 3) of the earlier frame, hand frame, and how far their links have moved them (n, 3)."""
-        if frame.hand is None or frame.joints is None or before.joints is None or before.joints == frame.joints:
-            return None
-        sensors = frame.hand.sensors
-        rows = [i for i, name in enumerate(before.sensors) if name in sensors]
-        if not rows or frame.hand.strangers(before.joints):
-            return None  # joints of another hand: the tool was changed
-        then, now = frame.hand.forward_kinematics(before.joints), frame.hand.forward_kinematics(frame.joints)
-        points = before.points[rows]
-        moved = np.zeros_like(points)
-        for k, i in enumerate(rows):
-            link = sensors[before.sensors[i]].link
-            moved[k] = se3.apply(now[link] @ se3.inverse(then[link]), points[k : k + 1])[0] - points[k]
-        return points, moved
+
+def fingertips(before: HandState, frame: Frame) -> tuple[Array, Array] | None:
+    """Contact points (n, 3) of the earlier frame, hand frame, and how far their links have moved them (n, 3); None
+    where the fingers have not moved, or it is not known how.
+    """
+    if frame.hand is None or frame.joints is None or before.joints is None or before.joints == frame.joints:
+        return None
+    sensors = frame.hand.sensors
+    rows = [i for i, name in enumerate(before.sensors) if name in sensors]
+    if not rows or frame.hand.strangers(before.joints):
+        return None  # joints of another hand: the tool was changed
+    then, now = frame.hand.forward_kinematics(before.joints), frame.hand.forward_kinematics(frame.joints)
+    points = before.points[rows]
+    moved = np.zeros_like(points)
+    for k, i in enumerate(rows):
+        link = sensors[before.sensors[i]].link
+        moved[k] = se3.apply(now[link] @ se3.inverse(then[link]), points[k : k + 1])[0] - points[k]
+    return points, moved
 
 
 def calibration_drift(before: Array, now: Array, centre: Array, calibration: CalibrationModel) -> Array:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation.answer import Estimate
-from fusion.estimation.asked import as_prior, believing, check_kinds, check_senses, each_frame, sure_to_be_within
+from fusion.estimation.asked import as_prior, believing, check_kinds, check_senses, each_frame
 from fusion.estimation.estimate import estimate
 from fusion.estimation.posterior.confidence import near_enough
 from fusion.estimation.trace import Trace
@@ -38,6 +38,7 @@ from fusion.tracking.steps.doubts.bumped import bump, recalibrated
 from fusion.tracking.steps.doubts.contradicting import NOT_HERE, without_strangers
 from fusion.tracking.steps.doubts.delays import as_of_image, learn_delay, moved_on
 from fusion.tracking.steps.doubts.repeated import of_now
+from fusion.tracking.steps.following_hand import seen_past, with_hand_or_not
 from fusion.tracking.steps.glancing import as_judged, glance, known_of, may_glance, steadied
 from fusion.tracking.steps.judging import as_believed, as_followed, as_learned, by_touch_alone, judge, slips_unseen
 from fusion.tracking.steps.marking import mark, seen_motion
@@ -108,10 +109,7 @@ class Tracker:
         """As `track`. live: frames do not wait for searches, which a thread makes; answers depend on their pace."""
         check_kinds(model, seed, settings, beliefs, TrackSettings, live)
         self.model, self.live, self.begun = model, live, False
-        settings = settings or TrackSettings()
-        first = sure_to_be_within(settings.first, sure_within, model)
-        rules = replace(first.verdict, way_round=settings.way_round)
-        self.settings = replace(settings, first=replace(first, verdict=rules))
+        self.settings = (settings or TrackSettings()).asked(sure_within, model)
         self._senses = check_senses(use)
         self._prior, self._seed, self._asked = as_prior(prior, self.settings.first), seed, beliefs
         self._believe(beliefs or Beliefs())
@@ -132,7 +130,7 @@ class Tracker:
         state = self._state
         frame, unused = of_now(frame, state, self.settings, self._looker.correction is not None)
         frame, filled = as_measured(frame, self.settings.first.look.filling)
-        frame, on = as_of_image(frame, state)
+        world, (frame, on) = frame.camera_from_world, as_of_image(frame, state)
         if state.belief is None:
             self._believe(believed_of(frame, self._asked or frame.beliefs or Beliefs(), self.settings.first.look.noise))
             answer = self._begin(frame)
@@ -142,7 +140,9 @@ class Tracker:
             state.renewal.hurry(frame.index, self.settings.renewal)  # a search that ran when it was saved is not kept
         heard = self._aside.ready if self._aside is not None and frame.index > state.index else ""
         with one_blas_thread():
-            answer = self._follow(frame, state.belief, not heard)
+            moving = state, self._velocity, self._watch, self._looker.correction
+            belief = with_hand_or_not(self.model, self._viewed(frame), world, state.belief, *moving)
+            answer = self._follow(frame, belief, not heard)
         rest, self._rest = self._rest, None  # no image is kept with the state
         if rest is not None and rest.index == frame.index:
             frame, unused = rest, (*unused, NOT_HERE)
@@ -153,10 +153,8 @@ class Tracker:
             with state.as_of(frame, self._looker.correction) as told:
                 answer = self._search(frame, answer, heard) if told else answer
         answer = as_printed(self.model, self._sensed, state, (self._velocity, self._watch), answer, self.settings)
-        if state.sure and answer.verdict != "ok":
-            state.renewal.hurry(frame.index, self.settings.renewal)
-        state.sure = answer.verdict == "ok"
-        unused = *unused, *state.lateness.said, *unused_touch(self._felt_frame(frame), self.settings.first.touch)
+        state.judged(frame.index, answer.verdict == "ok", self.settings.renewal)
+        unused = *unused, *state.said, *unused_touch(self._felt_frame(frame), self.settings.first.touch)
         return moved_on(answer, on, state.corrected(self._looker.correction), unused)
 
     def _begin(self, frame: Frame) -> TrackedEstimate:
@@ -164,9 +162,10 @@ class Tracker:
             built_pair_table(self.model)
         answer = self.estimated(frame, self._prior)
         self._prior = None  # it was the first frame's
-        if answer.verdict != "lost":
-            self.believe(frame, answer)
-        return as_tracked(answer, "started" if answer.verdict != "lost" else "lost")
+        if answer.verdict == "lost":
+            return as_tracked(answer, "lost")
+        self.believe(frame, answer)
+        return as_tracked(answer, "started")
 
     def believe(self, frame: Frame, answer: Estimate) -> None:
         """Begin (again) from an estimate of this frame, wherever it comes from."""
@@ -263,14 +262,12 @@ class Tracker:
 
     def _follow(self, frame: Frame, belief: Belief, briefly: bool, there: Array | None = None) -> TrackedEstimate:
         """Predict, look, solve, judge; a glance where it may be brief. there (4, 4): where else to predict it."""
-        trace, s, state, model = Trace(), self.settings, self._state, self.model
-        first, beliefs = s.first, self._beliefs
-        viewed = frame if "vision" in self._senses else frame.without_vision()
+        trace, s, state, model, beliefs = Trace(), self.settings, self._state, self.model, self._beliefs
+        viewed = self._viewed(frame)
         with trace.stage("predict", True, "") as stage:
-            moving = self._velocity, self._hand_motion, self._watch
-            right = state.corrected(self._looker.correction)
+            told = beliefs.calibration, state.corrected(self._looker.correction)
             flow = seen_motion(model, frame, belief, state, self._velocity, s.marks)
-            ahead = predict(model, frame, belief, state, *moving, beliefs.calibration, right, flow)
+            ahead = predict(model, frame, belief, state, self._velocity, self._hand_motion, self._watch, *told, flow)
             elsewhere = where_shown(model, viewed, ahead, state, s) if there is None else None
             near = elsewhere or (ahead if there is None else as_moved(model, ahead, there))
             predicted, carried = near.belief, near.hypotheses
@@ -287,7 +284,7 @@ class Tracker:
             stage.note(len(seen), f"{len(looked.pixels)} object pixels, {len(looked.of_hand)} of the hand")
         moved = None if there is not None else bump(model, viewed, predicted.pose, last, self._looker.told)
         if moved is not None:
-            state.known = None
+            state.known, state.held = None, state.held.bumped
             self._watch.restart()
             self._beliefs = self._looker.beliefs = recalibrated(beliefs, self._looker.correction)
             self._asked = replace(self._asked or frame.beliefs or Beliefs(), calibration=self._beliefs.calibration)
@@ -300,7 +297,7 @@ class Tracker:
             return self._carry(frame, predicted, carried, trace, felt, NOTHING_SENSED)
         with trace.stage("picture", viewed.depth is not None, "no depth image") as stage:
             asked = np.array([h.pose for h in carried])
-            pool = pool_near(viewed, model, asked, looked, felt, beliefs, first, s.room)
+            pool = pool_near(viewed, model, asked, looked, felt, beliefs, s.first, s.room)
             unsolved = viewed.depth is None or not len(looked.pixels)
             placed = looked.hand is None and (unsolved or self._looker.correction is not None)
             self._sensed = sensed = Sensed(viewed, looked, seen, felt, pool, state.things, s.occluders, placed)
@@ -321,9 +318,9 @@ class Tracker:
                 self._rest, state.levels[learned:] = rest, []
                 return self._follow(rest, belief, False, there)
             blind = state.hand is not None and not len(looked.pixels)
-            told = self._looker.correction is not None or state.correction is not None
+            known = self._looker.correction is not None or state.correction is not None
             shown = replace(sensed, seen=found.seen)
-            how = blind, told, state, beliefs, s
+            how = blind, known, state, beliefs, s
             measured, untold = measurement_of(model, solved, frame.index, predicted.pose, shown, *how)
             if len(state.levels) > learned:  # of what all frames share the first was told no more than this one
                 predicted = relearned(model, predicted, measured)
@@ -382,6 +379,9 @@ class Tracker:
         mark(self.model, found.sensed, belief.pose, flow, state, s.marks)
         return self._believed(as_followed(frame, belief, predicted, said, watched, found.sensed, trace.stages, s))
 
+    def _viewed(self, frame: Frame) -> Frame:
+        return frame if "vision" in self._senses else frame.without_vision()
+
     def _felt_frame(self, frame: Frame) -> Frame:
         return frame if "touch" in self._senses else frame.without_touch()
 
@@ -422,7 +422,6 @@ class Tracker:
     def _accept(self, frame: Frame, felt: Felt, belief: Belief, found: Hypotheses, share: float) -> None:
         """Keep what this frame taught; a late frame's lesson is moved on to the present."""
         state = self._state
-        state.lost_for = state.unseen = 0
         state.explained(share)
         kept = several.sifted(self.model, several.leading(found, belief), self.settings.hypotheses)
         hand = self._holding(frame, felt, belief.pose)
@@ -445,6 +444,7 @@ class Tracker:
             state.belief, state.hypotheses, state.index = predicted, carried, frame.index
             state.hand = self._holding(frame, felt, predicted.pose)
             self._velocity.coast(frame.index)
-        held = state.hand is not None and state.unseen <= s.coast
-        how = held, state.hand is not None, because, felt.correction, state.right, s
-        return as_carried(self.model, frame, state.told(predicted, s.sizes), trace.stages, *how)
+        past, because = seen_past(self.model, self._viewed(frame), predicted.pose, because)
+        held = state.hand is not None and state.unseen <= s.coast and not past
+        how = trace.stages, held, state.hand is not None, because, felt.correction, state.right, s
+        return as_carried(self.model, frame, state.told(predicted, s.sizes), *how)

@@ -1,4 +1,4 @@
-"""A hand that carries, turns and loses its hold of an object, shakes it, takes it anew; a camera that moves.
+"""A hand that picks an object up, carries, turns, shakes and puts it down, loses its hold; a camera that moves.
 
 Poses are camera_from_hand and hand_from_object (4, 4); metres, radians, seconds.
 """
@@ -24,7 +24,7 @@ from scenes.synthesis.grasping.rehold import ReholdSettings, hold_anew, let_go, 
 
 Array = NDArray[np.float64]
 
-KINDS = ("carry", "turn", "slip", "slide", "regrasp", "leave", "close", "shake", "camera")
+KINDS = ("carry", "turn", "slip", "slide", "regrasp", "leave", "close", "shake", "camera", "pick", "put")
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,9 @@ class MotionSettings:
     rehold: ReholdSettings = field(default_factory=ReholdSettings)
     # Frames in which fingers open, or close; a new grasp takes three times as many.
     fingers: int = 6
+    # How far the hand comes from to pick a thing up, and goes when it has put it down (m), and the frames of that way.
+    away: float = 0.12
+    reach: int = 12
     # A shake: its frequency (Hz), amplitude (m), swing (rad), and the camera's exposure (s), while which things smear.
     shake_rate: float = 4.0
     shake: float = 0.025
@@ -93,8 +96,9 @@ def plan_motion(
     kind: "carry" (to and fro), "turn" (about an axis through the object), "slip" (carried, and slipping in the hand,
     whose fingers close anew), "slide" (the same under fingers that stand still), "regrasp" (let go while something
     else holds it, and taken otherwise), "leave" (out of the image and back), "close" (the hand closes around an object
-    at rest, then carries it), "shake" (fast, so that the image smears) or "camera" (the camera moves, hand and object
-    rest). Raises InputError for another kind, and where no other grasp is found.
+    at rest, then carries it), "shake" (fast, so that the image smears), "camera" (the camera moves, hand and object
+    rest), "pick" (the hand comes, closes and carries) or "put" (it carries, opens and goes; the object rests). Raises
+    InputError for another kind, and where no other grasp is found.
     """
     settings = settings or MotionSettings()
     if kind not in KINDS:
@@ -110,6 +114,8 @@ def plan_motion(
         grasps, loose = _regrasped(frames, grasp, hand, model, rng, settings)
     elif kind == "close":
         grasps, loose = _closing(frames, grasp, hand, model, settings)
+    elif kind in ("pick", "put"):
+        grasps, loose = _reaching(kind, frames, grasp, hand, model, settings)
     sliding = {i for slip in slips for i in range(int(slip["first"]), int(slip["last"]) + 1)}
     motions = []
     for delta in path:
@@ -119,7 +125,7 @@ def plan_motion(
     steps = []
     for i, (motion, held) in enumerate(zip(motions, grasps)):
         hand_pose = motion @ camera_from_hand
-        if kind == "regrasp":  # the object goes on as it went, and the hand goes about it
+        if kind in ("regrasp", "pick", "put"):  # the object goes on as it went, and the hand goes about it
             hand_pose = hand_pose @ grasp.hand_from_object @ poses.inverse(held.hand_from_object)
         world = motion if kind == "camera" else np.eye(4)
         smear = None
@@ -148,6 +154,9 @@ def _path(
     n = np.arange(frames)
     # phase rises from rest like a parabola, then evenly: speed is continuous
     eased = np.where(n < settings.start, n**2 / (2.0 * settings.start), n - settings.start / 2.0)
+    if kind == "put":  # and falls to rest again
+        carried = _phases(kind, frames, settings)[0]
+        eased = carried * _smooth(n / carried)
     phase = 2 * np.pi * eased / (settings.rate * settings.period)
     directions = poses.random_unit_vectors(2, rng)
     angle = rng.uniform(0, 2 * np.pi)
@@ -161,8 +170,8 @@ def _path(
     across = np.sin(phase)[:, None] * aside + 0.5 * (1 - np.cos(phase))[:, None] * other
     out[:, 3:] = carry * (settings.across * across)
     out[:, 5] += carry * settings.along * 0.5 * (1 - np.cos(1.3 * phase))
-    if kind == "close":
-        wait = 2 * settings.fingers
+    if kind in ("close", "pick"):
+        wait = 2 * settings.fingers if kind == "close" else sum(_phases(kind, frames, settings)[1:])
         out = np.concatenate([np.zeros((min(wait, frames), 6)), out])[:frames]
     if kind == "shake":
         beat = np.sin(2 * np.pi * settings.shake_rate * eased / settings.rate)
@@ -211,7 +220,7 @@ def _slips(
     while first + settings.slip_frames < frames:
         held = grasps[first]
         share = np.linspace(0, 1, settings.slip_frames + 1)[1:]
-        eased = share**2 * (3 - 2 * share)
+        eased = _smooth(share)
         delta, moved = None, []
         if kind == "slide":
             delta = slide(held, model, rng, held_anew)
@@ -278,6 +287,51 @@ def _regrasped(
     loose = [first, len(held) - 1]
     held += [other] * max(0, frames - len(held))
     return [_measured(one, signs, hand) for one in held[:frames]], loose
+
+
+def _phases(kind: str, frames: int, settings: MotionSettings) -> tuple[int, int, int]:
+    """Frames in which the hand of a "pick" or "put" carries the object, its fingers move, and it comes or goes."""
+    fingers = max(1, min(settings.fingers, frames // 6))
+    reach = max(1, min(settings.reach, frames // 2))
+    if kind == "pick":
+        return max(0, frames - fingers - reach), fingers, reach
+    return max(1, frames // 3), fingers, reach
+
+
+def _reaching(
+    kind: str, frames: int, grasp: Grasp, hand: Hand, model: ObjectModel, settings: MotionSettings
+) -> tuple[list[Grasp], list[int]]:
+    """The grasp of every frame of a "pick" or a "put", and the frames in which nothing holds the object: the hand
+    stands off it the way that leads from the object's middle to the hand's origin.
+    """
+    hand, signs, exact = _exact(hand, model)
+    grasp = _measured(grasp, signs, hand)
+    opening = _opening(grasp, hand, exact, settings)
+    carried, fingers, reach = _phases(kind, frames, settings)
+    middle = poses.apply(grasp.hand_from_object, model.centroid[None])[0]
+    size = float(np.linalg.norm(middle))
+    way = middle / size if size > 1e-9 else np.array([0.0, 0.0, 1.0])
+    opened = opening(1.0)
+
+    def off(share: float) -> Grasp:
+        shift = poses.make_pose(np.eye(3), settings.away * share * way)
+        return replace(opened, hand_from_object=shift @ grasp.hand_from_object)
+
+    leaving = [opening((i + 1) / fingers) for i in range(fingers)]
+    leaving += [off(float(_smooth(np.array((i + 1) / reach)))) for i in range(reach)]
+    if kind == "pick":
+        held = [*leaving[::-1], *[grasp] * carried]
+        loose = [0, len(leaving) - 1]
+    else:
+        held = [*[grasp] * carried, *leaving, *[leaving[-1]] * frames]
+        loose = [carried, frames - 1]
+    return [_measured(one, signs, hand) for one in held[:frames]], loose
+
+
+def _smooth(share: Array) -> Array:
+    """A way from 0 to 1 that begins and ends at rest; what is beyond stays there."""
+    inside = np.clip(share, 0.0, 1.0)
+    return np.asarray(inside**2 * (3 - 2 * inside))
 
 
 def _closing(

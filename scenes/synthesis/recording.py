@@ -120,9 +120,9 @@ def synthesize_frames(
     """Frames of one object; nothing touches the disk.
 
     Without a `motion` they are independent: another grasp, view and draw of the noise each, and frame i depends on seed
-    and i only. With one ("carry", "turn", "slip", "slide", "regrasp", "leave", "close", "shake", "camera"; see
-    scenes.synthesis.motion) one grasp is recorded at 30 frames a second by one camera and robot with their lasting
-    errors; the asked occlusion is that of the closed hand in the first frame, which alone has a prior.
+    and i only. With one ("carry", "turn", "slip", "slide", "regrasp", "leave", "close", "shake", "camera", "pick",
+    "put"; see scenes.synthesis.motion) one grasp is recorded at 30 frames a second by one camera and robot with their
+    lasting errors; the asked occlusion is that of the closed hand in the first frame, which alone has a prior.
 
     occlusion: share (0 to 1) of the object's own in-image pixels that something hides, held within 0.03; default 0.6,
     and 0 with occluders "none".

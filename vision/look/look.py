@@ -114,6 +114,8 @@ def look(
     if _box(frame, region) is None:
         return nothing_seen(region, "region outside the image")
     hand = _find_hand(frame, beliefs, settings)
+    if start is None and frame.mask is None and hand is not None and not len(hand.points) and not len(frame.contacts):
+        hand = region = None  # it is not in view, and what is in view it need not hold
     if frame.mask is None and hand is None:
         planes = large_planes(frame, model, beliefs, settings, start)
         bare = _sorted(frame, region, None, None, settings, planes, beliefs)
@@ -128,6 +130,8 @@ def look(
         return _sorted(frame, region, frame.mask, hand, settings)
     mask = object_mask(frame, model, beliefs, settings=settings.mask, view=hand)
     if np.count_nonzero(mask) < settings.least_masked:
+        if not len(frame.contacts):  # the hand need not hold it
+            return among_others(frame, model, hand, beliefs, settings, anywhere=True)
         bare = _sorted(frame, region, None, hand, settings)
         return replace(bare, how="; no piece of an object near the hand")
     if not len(frame.contacts) and exceeds(mask, frame, model, settings.mask):
@@ -144,13 +148,15 @@ def among_others(
     hand: HandView,
     beliefs: Beliefs | None = None,
     settings: LookSettings | None = None,
+    anywhere: bool = False,
 ) -> Looked:
     """All that may be the object near a hand that is known, where what is at the hand is not all the object's: its arm,
-    as a rule, of which there is no model. Nobody says then what hides the object, or which piece it is.
+    as a rule, of which there is no model. Nobody says then what hides the object, or which piece it is. anywhere: in
+    all the image, for nothing is at the hand.
     """
     settings, beliefs = settings or LookSettings(), beliefs or usual_beliefs()
     planes = large_planes(frame, model, beliefs, settings)
-    region = find_region(frame, model, None, settings.slack)
+    region = None if anywhere else find_region(frame, model, None, settings.slack)
     found = _sorted(frame, region, None, hand, settings, planes, beliefs)
     pieces = []
     for piece in _find_pieces(frame, model, planes, beliefs, settings):

@@ -27,7 +27,7 @@ from scenes.errors import unknown
 
 # Of the families on which settings are chosen; the others have their own.
 OBJECTS = ("drill", "mug", "bottle", "hammer", "box")
-MOTIONS = ("carry", "slip", "slide", "turn", "regrasp", "leave", "close", "shake", "camera")
+MOTIONS = ("carry", "slip", "slide", "turn", "regrasp", "leave", "close", "shake", "camera", "pick", "put")
 # Frames of a sequence: half as many again as a track that begins wrong has to be right in; and in a hurry.
 FRAMES, QUICK_FRAMES = 45, 8
 

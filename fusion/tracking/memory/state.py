@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from fusion.estimation.posterior.verdict import VerdictSettings
 from fusion.estimation.solve.settings import Level
 from fusion.tracking.filter import Belief, Measurement, block
+from fusion.tracking.memory.held import Held
 from fusion.tracking.memory.hypotheses import Hypotheses, moved
 from fusion.tracking.memory.last_image import LastImage
 from fusion.tracking.memory.last_touch import LastTouch
@@ -208,7 +209,7 @@ class TrackState:
     colour image, where no hand tells how it moves; released: the hand has let go; camera: of the last image, None
     before; imaged: whether an image has shown it; glanced: glances since the last look in full at an image;
     image, touch: the last image and contacts that were new ones, None before some; lateness: of images beside the
-    robot's reports.
+    robot's reports; held: whether it goes with the hand.
     """
 
     belief: Belief | None = None
@@ -241,6 +242,7 @@ class TrackState:
     image: LastImage | None = None
     touch: LastTouch | None = None
     lateness: Lateness = field(default_factory=Lateness)
+    held: Held = field(default_factory=Held)
 
     def before_its_camera(self, frame: Frame) -> Frame:
         """A frame between images, before the camera of the last one: it has not gone, and what is felt is off by what
@@ -287,6 +289,7 @@ class TrackState:
 
     def explained(self, share: float) -> None:
         """An accepted frame's pixels, of which the pose explains a share; NaN where none were looked at."""
+        self.lost_for = self.unseen = 0
         if np.isfinite(share):
             self.imaged = True
             self.usual = share if self.usual is None else 0.9 * self.usual + 0.1 * share
@@ -297,7 +300,7 @@ class TrackState:
         """What an accepted frame's fingers feel of the object at a pose (4, 4)."""
         if hand is not None and len(felt.reported_contacts):
             at = felt.correction @ hand.camera_from_hand
-            self.touched = Touched.of(model, felt.contacts, at, pose, settings)
+            self.touched = Touched.of(model, felt.contacts, hand, at, pose, settings)
 
     def taught_late(
         self, belief: Belief, hypotheses: Hypotheses, hand: HandState | None, seen: Array | None
@@ -338,13 +341,16 @@ class TrackState:
             return hand
         lateness = self.lateness if told is None else self.lateness.of_hand
         self.lateness = lateness.looked(told, se3.apply(pose, model.centroid[None])[0])
+        right = self.corrected(None if told is None else told.correction)
+        at = hand.camera_from_hand if right is None else right @ hand.camera_from_hand
         if len(hand.points):
             self.released = False
+            off = model.field.distance(se3.apply(se3.inverse(pose) @ at, hand.points))
+            if (np.abs(off) <= settings.outlier_distance).mean() >= settings.least_contacts:
+                self.held = self.held.touching
         elif self.touched is not None and not self.released:
-            right = self.corrected(None if told is None else told.correction)
-            at = hand.camera_from_hand if right is None else right @ hand.camera_from_hand
             self.released = self.touched.is_let_go(model, pose, at @ self.touched.hold, at, settings)
-        return None if self.released else hand
+        return None if self.released or self.held.stays else hand
 
     def smear(self, model: ObjectModel, index: int, pose: Array, settings: VelocitySettings) -> Array:
         """(6,) by how much an object at `pose` (4, 4) in frame `index` may be elsewhere at the time that the frame is
@@ -364,6 +370,17 @@ class TrackState:
         None where no image has shown the hand.
         """
         return seen if seen is None or self.known is None else self.known.correction
+
+    def judged(self, index: int, sure: bool, settings: RenewalSettings) -> None:
+        """Whether the answer to a frame is sure; one that is not any more hastens the next search."""
+        if self.sure and not sure:
+            self.renewal.hurry(index, settings)
+        self.sure = sure
+
+    @property
+    def said(self) -> tuple[str, ...]:
+        """Notes of what holds for this frame and the next ones."""
+        return *self.lateness.said, *self.held.said
 
     def told(self, belief: Belief, settings: SizeSettings, sizes: Sizes | None = None) -> Belief:
         """A belief as wide as it is to be told; sizes: with those of a look that is not remembered yet."""

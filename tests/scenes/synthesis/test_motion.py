@@ -168,3 +168,24 @@ def test_a_fast_shake_smears_the_image():
     still = make("carry", 2, settings=TINY)
     # where the hand sweeps along nothing is read
     assert min((f.depth == 0).sum() for f in frames[3:]) > (still[0].depth == 0).sum()
+
+
+@pytest.mark.parametrize("motion", ["pick", "put"])
+def test_a_hand_comes_to_an_object_that_rests_or_leaves_it(motion):
+    frames = make(motion, 18, settings=TINY)
+    frames = frames[::-1] if motion == "put" else frames  # as if it came
+    held = [len(frame.contacts.points) > 0 for frame in frames]
+    first = held.index(True)
+    assert first >= 10
+    assert all(held[first:])
+    for frame in frames[:first]:
+        np.testing.assert_allclose(frame.camera_from_object_truth, frames[0].camera_from_object_truth, atol=1e-9)
+    for frame in frames[first:]:
+        np.testing.assert_allclose(hold(frame), hold(frames[-1]), atol=1e-9)
+    away = [np.linalg.norm(frame.world_from_hand[:3, 3] - frames[first].world_from_hand[:3, 3]) for frame in frames]
+    assert away[0] == pytest.approx(0.12, abs=0.003)
+    assert max(np.abs(np.diff(away[: first + 1]))) < 0.025
+    moved = poses.difference(
+        frames[-1].camera_from_object_truth, frames[first].camera_from_object_truth, MODEL.centroid
+    )
+    assert np.linalg.norm(moved[3:]) > 0.002

@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--mesh-error", metavar="NAME", help=errors)
     moves = (
-        "carry, turn, slip, slide, regrasp, leave, close, shake or camera: one grasp filmed;"
+        "carry, turn, slip, slide, regrasp, leave, close, shake, camera, pick or put: one grasp filmed;"
         " default: every frame another grasp and view"
     )
     parser.add_argument("--motion", metavar="KIND", help=moves)

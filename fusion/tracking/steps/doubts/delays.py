@@ -77,7 +77,7 @@ def learn_delay(
     far as it stays in the palm. rows: the image's; pose (4, 4): where all that was sensed has it.
     """
     hand, late = camera_from_hand(frame), state.lateness
-    if looker.told is not None or hand is None or not len(rows) or frame.index < state.index:
+    if looker.told is not None or hand is None or not len(rows) or frame.index < state.index or state.held.stays:
         return
     hold = se3.inverse(hand) @ pose if late.hold is None else late.hold
     carried = hand @ hold

@@ -93,7 +93,7 @@ def test_it_is_no_delay(at):
     assert told.before[0][0] >= at
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [2, 3])
 def test_what_is_held_goes_where_the_hand_is_seen(seed):
     """The camera's pose leaps by 12 mm and 1 degree; images are what they were."""
     cell = Cell("lab", "drill", 0, ("carry",), 16, (), seed, None)
@@ -107,7 +107,7 @@ def test_what_is_held_goes_where_the_hand_is_seen(seed):
         gone = poses.apply(answer.pose, model.centroid[None]) - poses.apply(
             frame.camera_from_object_truth, model.centroid[None]
         )
-        assert np.linalg.norm(gone) < 0.006, frame.index
+        assert np.linalg.norm(gone) < 0.0046, frame.index  # 5.3 mm and more where it goes with the camera
 
 
 def test_its_calibration_may_be_as_far_off_as_it_is_seen_to_be():

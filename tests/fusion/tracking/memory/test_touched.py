@@ -11,6 +11,7 @@ from fusion.estimation.posterior.verdict import VerdictSettings
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.memory.state import GlanceSettings
 from fusion.tracking.memory.touched import Touched
+from fusion.tracking.motion import HandState
 from fusion.tracking.tracker import Tracker
 from scenes.geometry import poses
 from scenes.recordings.frames import Contacts
@@ -38,7 +39,8 @@ def test_what_was_felt_is_explained_where_it_was_felt_and_not_elsewhere(mug):
     pose = poses.exp(np.array([0.3, -0.2, 0.1, 0.0, 0.1, 0.6]))
     hand = poses.exp(np.array([0.1, 0.5, 0.0, 0.0, 0.0, 0.5]))
     contacts, rules = Contacts(points, normals, 0.001).moved(pose), VerdictSettings()
-    felt = Touched.of(mug, contacts, hand, pose, rules)
+    by = HandState(hand, None, tuple(contacts.sensors), points)
+    felt = Touched.of(mug, contacts, by, hand, pose, rules)
     assert felt is not None
     motion = poses.exp(np.array([0.0, 0.4, 0.0, 0.1, 0.0, 0.0]))  # of hand and object
     there, hand = motion @ pose, motion @ hand
@@ -48,7 +50,7 @@ def test_what_was_felt_is_explained_where_it_was_felt_and_not_elsewhere(mug):
     near = poses.perturb(there, np.array([0.0, 0.0, 0.0, 0.02, 0.0, 0.0]), mug.centroid)
     assert not felt.is_let_go(mug, near, near, hand, rules)
     # an answer that does not explain its contacts remembers none
-    assert Touched.of(mug, contacts, np.eye(4), poses.perturb(pose, ELSEWHERE, mug.centroid), rules) is None
+    assert Touched.of(mug, contacts, by, np.eye(4), poses.perturb(pose, ELSEWHERE, mug.centroid), rules) is None
 
 
 def test_fingers_that_let_go_are_remembered(mug):

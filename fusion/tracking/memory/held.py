@@ -1,0 +1,145 @@
+"""Whether the object goes with the hand that the robot tells of, as images show it.
+
+A hand that is told need not hold anything: it reaches for what lies on a table, has put it down, or has handed it over.
+Where it has moved since an image showed the object, the object is either where the hand would have carried it or where
+it was; of what only one of the two would show, the depth image tells which.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.frames import Frame
+
+Array = NDArray[np.float64]
+
+# The hand has moved so far from what it may hold (m, of the object's middle) that an image may tell: twice what depth
+# is believed to differ by; and so far that what was shown before is out of date where it has not told.
+APART, LEFT = 0.010, 0.050
+# What agrees with a depth image lies so near its readings (m): what cameras differ by from place to place.
+NEAR = 0.006
+# Share of what only one of the two places would show that is seen there, and at most at the other.
+SHOWN, ELSEWHERE = 0.6, 0.3
+# Points of the surface that are looked at, of which the half that faces the camera counts; fewest that tell.
+POINTS, FEWEST = 2000, 20
+# An object moves by itself that is so far (m) from where it was beside a hand that has hardly moved (m).
+MOVED, STILL = 0.004, 0.003
+
+
+@dataclass(frozen=True)
+class Instant:
+    """When frame `index` was: (4, 4) camera_from_world, and camera_from_hand as the robot reports it."""
+
+    index: int
+    world: Array
+    hand: Array
+
+
+@dataclass(frozen=True)
+class Held:
+    """stays: images have shown that the object does not go with the hand; last: the last frame with a hand; pose (4, 4)
+    camera_from_object at the instant `since`, from which the hand is followed; None before. told: by the last image,
+    which another has to bear out: a camera that is bumped has hand and object elsewhere in one.
+    """
+
+    stays: bool = False
+    last: Instant | None = None
+    pose: Array | None = None
+    since: Instant | None = None
+    told: str = ""
+
+    @property
+    def said(self) -> tuple[str, ...]:
+        """A note, while it stays."""
+        return ("the hand moves without the object: it is not held",) if self.stays else ()
+
+    @property
+    def bumped(self) -> Held:
+        """When the camera was found to have been bumped: what it showed before is elsewhere."""
+        return Held(self.stays)
+
+    @property
+    def touching(self) -> Held:
+        """When fingers feel it where it is: they hold it, until images show otherwise."""
+        return Held(False, self.last) if self.stays else self
+
+    def followed(
+        self, model: ObjectModel, frame: Frame, now: Instant, pose: Array | None, correction: Array | None
+    ) -> tuple[Held, Array | None]:
+        """With a frame that has depth, before it is looked at; and where the object is (4, 4) when it turns out that
+        the hand has moved without it. pose (4, 4): where the last frame showed it, None where it showed nothing.
+        correction (4, 4): camera_from_camera of what the robot reports, None where nothing has told it.
+        """
+        held = replace(self._begun(model, pose, correction), last=now)
+        if held.pose is None:
+            return held, None
+        stayed, carried = held._places(now, correction)
+        apart = _shift(model, stayed, carried)
+        told = which(model, frame, stayed, carried) if apart >= APART else ""
+        if not told or told != self.told:
+            gone = apart > LEFT and not told
+            return (replace(held, pose=None, since=None, told="") if gone else replace(held, told=told)), None
+        stays = told == "stayed"
+        return Held(stays, now), stayed if stays and not self.stays else None
+
+    def _begun(self, model: ObjectModel, pose: Array | None, correction: Array | None) -> Held:
+        """With what the last frame showed, where nothing was shown before, or the object has moved by itself since."""
+        if pose is None or self.last is None:
+            return self
+        if self.pose is not None:
+            stayed, carried = self._places(self.last, correction)
+            if _shift(model, stayed, carried) >= STILL or _shift(model, stayed, pose) <= MOVED:
+                return self
+        return replace(self, pose=pose, since=self.last)
+
+    def _places(self, now: Instant, correction: Array | None) -> tuple[Array, Array]:
+        """camera_from_object (4, 4) at another instant of what has stayed in the world, and gone with the hand."""
+        assert self.pose is not None
+        assert self.since is not None
+        motion = now.hand @ se3.inverse(self.since.hand)
+        if correction is not None:
+            motion = correction @ motion @ se3.inverse(correction)
+        return now.world @ se3.inverse(self.since.world) @ self.pose, motion @ self.pose
+
+
+def which(model: ObjectModel, frame: Frame, stayed: Array, carried: Array) -> str:
+    """Which of two poses (4, 4) a depth image shows, "stayed" or "carried"; "" where it does not tell."""
+    here, there = shown(model, frame, stayed, carried), shown(model, frame, carried, stayed)
+    if np.isnan(here) or np.isnan(there):
+        return ""
+    if here >= SHOWN and there <= ELSEWHERE:
+        return "stayed"
+    return "carried" if there >= SHOWN and here <= ELSEWHERE else ""
+
+
+def shown(model: ObjectModel, frame: Frame, pose: Array, other: Array | None = None) -> float:
+    """Share of the surface at a pose (4, 4) that a depth image has where it is, of what faces the camera, is not hidden
+    by something nearer and, if there is an `other` pose (4, 4), is not on the surface there; NaN where that is little.
+    """
+    camera, depth = frame.camera, frame.depth
+    if camera is None or depth is None:
+        return float("nan")
+    points, normals = model.sample_surface(POINTS)
+    points, normals = se3.apply(pose, points), normals @ pose[:3, :3].T
+    points = points[np.einsum("ij,ij->i", normals, points) < 0.0]
+    if other is not None:
+        points = points[np.abs(model.field.distance(se3.apply(se3.inverse(other), points))) > NEAR]
+    uv, z = camera.project(points)
+    inside = (z > 0) & (uv[:, 0] > -0.5) & (uv[:, 0] < camera.width - 0.5)
+    inside &= (uv[:, 1] > -0.5) & (uv[:, 1] < camera.height - 0.5)
+    column, row = np.rint(uv[inside]).astype(int).T
+    read, z = depth[row, column].astype(np.float64), z[inside]
+    beyond = (read - z)[(read > 0) & np.isfinite(read)]
+    beyond = beyond[beyond > -NEAR]
+    return float((beyond < NEAR).mean()) if len(beyond) >= FEWEST else float("nan")
+
+
+def _shift(model: ObjectModel, pose: Array, other: Array) -> float:
+    """How far (m) two poses (4, 4) have the object's surface apart, at most: its middle, and its ends by the turn."""
+    delta = se3.difference(pose, other, model.centroid)
+    return float(np.linalg.norm(delta[3:]) + np.linalg.norm(delta[:3]) * model.radius)

@@ -1,0 +1,77 @@
+"""What a hand that is told does not hold stays where it was, and is not predicted to go with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.tracking.answer import Because
+from fusion.tracking.filter import Belief
+from fusion.tracking.memory import hypotheses as several
+from fusion.tracking.memory.held import ELSEWHERE, Instant, shown
+from fusion.tracking.memory.state import TrackState
+from fusion.tracking.slip import SlipWatch
+from scenes.geometry import poses as se3
+from scenes.geometry.objects import ObjectModel
+from scenes.recordings.frames import Frame
+from vision.look.hand.hand import camera_from_hand
+from vision.tracking.by_vision import ConstantVelocity
+
+Array = NDArray[np.float64]
+
+SEEN_PAST: Because = ("the camera sees past where it would be", "")
+
+
+def seen_past(model: ObjectModel, frame: Frame, pose: Array, because: Because) -> tuple[bool, Because]:
+    """Whether the depth image of a frame that tells nothing of the object shows that it is not at a pose (4, 4) either:
+    it sees farther there. And why nothing is told of it: otherwise because ....
+    """
+    past = bool(shown(model, frame, pose) <= ELSEWHERE)
+    return past, SEEN_PAST if past else because
+
+
+def with_hand_or_not(
+    model: ObjectModel,
+    frame: Frame,
+    world: Array,
+    belief: Belief,
+    state: TrackState,
+    velocity: ConstantVelocity,
+    watch: SlipWatch,
+    correction: Array | None,
+) -> Belief:
+    """The belief of the frame before, at the place where the object has stayed if this frame's depth image shows that
+    the hand moves without it; the state remembers whether it does, and what goes on from there by itself.
+
+    world (4, 4): camera_from_world as it was told, whatever has been made of a late image's. correction (4, 4):
+    camera_from_camera of what the robot reports, None where nothing has told it.
+    """
+    hand = camera_from_hand(frame)
+    if hand is not None and frame.index > state.index and _has_opened(model, frame, state):
+        state.released, state.hand = True, None
+    if hand is None or frame.depth is None or frame.index <= state.index:
+        return belief
+    last = state.held.last
+    seen = state.unseen == 0 and last is not None and last.index == state.index
+    now = Instant(frame.index, world, hand)
+    state.held, stayed = state.held.followed(model, frame, now, belief.pose if seen else None, correction)
+    if stayed is None:
+        return belief
+    assert last is not None
+    # as the camera had it in the frame before
+    before = last.world @ se3.inverse(world) @ stayed
+    motion = before @ se3.inverse(belief.pose)
+    state.belief = replace(belief.moved(motion), pose=before)
+    state.hypotheses, state.hand, state.known = several.moved(state.hypotheses, motion), None, None
+    velocity.restart(state.index, before)
+    watch.let_go()
+    return state.belief
+
+
+def _has_opened(model: ObjectModel, frame: Frame, state: TrackState) -> bool:
+    """Whether the fingers have left the object since they felt it, and feel nothing."""
+    if state.released or state.touched is None or len(frame.contacts.points):
+        return False
+    return state.touched.has_opened(model, frame)
