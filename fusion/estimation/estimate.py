@@ -125,7 +125,9 @@ def _answer(model: ObjectModel, question: Question, trace: Trace, looked: Looked
     other = _estimate(sense(frame, model, asked, trace, again), asked, trace)
     assert other is not None
     # where what is felt contradicts every pose, a look at more of the image has to be sure of one
-    if other.verdict == "ok" or not (looked.at_touch and answer.verdict == "lost"):
+    doubtful = looked.at_touch and answer.verdict == "lost"
+    doubtful |= looked.empty and other.confidence < asked.settings.look.elsewhere
+    if other.verdict == "ok" or not doubtful:
         answer = max(answer, other, key=lambda one: (one.verdict == "ok", one.confidence))
     return answer, sensed
 

@@ -80,6 +80,9 @@ class LookSettings:
     # surface of it, from which on other things must be at the hand: of 15 answers of tuning families with that much 5
     # were right, of the other 37 that were not `ok` 23; with arms, another generator's, none of 5.
     other_share: float = 0.2
+    # Confidence (a probability, no unit) from which what is found away from a hand is answered, where nothing is at the
+    # hand: more likely right than not. What is hidden in a hand whole would else be at whatever looks a little like it.
+    elsewhere: float = 0.5
     colour: PartingSettings = field(default_factory=PartingSettings)
     hand: HandViewSettings = field(default_factory=HandViewSettings)
     mask: MaskSettings = field(default_factory=MaskSettings)
@@ -111,11 +114,12 @@ def look(
     region = find_region(frame, model, start, settings.slack, frame.mask, settings.seen_through)
     if frame.depth is None or frame.camera is None:
         return _cloud(frame, region, settings)
-    if _box(frame, region) is None:
-        return nothing_seen(region, "region outside the image")
+    alone = frame.mask is None and start is None
     hand = _find_hand(frame, beliefs, settings)
-    if start is None and frame.mask is None and hand is not None and not len(hand.points) and not len(frame.contacts):
-        hand = region = None  # it is not in view, and what is in view it need not hold
+    empty = settings.tidy and alone and hand is not None and not len(frame.contacts)
+    if _box(frame, region) is None:
+        outside = "region outside the image"
+        return replace(nothing_seen(region, outside, hand), empty=True) if empty else nothing_seen(region, outside)
     if frame.mask is None and hand is None:
         planes = large_planes(frame, model, beliefs, settings, start)
         bare = _sorted(frame, region, None, None, settings, planes, beliefs)
@@ -126,14 +130,12 @@ def look(
         masked = _sorted(frame, region, frame.mask, None, settings)
         planes = large_planes(frame, model, beliefs, settings, start, floor_only=True)
         return replace(masked, floors=floors_under(masked.pixels.points, planes, settings.mask, beliefs.depth))
-    if not settings.tidy or start is not None or frame.mask is not None or hand is None or not len(hand.points):
-        return _sorted(frame, region, frame.mask, hand, settings)
+    if not settings.tidy or not alone or hand is None or not len(hand.points):
+        return replace(_sorted(frame, region, frame.mask, hand, settings), empty=empty)
     mask = object_mask(frame, model, beliefs, settings=settings.mask, view=hand)
     if np.count_nonzero(mask) < settings.least_masked:
-        if not len(frame.contacts):  # the hand need not hold it
-            return among_others(frame, model, hand, beliefs, settings, anywhere=True)
         bare = _sorted(frame, region, None, hand, settings)
-        return replace(bare, how="; no piece of an object near the hand")
+        return replace(bare, how="; no piece of an object near the hand", empty=empty)
     if not len(frame.contacts) and exceeds(mask, frame, model, settings.mask):
         return among_others(frame, model, hand, beliefs, settings)
     region = find_region(frame, model, None, settings.slack, mask)

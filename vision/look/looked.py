@@ -45,7 +45,8 @@ class Looked:
     points come from a cloud, not from pixels of a camera. told_apart: a mask or the hand's model removed what hides the
     object. how: a word on what was taken away first. planes (k, 6): table and walls, see `find_plane`; floors (m, 6):
     those behind which nothing is, whether or not readings are taken away as theirs. at_hand: pixels are the object's
-    only because they are at the hand; at_touch: because they are there, and at what is felt.
+    only because they are at the hand; at_touch: because they are there, and at what is felt. empty: nothing is seen at
+    a hand that is known, or it is out of the image, and nothing is felt: it need not hold the object.
     """
 
     pixels: Pixels
@@ -61,6 +62,7 @@ class Looked:
     pieces: tuple[Pixels, ...] = ()
     at_hand: bool = False
     at_touch: bool = False
+    empty: bool = False
     floors: Array = field(default_factory=lambda: np.zeros((0, 6)))
     # rows by what they were made with: several steps ask for them
     _made: dict[tuple[DepthModel | None, RowSettings], Evidence] = field(

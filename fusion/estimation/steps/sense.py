@@ -82,24 +82,26 @@ def look_once(model: ObjectModel, asked: Asked, trace: Trace) -> Looked:
 
 def look_again(model: ObjectModel, asked: Asked, trace: Trace, looked: Looked, answer: Estimate) -> Looked | None:
     """What the camera saw, where an answer leaves much of what was taken for the object unexplained: then something
-    else is at the hand, and nobody says what hides the object. None where nothing speaks for that.
+    else is at the hand, and nobody says what hides the object; or where nothing is at the hand: then the object may be
+    anywhere. None where nothing speaks for that.
     """
     settings, hand = asked.settings.look, looked.hand
-    told = looked.at_hand or looked.at_touch
+    told = looked.at_hand or looked.at_touch or looked.empty
     why_not = "what is the object's is not told by the hand" if not told or hand is None else ""
     if not why_not and answer.verdict == "ok":
         why_not = "the answer is ok"
-    left = 0.0 if why_not else unexplained(model, looked, _seen_at(answer), settings)
-    if not why_not and left < settings.other_share:
+    left = 0.0 if why_not or looked.empty else unexplained(model, looked, _seen_at(answer), settings)
+    if not why_not and not looked.empty and left < settings.other_share:
         why_not = "the answer explains what was taken for the object"
     elif not why_not and trace.over_budget:
         why_not = "the time budget is spent"
     with trace.stage("look again", not why_not, why_not) as stage:
         if why_not or hand is None:
             return None
-        found = among_others(asked.viewed, model, hand, asked.beliefs, settings)
+        found = among_others(asked.viewed, model, hand, asked.beliefs, settings, anywhere=looked.empty)
         count = len(found.rows(asked.beliefs.depth, settings.rows))
-        stage.note(count, f"{left:.0%} of it are something else's; {len(found.pixels)} object pixels{found.how}")
+        why = "nothing is at the hand" if looked.empty else f"{left:.0%} of it are something else's"
+        stage.note(count, f"{why}; {len(found.pixels)} object pixels{found.how}")
     return found
 
 
