@@ -140,7 +140,7 @@ class Tracker:
             state.renewal.hurry(frame.index, self.settings.renewal)  # a search that ran when it was saved is not kept
         heard = self._aside.ready if self._aside is not None and frame.index > state.index else ""
         with one_blas_thread():
-            moving = state, self._velocity, self._watch, self._looker.correction
+            moving = state, self._velocity, self._watch, self._looker.correction, self._sensed
             belief = with_hand_or_not(self.model, self._viewed(frame), world, state.belief, *moving)
             answer = self._follow(frame, belief, not heard)
         rest, self._rest = self._rest, None  # no image is kept with the state
@@ -444,7 +444,7 @@ class Tracker:
             state.belief, state.hypotheses, state.index = predicted, carried, frame.index
             state.hand = self._holding(frame, felt, predicted.pose)
             self._velocity.coast(frame.index)
-        past, because = seen_past(self.model, self._viewed(frame), predicted.pose, because)
+        past, because = seen_past(self.model, self._viewed(frame), predicted.pose, self._sensed, because)
         held = state.hand is not None and state.unseen <= s.coast and not past
         how = trace.stages, held, state.hand is not None, because, felt.correction, state.right, s
         return as_carried(self.model, frame, state.told(predicted, s.sizes), *how)

@@ -69,18 +69,26 @@ class Held:
         return Held(False, self.last) if self.stays else self
 
     def followed(
-        self, model: ObjectModel, frame: Frame, now: Instant, pose: Array | None, correction: Array | None
+        self,
+        model: ObjectModel,
+        frame: Frame,
+        now: Instant,
+        pose: Array | None,
+        correction: Array | None,
+        seen_from: Array | None = None,
     ) -> tuple[Held, Array | None]:
         """With a frame that has depth, before it is looked at; and where the object is (4, 4) when it turns out that
         the hand has moved without it. pose (4, 4): where the last frame showed it, None where it showed nothing.
         correction (4, 4): camera_from_camera of what the robot reports, None where nothing has told it.
+        seen_from (4, 4): takes a pose to where images show it, None for there.
         """
         held = replace(self._begun(model, pose, correction), last=now)
         if held.pose is None:
             return held, None
         stayed, carried = held._places(now, correction)
         apart = _shift(model, stayed, carried)
-        told = which(model, frame, stayed, carried) if apart >= APART else ""
+        seen = np.eye(4) if seen_from is None else seen_from
+        told = which(model, frame, seen @ stayed, seen @ carried) if apart >= APART else ""
         if not told or told != self.told:
             gone = apart > LEFT and not told
             return (replace(held, pose=None, since=None, told="") if gone else replace(held, told=told)), None

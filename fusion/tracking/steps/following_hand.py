@@ -13,6 +13,7 @@ from fusion.tracking.memory import hypotheses as several
 from fusion.tracking.memory.held import ELSEWHERE, Instant, shown
 from fusion.tracking.memory.state import TrackState
 from fusion.tracking.slip import SlipWatch
+from fusion.tracking.steps.sensing import Sensed
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Frame
@@ -24,11 +25,13 @@ Array = NDArray[np.float64]
 SEEN_PAST: Because = ("the camera sees past where it would be", "")
 
 
-def seen_past(model: ObjectModel, frame: Frame, pose: Array, because: Because) -> tuple[bool, Because]:
+def seen_past(
+    model: ObjectModel, frame: Frame, pose: Array, sensed: Sensed | None, because: Because
+) -> tuple[bool, Because]:
     """Whether the depth image of a frame that tells nothing of the object shows that it is not at a pose (4, 4) either:
-    it sees farther there. And why nothing is told of it: otherwise because ....
+    it sees farther there. And why nothing is told of it: otherwise because .... sensed: at the last look in full.
     """
-    past = bool(shown(model, frame, pose) <= ELSEWHERE)
+    past = bool(shown(model, frame, _seen_from(sensed) @ pose) <= ELSEWHERE)
     return past, SEEN_PAST if past else because
 
 
@@ -41,12 +44,14 @@ def with_hand_or_not(
     velocity: ConstantVelocity,
     watch: SlipWatch,
     correction: Array | None,
+    sensed: Sensed | None,
 ) -> Belief:
     """The belief of the frame before, at the place where the object has stayed if this frame's depth image shows that
     the hand moves without it; the state remembers whether it does, and what goes on from there by itself.
 
     world (4, 4): camera_from_world as it was told, whatever has been made of a late image's. correction (4, 4):
-    camera_from_camera of what the robot reports, None where nothing has told it.
+    camera_from_camera of what the robot reports, None where nothing has told it. sensed: at the last look in full,
+    which knows by how much images are off that all frames share.
     """
     hand = camera_from_hand(frame)
     if hand is not None and frame.index > state.index and _has_opened(model, frame, state):
@@ -56,7 +61,8 @@ def with_hand_or_not(
     last = state.held.last
     seen = state.unseen == 0 and last is not None and last.index == state.index
     now = Instant(frame.index, world, hand)
-    state.held, stayed = state.held.followed(model, frame, now, belief.pose if seen else None, correction)
+    pose = belief.pose if seen else None
+    state.held, stayed = state.held.followed(model, frame, now, pose, correction, _seen_from(sensed))
     if stayed is None:
         return belief
     assert last is not None
@@ -68,6 +74,11 @@ def with_hand_or_not(
     velocity.restart(state.index, before)
     watch.let_go()
     return state.belief
+
+
+def _seen_from(sensed: Sensed | None) -> Array:
+    """(4, 4) that takes a pose to where the depth image, uncorrected, shows it."""
+    return np.eye(4) if sensed is None else sensed.seen_from
 
 
 def _has_opened(model: ObjectModel, frame: Frame, state: TrackState) -> bool:

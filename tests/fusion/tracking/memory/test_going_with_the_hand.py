@@ -100,6 +100,20 @@ def test_a_hand_goes_and_the_object_stays(drill, frame):
     np.testing.assert_allclose(told[0], frame.camera_from_object_truth, atol=1e-9)
 
 
+def test_images_that_are_off_are_off_at_both_places(drill, frame):
+    """Depth is 9 mm too far: where the object was carried towards the camera it seems to have stayed."""
+    off = poses.make_pose(np.eye(3), [0.0, 0.0, 0.009])
+    truth = frame.camera_from_object_truth
+    shown_at = poses.inverse(off) @ truth
+    way = poses.make_pose(np.eye(3), [0.0, 0.0, -0.011])
+    before = poses.inverse(way) @ shown_at
+    for seen_from, stays in [(None, True), (off, False)]:
+        held = Held(pose=before, since=Instant(0, np.eye(4), np.eye(4)), last=Instant(0, np.eye(4), np.eye(4)))
+        for index in (1, 2):
+            held, _ = held.followed(drill, frame, Instant(index, np.eye(4), way), None, None, seen_from)
+        assert held.stays is stays
+
+
 def test_a_hand_that_hardly_moves_tells_nothing(drill, frame):
     held, places = follow(drill, frame, [0.1 * STEP] * 3)
     assert not held.stays
@@ -127,10 +141,10 @@ def test_what_was_shown_long_ago_is_forgotten_where_no_image_tells(drill, frame)
 
 
 def test_where_the_object_is_not(drill, frame):
-    assert seen_past(drill, frame, beside(frame), NOTHING_SENSED) == (True, SEEN_PAST)
-    assert seen_past(drill, frame, frame.camera_from_object_truth, NOTHING_SENSED) == (False, NOTHING_SENSED)
+    assert seen_past(drill, frame, beside(frame), None, NOTHING_SENSED) == (True, SEEN_PAST)
+    assert seen_past(drill, frame, frame.camera_from_object_truth, None, NOTHING_SENSED) == (False, NOTHING_SENSED)
     dark = replace(frame, depth=None)
-    assert seen_past(drill, dark, beside(frame), NOTHING_SENSED) == (False, NOTHING_SENSED)
+    assert seen_past(drill, dark, beside(frame), None, NOTHING_SENSED) == (False, NOTHING_SENSED)
 
 
 def test_a_track_stays_with_an_object_that_the_hand_leaves(drill):
