@@ -38,7 +38,7 @@ from fusion.tracking.steps.doubts.bumped import bump, recalibrated
 from fusion.tracking.steps.doubts.contradicting import NOT_HERE, without_strangers
 from fusion.tracking.steps.doubts.delays import as_of_image, learn_delay, moved_on
 from fusion.tracking.steps.doubts.repeated import of_now
-from fusion.tracking.steps.following_hand import seen_past, with_hand_or_not
+from fusion.tracking.steps.following_hand import resting, seen_past, with_hand_or_not
 from fusion.tracking.steps.glancing import as_judged, glance, known_of, may_glance, steadied
 from fusion.tracking.steps.judging import as_believed, as_followed, as_learned, by_touch_alone, judge, slips_unseen
 from fusion.tracking.steps.marking import mark, seen_motion
@@ -143,9 +143,9 @@ class Tracker:
             moving = state, self._velocity, self._watch, self._looker.correction, self._sensed
             belief = with_hand_or_not(self.model, self._viewed(frame), world, state.belief, *moving)
             answer = self._follow(frame, belief, not heard)
-        rest, self._rest = self._rest, None  # no image is kept with the state
-        if rest is not None and rest.index == frame.index:
-            frame, unused = rest, (*unused, NOT_HERE)
+        if self._rest is not None and self._rest.index == frame.index:
+            frame, unused = self._rest, (*unused, NOT_HERE)
+        self._rest = None  # no image is kept with the state
         if answer.verdict == "lost":
             state.lost_for += 1
             answer = self._recover(frame, answer, heard)
@@ -155,7 +155,7 @@ class Tracker:
         answer = as_printed(self.model, self._sensed, state, (self._velocity, self._watch), answer, self.settings)
         state.judged(frame.index, answer.verdict == "ok", self.settings.renewal)
         unused = *unused, *state.said, *unused_touch(self._felt_frame(frame), self.settings.first.touch)
-        return moved_on(answer, on, state.corrected(self._looker.correction), unused)
+        return moved_on(answer, on, state, self._looker.correction, unused)
 
     def _begin(self, frame: Frame) -> TrackedEstimate:
         if self.live:  # a search beside the frames would build it, and keep them waiting
@@ -312,15 +312,14 @@ class Tracker:
                 prior = replace(prior, pose=leader)
             learned = len(state.levels)
             solved = solve_leader(model, frame, leader, prior, found, sensed, state.levels, beliefs, s)
-            solved = with_outline(solved, sensed, beliefs, s, trace)
+            solved = resting(model, with_outline(solved, sensed, beliefs, s, trace), sensed, state)
             rest = without_strangers(model, frame, prior, solved, found, sensed, state, beliefs, s)
             if rest is not None:
                 self._rest, state.levels[learned:] = rest, []
                 return self._follow(rest, belief, False, there)
             blind = state.hand is not None and not len(looked.pixels)
-            known = self._looker.correction is not None or state.correction is not None
             shown = replace(sensed, seen=found.seen)
-            how = blind, known, state, beliefs, s
+            how = blind, self._looker.correction is not None or state.correction is not None, state, beliefs, s
             measured, untold = measurement_of(model, solved, frame.index, predicted.pose, shown, *how)
             if len(state.levels) > learned:  # of what all frames share the first was told no more than this one
                 predicted = relearned(model, predicted, measured)
@@ -366,7 +365,7 @@ class Tracker:
             felt_frame = self._felt_frame(frame)
             found = glance(
                 self.model, viewed, felt_frame, self._looker, predicted, known, state.things, self._watch.going_on,
-                self._beliefs, s,
+                self._beliefs, state.rest, s,
             )  # fmt: skip
             seen, felt, pixels = found.sensed.seen, found.sensed.felt, len(found.sensed.looked.pixels)
             stage.note(len(seen) + len(felt.reported_rows), found.otherwise or "nothing is otherwise than expected")

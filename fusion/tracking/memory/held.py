@@ -58,6 +58,14 @@ class Held:
         """A note, while it stays."""
         return ("the hand moves without the object: it is not held",) if self.stays else ()
 
+    def rests(self, model: ObjectModel, pose: Array) -> bool:
+        """Whether an object at a pose (4, 4) in the last frame has not moved since it was shown first: then it does not
+        go with the hand, or the image has not heard of that yet.
+        """
+        if self.pose is None or self.last is None:
+            return False
+        return _shift(model, self._places(self.last, None)[0], pose) <= MOVED
+
     @property
     def bumped(self) -> Held:
         """When the camera was found to have been bumped: what it showed before is elsewhere."""
@@ -91,7 +99,9 @@ class Held:
         told = which(model, frame, seen @ stayed, seen @ carried) if apart >= APART else ""
         if not told or told != self.told:
             gone = apart > LEFT and not told
-            return (replace(held, pose=None, since=None, told="") if gone else replace(held, told=told)), None
+            return (
+                replace(held, pose=None, since=None, told="") if gone else replace(held, told=told or self.told)
+            ), None
         stays = told == "stayed"
         return Held(stays, now), stayed if stays and not self.stays else None
 

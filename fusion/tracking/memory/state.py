@@ -24,6 +24,7 @@ from fusion.tracking.memory.last_image import LastImage
 from fusion.tracking.memory.last_touch import LastTouch
 from fusion.tracking.memory.lateness import Lateness
 from fusion.tracking.memory.occluders import Occluders
+from fusion.tracking.memory.rest import Rest
 from fusion.tracking.memory.sizes import Jumps, Sizes, SizeSettings
 from fusion.tracking.memory.touched import Touched
 from fusion.tracking.memory.untold import Untold, leaves_turn
@@ -209,7 +210,7 @@ class TrackState:
     colour image, where no hand tells how it moves; released: the hand has let go; camera: of the last image, None
     before; imaged: whether an image has shown it; glanced: glances since the last look in full at an image;
     image, touch: the last image and contacts that were new ones, None before some; lateness: of images beside the
-    robot's reports; held: whether it goes with the hand.
+    robot's reports; held: whether it goes with the hand; rest: where it has been at rest.
     """
 
     belief: Belief | None = None
@@ -243,6 +244,7 @@ class TrackState:
     touch: LastTouch | None = None
     lateness: Lateness = field(default_factory=Lateness)
     held: Held = field(default_factory=Held)
+    rest: Rest = field(default_factory=Rest)
 
     def before_its_camera(self, frame: Frame) -> Frame:
         """A frame between images, before the camera of the last one: it has not gone, and what is felt is off by what

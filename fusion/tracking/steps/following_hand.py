@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation.solve.joint import JointResult
 from fusion.tracking.answer import Because
 from fusion.tracking.filter import Belief
 from fusion.tracking.memory import hypotheses as several
 from fusion.tracking.memory.held import ELSEWHERE, Instant, shown
+from fusion.tracking.memory.rest import MOVES
 from fusion.tracking.memory.state import TrackState
 from fusion.tracking.slip import SlipWatch
 from fusion.tracking.steps.sensing import Sensed
@@ -53,6 +55,9 @@ def with_hand_or_not(
     camera_from_camera of what the robot reports, None where nothing has told it. sensed: at the last look in full,
     which knows by how much images are off that all frames share.
     """
+    if frame.index > state.index:
+        alone = state.hand is None and state.unseen == 0
+        state.rest = state.rest.followed(model, belief.pose if alone else None, world)
     hand = camera_from_hand(frame)
     if hand is not None and frame.index > state.index and _has_opened(model, frame, state):
         state.released, state.hand = True, None
@@ -74,6 +79,19 @@ def with_hand_or_not(
     velocity.restart(state.index, before)
     watch.let_go()
     return state.belief
+
+
+def resting(model: ObjectModel, solved: JointResult, sensed: Sensed, state: TrackState) -> JointResult:
+    """A frame's solution, where the object has been at rest if nobody says what is not the object's, and the picture of
+    the frame is not better where it was found.
+    """
+    there = None if sensed.told_apart or sensed.pool is None else state.rest.left(model, solved.pose)
+    if there is None or sensed.pool is None:
+        return solved
+    there = model.symmetries.nearest(there, solved.pose)
+    seen = solved.as_seen @ se3.inverse(solved.pose) @ there
+    found, rest = sensed.pool.predictor.costs(np.array([solved.as_seen, seen]))
+    return solved if rest > found + MOVES else replace(solved, pose=there, as_seen=seen)
 
 
 def _seen_from(sensed: Sensed | None) -> Array:

@@ -24,6 +24,7 @@ from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Belief, Measurement
 from fusion.tracking.memory.hypotheses import Hypotheses, ways_of, weights
 from fusion.tracking.memory.occluders import Occluders
+from fusion.tracking.memory.rest import Rest
 from fusion.tracking.memory.state import GlanceSettings, Known, TrackState
 from fusion.tracking.steps.judging import Judged, as_open
 from fusion.tracking.steps.refining import loose
@@ -118,10 +119,11 @@ def glance(
     things: Occluders,
     moving: bool,
     beliefs: Beliefs,
+    rest: Rest,
     settings: TrackSettings,
 ) -> Glanced:
     """Look at a frame near the prediction; felt_frame: the same as far as touch may tell; moving: the object is known
-    to move in the hand, so that a surprise is none.
+    to move in the hand, so that a surprise is none; rest: where it has been at rest.
     """
 
     def at(start: Array) -> Glanced:
@@ -129,6 +131,8 @@ def glance(
 
     found = at(predicted.pose)
     if not found.otherwise and not found.sensed.told_apart:
+        if rest.left(model, found.measured.pose) is not None:
+            return replace(found, otherwise="it is not where it was at rest")
         return _followed(model, found, at, predicted.pose, settings)
     if not (found.surprised and moving):
         return found

@@ -50,15 +50,17 @@ def as_of_image(frame: Frame, state: TrackState) -> tuple[Frame, Array | None]:
 
 
 def moved_on(
-    answer: TrackedEstimate, on: Array | None, seen: Array | None, notes: tuple[str, ...] = ()
+    answer: TrackedEstimate, on: Array | None, state: TrackState, seen: Array | None, notes: tuple[str, ...] = ()
 ) -> TrackedEstimate:
     """An answer of an image's time after the motion `on` (4, 4), as reported, of what the hand holds, with more notes;
-    seen (4, 4): camera_from_camera of what the robot reports, None where no image has shown it.
+    seen (4, 4): camera_from_camera of what the robot reports, None where no image has shown it. What the hand does not
+    hold stays where it is.
     """
     if notes:
         answer = replace(answer, notes=tuple(dict.fromkeys((*answer.notes, *notes))))
-    if on is None:
+    if on is None or state.hand is None:
         return answer
+    seen = state.corrected(seen)
     motion = on if seen is None else seen @ on @ se3.inverse(seen)
     turn = block(motion[:3, :3])
     return replace(
@@ -80,6 +82,9 @@ def learn_delay(
     if looker.told is not None or hand is None or not len(rows) or frame.index < state.index or state.held.stays:
         return
     hold = se3.inverse(hand) @ pose if late.hold is None else late.hold
+    if state.held.rests(model, pose):  # what the hand does not hold lags behind it for ever
+        state.lateness = replace(late, hold=hold)
+        return
     carried = hand @ hold
     pose = model.symmetries.nearest(pose, carried)
     centre = se3.apply(carried, model.centroid[None])[0]

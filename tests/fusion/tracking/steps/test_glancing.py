@@ -11,6 +11,7 @@ import fusion.tracking.steps.glancing as glancing
 from fusion.tracking.answer import TrackSettings
 from fusion.tracking.filter import Belief, Measurement
 from fusion.tracking.memory.hypotheses import Hypothesis
+from fusion.tracking.memory.rest import Rest
 from fusion.tracking.memory.state import GlanceSettings
 from fusion.tracking.steps.glancing import Glanced, fitted, freed, may_glance, part_counted, steadied, surprise_of
 from fusion.tracking.steps.refining import loose
@@ -112,7 +113,7 @@ def test_pixels_are_chosen_anew_where_a_glance_has_led(looked, monkeypatch, told
 
     monkeypatch.setattr(glancing, "_glanced_at", glanced)
     predicted = Belief(np.eye(4), known.own, known.shared)
-    rest = known, sensed.things, False, sensed, settings
+    rest = known, sensed.things, False, sensed, Rest(), settings
     found = glancing.glance(model, None, None, None, predicted, *rest)
     assert begun == [0.0, *steps[:-1]][:glances]
     assert found.measured.pose[0, 3] == (steps[-1] if otherwise else steps[0])

@@ -13,6 +13,7 @@ from fusion.tracking.checkpoint import restore_tracker, save_tracker
 from fusion.tracking.filter import Belief
 from fusion.tracking.memory.lateness import BELIEVED, FASTEST, RARE, Lateness, of_look
 from fusion.tracking.memory.state import TrackState
+from fusion.tracking.motion import HandState
 from fusion.tracking.motion import HandMotion
 from fusion.tracking.slip import SlipWatch
 from fusion.tracking.steps.doubts.delays import as_of_image, moved_on
@@ -217,8 +218,9 @@ def test_an_answer_is_moved_on_with_the_hand():
     root = rng.normal(size=(6, 6))
     wide = root @ root.T
     answer = TrackedEstimate(0, pose, wide, (Mode(pose, 1.0, 0.0, wide),), "ok")
-    assert moved_on(answer, None, seen) is answer
-    there = moved_on(answer, on, seen)
+    state = TrackState(hand=HandState(np.eye(4), None, (), np.zeros((0, 3))))
+    assert moved_on(answer, None, state, seen) is answer
+    there = moved_on(answer, on, state, seen)
     motion = seen @ on @ poses.inverse(seen)
     np.testing.assert_allclose(there.pose, motion @ pose)
     np.testing.assert_allclose(there.modes[0].pose, there.pose)
