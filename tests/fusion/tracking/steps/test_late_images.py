@@ -13,8 +13,7 @@ from fusion.tracking.checkpoint import restore_tracker, save_tracker
 from fusion.tracking.filter import Belief
 from fusion.tracking.memory.lateness import BELIEVED, FASTEST, RARE, Lateness, of_look
 from fusion.tracking.memory.state import TrackState
-from fusion.tracking.motion import HandState
-from fusion.tracking.motion import HandMotion
+from fusion.tracking.motion import HandMotion, HandState
 from fusion.tracking.slip import SlipWatch
 from fusion.tracking.steps.doubts.delays import as_of_image, moved_on
 from fusion.tracking.steps.predicting import predict
