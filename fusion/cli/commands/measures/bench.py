@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--motions",
         metavar="A,B",
         type=names_list,
-        help="motions of the sequences of `tracking` and `failing` (default: all nine; four)",
+        help="motions of the sequences of `tracking` and `failing` (default: all; four)",
     )
     parser.add_argument(
         "--frames",
