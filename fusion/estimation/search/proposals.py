@@ -82,11 +82,13 @@ class ProposalSettings:
     held: HeldSettings = field(default_factory=HeldSettings)
     walk: WalkSettings = field(default_factory=WalkSettings)
     walk_far: WalkSettings = field(
-        default_factory=lambda: WalkSettings(((24, 8, 0.6), (16, 8, 0.3), (10, 8, 0.15), (8, 8, 0.08)), angle=0.35)
+        default_factory=lambda: WalkSettings(
+            ((24, 8, 0.6), (16, 8, 0.3), (10, 8, 0.15), (8, 8, 0.08)), angle=0.35, of_places=0.5
+        )
     )
     walk_paired: WalkSettings = field(
         default_factory=lambda: WalkSettings(
-            ((40, 8, 0.6), (24, 8, 0.3), (12, 12, 0.15), (8, 12, 0.08)), angle=0.25, distance=0.015
+            ((40, 8, 0.6), (24, 8, 0.3), (12, 12, 0.15), (8, 12, 0.08)), angle=0.25, distance=0.015, of_places=0.5
         )
     )
     around: WalkSettings = field(default_factory=lambda: WalkSettings(((1, 48, 1.0), (6, 6, 0.4), (4, 6, 0.15))))

@@ -25,6 +25,8 @@ APART, LEFT = 0.010, 0.050
 NEAR = 0.006
 # Share of what only one of the two places would show that is seen there, and at most at the other.
 SHOWN, ELSEWHERE = 0.6, 0.3
+# Or so many points are, and at the other no more than this share of them.
+MANY, FEWER = 100, 0.25
 # Points of the surface that are looked at, of which the half that faces the camera counts; fewest that tell.
 POINTS, FEWEST = 2000, 20
 # An object moves by itself that is so far (m) from where it was beside a hand that has hardly moved (m).
@@ -126,22 +128,50 @@ class Held:
 
 
 def which(model: ObjectModel, frame: Frame, stayed: Array, carried: Array) -> str:
-    """Which of two poses (4, 4) a depth image shows, "stayed" or "carried"; "" where it does not tell."""
-    here, there = shown(model, frame, stayed, carried), shown(model, frame, carried, stayed)
-    if np.isnan(here) or np.isnan(there):
-        return ""
-    if here >= SHOWN and there <= ELSEWHERE:
+    """Which of two poses (4, 4) a depth image shows, "stayed" or "carried"; "" where it does not tell.
+
+    It shows the one whose surface is seen where it must be, where hardly any of the other's is, or hardly as much: a
+    pose that would be in the table shows only what stands out of it.
+    """
+    here, there = _seen(model, frame, stayed, carried), _seen(model, frame, carried, stayed)
+    if here.shows and there.hardly(here):
         return "stayed"
-    return "carried" if there >= SHOWN and here <= ELSEWHERE else ""
+    return "carried" if there.shows and here.hardly(there) else ""
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Of the points at a pose that only it would show: how many may be seen, nothing being nearer, and are seen."""
+
+    open: int
+    there: int
+
+    @property
+    def share(self) -> float:
+        """NaN where little may be seen."""
+        return self.there / self.open if self.open >= FEWEST else float("nan")
+
+    @property
+    def shows(self) -> bool:
+        return self.share >= SHOWN
+
+    def hardly(self, other: _Seen) -> bool:
+        """Whether hardly anything of it is seen beside another pose that is shown."""
+        few = other.there >= MANY and self.there <= FEWER * other.there
+        return self.share <= ELSEWHERE or few
 
 
 def shown(model: ObjectModel, frame: Frame, pose: Array, other: Array | None = None) -> float:
     """Share of the surface at a pose (4, 4) that a depth image has where it is, of what faces the camera, is not hidden
     by something nearer and, if there is an `other` pose (4, 4), is not on the surface there; NaN where that is little.
     """
+    return _seen(model, frame, pose, other).share
+
+
+def _seen(model: ObjectModel, frame: Frame, pose: Array, other: Array | None) -> _Seen:
     camera, depth = frame.camera, frame.depth
     if camera is None or depth is None:
-        return float("nan")
+        return _Seen(0, 0)
     points, normals = model.sample_surface(POINTS)
     points, normals = se3.apply(pose, points), normals @ pose[:3, :3].T
     points = points[np.einsum("ij,ij->i", normals, points) < 0.0]
@@ -154,7 +184,7 @@ def shown(model: ObjectModel, frame: Frame, pose: Array, other: Array | None = N
     read, z = depth[row, column].astype(np.float64), z[inside]
     beyond = (read - z)[(read > 0) & np.isfinite(read)]
     beyond = beyond[beyond > -NEAR]
-    return float((beyond < NEAR).mean()) if len(beyond) >= FEWEST else float("nan")
+    return _Seen(len(beyond), int((beyond < NEAR).sum()))
 
 
 def _shift(model: ObjectModel, pose: Array, other: Array) -> float:

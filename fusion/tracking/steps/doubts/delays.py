@@ -79,7 +79,10 @@ def learn_delay(
     far as it stays in the palm. rows: the image's; pose (4, 4): where all that was sensed has it.
     """
     hand, late = camera_from_hand(frame), state.lateness
-    if looker.told is not None or hand is None or not len(rows) or frame.index < state.index or state.held.stays:
+    if looker.told is not None or hand is None or not len(rows) or frame.index < state.index:
+        return
+    if state.held.stays:  # it is taken up anew, and elsewhere in the hand
+        state.lateness = late.of_hand
         return
     hold = se3.inverse(hand) @ pose if late.hold is None else late.hold
     if state.held.rests(model, pose):  # what the hand does not hold lags behind it for ever

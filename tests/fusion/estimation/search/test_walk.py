@@ -30,6 +30,29 @@ def test_a_walk_ends_where_the_cost_is_least_and_the_same_every_time(drill):
     assert not len(walk(drill, np.zeros((0, 4, 4)), costs, np.random.default_rng(0)))
 
 
+def test_a_place_where_few_begin_is_not_lost_to_one_where_many_do(drill):
+    """A wide basin draws all that goes on; the deeper one beside it is narrow, and few begin there, less well."""
+    wide, deep = poses.make_pose(None, [0.0, 0.0, 0.5]), poses.make_pose(None, [0.4, 0.0, 0.5])
+
+    def costs(candidates):
+        to_wide, to_deep = (poses.difference(candidates, place, drill.centroid) for place in (wide, deep))
+        in_wide = 0.1 * np.square(to_wide / np.repeat([0.3, 0.03], 3)).sum(axis=1)
+        in_deep = np.square(to_deep / np.repeat([0.1, 0.01], 3)).sum(axis=1) - 3.0
+        return np.minimum(in_wide, in_deep)
+
+    rng = np.random.default_rng(0)
+    many = starts_around(drill, wide, 0.3, 0.03, 200, rng)[1:]
+    few = starts_around(drill, deep, 0.3, 0.02, 12, rng)[1:]
+    starts = np.concatenate([many, few])
+    assert costs(few).min() > np.sort(costs(many))[30]
+    lost, found = (
+        walk(drill, starts, costs, np.random.default_rng(3), WalkSettings(of_places=share)) for share in (0.0, 0.5)
+    )
+    assert costs(lost)[0] > -1.0
+    assert costs(found)[0] < -1.0
+    assert len(found) <= WalkSettings().rounds[-1][0]
+
+
 def test_poses_are_judged_in_their_order_and_the_true_one_is_likelier(lab_frame, drill):
     truth = lab_frame.camera_from_object_truth
     wrong = poses.perturb(truth, [0.9, 0.0, 0.0, 0.03, 0.0, 0.0], drill.centroid)

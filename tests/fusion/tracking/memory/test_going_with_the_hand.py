@@ -63,7 +63,7 @@ def test_an_image_that_tells_nothing(drill, frame, lacks):
     else:
         pose = beside(frame, np.array([0.0, 0.0, 0.0, 5.0, 0.0, 0.0]))
     assert np.isnan(shown(drill, frame, pose))
-    assert which(drill, frame, pose, frame.camera_from_object_truth) == ""
+    assert which(drill, frame, pose, poses.exp(STEP) @ pose) == ""
 
 
 def test_what_something_nearer_hides_is_not_looked_for(drill, frame):
@@ -76,6 +76,21 @@ def test_which_of_two_places_shows_the_object(drill, frame):
     assert which(drill, frame, truth, other) == "stayed"
     assert which(drill, frame, other, truth) == "carried"
     assert which(drill, frame, beside(frame, -ASIDE), other) == ""
+
+
+def test_a_place_that_is_nearly_hidden_is_not_shown_by_what_stands_out(drill):
+    """As of a hand that comes down to a table: what it would carry would be in the table, but for a little."""
+    frames = [walled(frame.without_touch()) for frame in recording(drill, 2, step=tuple(ASIDE))]
+    here, there = (frame.camera_from_object_truth for frame in frames)
+    first, second = (frame.depth for frame in frames)
+    both = np.minimum(first, second)
+    assert which(drill, replace(frames[0], depth=both), here, there) == ""
+    alone = (second < 1.4) & (first > 1.4)
+    hidden = alone & (np.cumsum(alone).reshape(alone.shape) > 0.1 * alone.sum())
+    covered = replace(frames[0], depth=np.where(hidden, np.float32(0.2), both))
+    assert shown(drill, covered, there, here) > 0.6
+    assert which(drill, covered, here, there) == "stayed"
+    assert which(drill, covered, there, here) == "carried"
 
 
 def follow(drill, frame, ways, correction=None, world=None):

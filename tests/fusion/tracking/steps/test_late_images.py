@@ -1,6 +1,7 @@
 """Images that are of another instant than what the robot reports beside them, told by a hand in view that moves."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,13 +12,15 @@ from fusion.benchmarks.tracking.failing import FAILURES
 from fusion.tracking.answer import TrackedEstimate, TrackSettings
 from fusion.tracking.checkpoint import restore_tracker, save_tracker
 from fusion.tracking.filter import Belief
+from fusion.tracking.memory.held import Held
 from fusion.tracking.memory.lateness import BELIEVED, FASTEST, RARE, Lateness, of_look
 from fusion.tracking.memory.state import TrackState
 from fusion.tracking.motion import HandMotion, HandState
 from fusion.tracking.slip import SlipWatch
-from fusion.tracking.steps.doubts.delays import as_of_image, moved_on
+from fusion.tracking.steps.doubts.delays import as_of_image, learn_delay, moved_on
 from fusion.tracking.steps.predicting import predict
 from fusion.tracking.tracker import Tracker, track
+from scenes.evidence import table as tables
 from scenes.evidence.modes import Mode
 from scenes.geometry import poses
 from scenes.recordings.beliefs import CalibrationModel
@@ -267,6 +270,16 @@ def test_a_hand_that_comes_into_view_tells_by_itself():
     told = before.of_hand
     assert (told.looks, told.hold, told.used) == (0.0, None, 1.0)
     assert told.of_hand is told
+
+
+def test_what_is_not_held_any_more_has_told_nothing(lab_frame, drill):
+    """It is taken up anew elsewhere in the hand, and so seems to lag behind what was told of it before."""
+    before = replace(looked(1.0), used=1.0, hold=np.eye(4))
+    looker = SimpleNamespace(told=None)
+    rows, pose = tables.from_contacts(lab_frame.contacts), lab_frame.camera_from_object_truth
+    state = TrackState(index=lab_frame.index, lateness=before, held=Held(stays=True))
+    learn_delay(drill, lab_frame, rows, pose, looker, state)
+    assert (state.lateness.looks, state.lateness.hold, state.lateness.used) == (0.0, None, 1.0)
 
 
 def test_a_track_that_was_saved_counts_no_look_twice():
