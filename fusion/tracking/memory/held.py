@@ -31,6 +31,9 @@ MANY, FEWER = 100, 0.25
 POINTS, FEWEST = 2000, 20
 # An object moves by itself that is so far (m) from where it was beside a hand that has hardly moved (m).
 MOVED, STILL = 0.004, 0.003
+# Whose middle has not moved by that, its ends may be so far off (m) for what a look has it turned by mistake: a banana
+# that lies, 3 degrees off, seemed to lag behind a hand by two frames.
+TURNED = 0.010
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,9 @@ class Held:
         """
         if self.pose is None or self.last is None:
             return False
-        return _shift(model, self._places(self.last, None)[0], pose) <= MOVED
+        stayed = self._places(self.last, None)[0]
+        middle = np.linalg.norm(se3.difference(stayed, pose, model.centroid)[3:])
+        return bool(middle <= MOVED and _shift(model, stayed, pose) <= TURNED)
 
     @property
     def bumped(self) -> Held:

@@ -128,7 +128,7 @@ class Lateness:
         """The camera has been moved: what looks have told is of another calibration, and so is what was reported before
         the `first` of the reports that are remembered.
         """
-        return Lateness(self.velocity, self.used, self.was, self.before[first:], seen=self.seen, hold=self.hold)
+        return Lateness(self.velocity, self.used, self.was, self.before[first:], seen=self.seen)
 
     def _leaps(self, step: int) -> bool:
         """Whether the hand moves much otherwise in one step between reports than in those before and after it, of which

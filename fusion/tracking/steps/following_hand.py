@@ -15,6 +15,7 @@ from fusion.tracking.memory.held import ELSEWHERE, Instant, shown
 from fusion.tracking.memory.rest import MOVES
 from fusion.tracking.memory.state import TrackState
 from fusion.tracking.slip import SlipWatch
+from fusion.tracking.steps.doubts.delays import put_down
 from fusion.tracking.steps.sensing import Sensed
 from scenes.geometry import poses as se3
 from scenes.geometry.objects import ObjectModel
@@ -58,6 +59,7 @@ def with_hand_or_not(
     if frame.index > state.index:
         alone = state.hand is None and state.unseen == 0
         state.rest = state.rest.followed(model, belief.pose if alone else None, world)
+        put_down(state)
     hand = camera_from_hand(frame)
     if hand is not None and frame.index > state.index and _has_opened(model, frame, state):
         state.released, state.hand = True, None

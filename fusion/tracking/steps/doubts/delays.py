@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fusion.tracking.answer import TrackedEstimate
 from fusion.tracking.filter import block, moved_modes
+from fusion.tracking.memory.lateness import LONGEST
 from fusion.tracking.memory.state import TrackState
 from scenes.evidence.align import terms
 from scenes.evidence.table import Evidence
@@ -79,10 +80,7 @@ def learn_delay(
     far as it stays in the palm. rows: the image's; pose (4, 4): where all that was sensed has it.
     """
     hand, late = camera_from_hand(frame), state.lateness
-    if looker.told is not None or hand is None or not len(rows) or frame.index < state.index:
-        return
-    if state.held.stays:  # it is taken up anew, and elsewhere in the hand
-        state.lateness = late.of_hand
+    if looker.told is not None or hand is None or not len(rows) or frame.index < state.index or state.held.stays:
         return
     hold = se3.inverse(hand) @ pose if late.hold is None else late.hold
     if state.held.rests(model, pose):  # what the hand does not hold lags behind it for ever
@@ -95,3 +93,11 @@ def learn_delay(
     # of the image alone: contacts are of the robot's time
     pull = hessian @ se3.difference(pose, carried, model.centroid) - gradient
     state.lateness = replace(late, hold=hold).looked(HandTold(np.eye(4), centre, hessian, pull), centre)
+
+
+def put_down(state: TrackState) -> None:
+    """Forget what an object has told of a delay that the hand does not hold and that has been at rest for longer than
+    images are late: it is taken up anew, elsewhere in the hand, and would seem to lag behind what was told of it.
+    """
+    if state.held.stays and state.rest.still > LONGEST:
+        state.lateness = state.lateness.of_hand

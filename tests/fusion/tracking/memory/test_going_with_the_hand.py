@@ -129,6 +129,21 @@ def test_images_that_are_off_are_off_at_both_places(drill, frame):
         assert held.stays is stays
 
 
+def test_what_rests_is_found_a_little_turned(drill, frame):
+    """A look has it by some degrees otherwise, about a middle that has not moved."""
+    truth = frame.camera_from_object_truth
+    ends = 0.006 / drill.radius
+    held = replace(follow(drill, frame, [STEP])[0], told="", pose=truth)
+    held = replace(held, since=held.last)
+    for delta, rests in [
+        ([ends, 0.0, 0.0, 0.0, 0.0, 0.0], True),
+        ([2.0 * ends, 0.0, 0.0, 0.0, 0.0, 0.0], False),
+        ([0.0, 0.0, 0.0, 0.006, 0.0, 0.0], False),
+    ]:
+        pose = poses.perturb(truth, np.array(delta), drill.centroid)
+        assert held.rests(drill, pose) is rests
+
+
 def test_a_hand_that_hardly_moves_tells_nothing(drill, frame):
     held, places = follow(drill, frame, [0.1 * STEP] * 3)
     assert not held.stays

@@ -1,7 +1,6 @@
 """Images that are of another instant than what the robot reports beside them, told by a hand in view that moves."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,13 +13,13 @@ from fusion.tracking.checkpoint import restore_tracker, save_tracker
 from fusion.tracking.filter import Belief
 from fusion.tracking.memory.held import Held
 from fusion.tracking.memory.lateness import BELIEVED, FASTEST, RARE, Lateness, of_look
+from fusion.tracking.memory.rest import Rest
 from fusion.tracking.memory.state import TrackState
 from fusion.tracking.motion import HandMotion, HandState
 from fusion.tracking.slip import SlipWatch
-from fusion.tracking.steps.doubts.delays import as_of_image, learn_delay, moved_on
+from fusion.tracking.steps.doubts.delays import as_of_image, moved_on, put_down
 from fusion.tracking.steps.predicting import predict
 from fusion.tracking.tracker import Tracker, track
-from scenes.evidence import table as tables
 from scenes.evidence.modes import Mode
 from scenes.geometry import poses
 from scenes.recordings.beliefs import CalibrationModel
@@ -272,14 +271,25 @@ def test_a_hand_that_comes_into_view_tells_by_itself():
     assert told.of_hand is told
 
 
-def test_what_is_not_held_any_more_has_told_nothing(lab_frame, drill):
-    """It is taken up anew elsewhere in the hand, and so seems to lag behind what was told of it before."""
+@pytest.mark.parametrize(("stays", "still", "looks"), [(True, 6, 0.0), (True, 5, 12.0), (False, 6, 12.0)])
+def test_what_has_been_put_down_has_told_nothing(stays, still, looks):
+    """It is taken up anew elsewhere in the hand; but images that are late do not know yet that it moves."""
     before = replace(looked(1.0), used=1.0, hold=np.eye(4))
-    looker = SimpleNamespace(told=None)
-    rows, pose = tables.from_contacts(lab_frame.contacts), lab_frame.camera_from_object_truth
-    state = TrackState(index=lab_frame.index, lateness=before, held=Held(stays=True))
-    learn_delay(drill, lab_frame, rows, pose, looker, state)
-    assert (state.lateness.looks, state.lateness.hold, state.lateness.used) == (0.0, None, 1.0)
+    rest = Rest(np.eye(4), np.eye(4), still, np.eye(4))
+    state = TrackState(lateness=before, held=Held(stays=stays), rest=rest)
+    put_down(state)
+    assert (state.lateness.looks, state.lateness.used) == (looks, 1.0)
+    assert (state.lateness.hold is None) is (looks == 0.0)
+
+
+def test_what_no_delay_explains_is_another_hold():
+    """What is off by centimetres at once, by a camera that was moved or in another grasp, tells from there on."""
+    before = replace(looked(0.0), hold=np.eye(4))
+    for off, count, kept in [(0.008, 13.0, True), (0.2, 1.0, False)]:
+        velocity, seen = next(looks(0.0, off=off))
+        after = replace(before, velocity=velocity).looked(seen, CENTROID)
+        assert after.looks == count
+        assert (after.hold is not None) is kept
 
 
 def test_a_track_that_was_saved_counts_no_look_twice():
