@@ -207,8 +207,8 @@ class TrackState:
     solution has it where no pixels of the hand tell: a calibration stays; None before; lens (4,): focal lengths (px,
     and shares of the image) of the last image looked at, and lens_for: images since, which had others; touched: what
     the fingers have felt of it last, None where there is no hand or they have not; marks: on its surface in the last
-    colour image, where no hand tells how it moves; released: the hand has let go; camera: of the last image, None
-    before; imaged: whether an image has shown it; glanced: glances since the last look in full at an image;
+    colour image, where no hand tells how it moves; released: the hand has let go; apart: it is clear of it; camera: of
+    the last image, None before; imaged: whether an image has shown it; glanced: glances since the last look in full;
     image, touch: the last image and contacts that were new ones, None before some; lateness: of images beside the
     robot's reports; held: whether it goes with the hand; rest: where it has been at rest.
     """
@@ -237,6 +237,7 @@ class TrackState:
     touched: Touched | None = None
     marks: Marks | None = None
     released: bool = False
+    apart: bool = False
     camera: Camera | None = None
     imaged: bool = False
     glanced: int = 0
@@ -346,13 +347,13 @@ class TrackState:
         right = self.corrected(None if told is None else told.correction)
         at = hand.camera_from_hand if right is None else right @ hand.camera_from_hand
         if len(hand.points):
-            self.released = False
+            self.released = self.apart = False
             off = model.field.distance(se3.apply(se3.inverse(pose) @ at, hand.points))
             if (np.abs(off) <= settings.outlier_distance).mean() >= settings.least_contacts:
                 self.held = self.held.touching
         elif self.touched is not None and not self.released:
             self.released = self.touched.is_let_go(model, pose, at @ self.touched.hold, at, settings)
-        return None if self.released or self.held.stays else hand
+        return None if self.released or self.apart or self.held.stays else hand
 
     def smear(self, model: ObjectModel, index: int, pose: Array, settings: VelocitySettings) -> Array:
         """(6,) by how much an object at `pose` (4, 4) in frame `index` may be elsewhere at the time that the frame is

@@ -12,6 +12,7 @@ from fusion.tracking.answer import Because
 from fusion.tracking.filter import Belief
 from fusion.tracking.memory import hypotheses as several
 from fusion.tracking.memory.held import ELSEWHERE, Instant, shown
+from fusion.tracking.memory.reach import out_of_reach
 from fusion.tracking.memory.rest import MOVES
 from fusion.tracking.memory.state import TrackState
 from fusion.tracking.slip import SlipWatch
@@ -57,6 +58,7 @@ def with_hand_or_not(
     which knows by how much images are off that all frames share.
     """
     if frame.index > state.index:
+        _reaches(model, frame, belief, state, correction)
         alone = state.hand is None and state.unseen == 0
         state.rest = state.rest.followed(model, belief.pose if alone else None, world)
         put_down(state)
@@ -99,6 +101,19 @@ def resting(model: ObjectModel, solved: JointResult, sensed: Sensed, state: Trac
 def _seen_from(sensed: Sensed | None) -> Array:
     """(4, 4) that takes a pose to where the depth image, uncorrected, shows it."""
     return np.eye(4) if sensed is None else sensed.seen_from
+
+
+def _reaches(model: ObjectModel, frame: Frame, belief: Belief, state: TrackState, correction: Array | None) -> None:
+    """Let go of an object that the last answer surely had where the hand was clear of it, until the hand is not."""
+    at = state.held.last.hand if state.held.last is not None else None
+    if state.hand is not None:
+        at = state.hand.camera_from_hand
+    clear = False
+    if at is not None:
+        clear = out_of_reach(model, frame, belief.pose, at if correction is None else correction @ at)
+    state.apart = clear and (state.apart or state.sure)
+    if state.apart:
+        state.hand = None
 
 
 def _has_opened(model: ObjectModel, frame: Frame, state: TrackState) -> bool:
