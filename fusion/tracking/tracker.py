@@ -176,7 +176,7 @@ class Tracker:
         state.hypotheses, felt = several.of_modes(self.model, answer.modes, votes, how, odds), self._feel(frame)
         state.hand, state.seen_at = self._holding(frame, felt, answer.pose), None
         state.index, state.unseen, state.lost_for, state.usual, state.known = frame.index, 0, 0, None, None
-        state.forget(self.model, answer.pose, answer.covariance, s.sizes)
+        state.forget(self.model, frame, answer.pose, answer.covariance, s.sizes)
         state.renewal.restart(frame.index, s.renewal)
         if self._aside is not None:
             self._aside.forget()

@@ -23,31 +23,36 @@ FRAMES, STILL, AWAY = 3, 0.004, 0.005
 # Nats by which the picture of a frame must be better where it is found than where it was at rest: what rests goes on
 # resting with 95 %.
 MOVES = 3.0
+# Share of the object that must agree with an image for it to tell so beside a hand that may push it.
+TELLS = 0.3
 
 
 @dataclass(frozen=True)
 class Rest:
     """pose (4, 4) camera_from_object in a camera of camera_from_world `world` (4, 4), None before; still: frames since,
-    in all of which it was there; now (4, 4): camera_from_world of the last frame.
+    in all of which it was there; now (4, 4): camera_from_world of the last frame; enough: frames in which it must have
+    been there, none where a hand is known to be clear of it.
     """
 
     pose: Array | None = None
     world: Array | None = None
     still: int = 0
     now: Array | None = None
+    enough: int = FRAMES
 
-    def followed(self, model: ObjectModel, pose: Array | None, world: Array) -> Rest:
+    def followed(self, model: ObjectModel, pose: Array | None, world: Array, clear: bool = False) -> Rest:
         """Before a frame whose camera_from_world is `world` (4, 4); pose (4, 4): of the frame before, None where a hand
-        carries it or nothing is known of it.
+        carries it or nothing is known of it; clear: a hand that is known is clear of it.
         """
+        enough = 0 if clear else FRAMES
         if pose is None or self.now is None:
-            return Rest(now=world)
+            return Rest(now=world, enough=enough)
         there = self.at(self.now)
         if there is not None and apart(model, there, pose) <= STILL:
-            return replace(self, still=self.still + 1, now=world)
-        if there is not None and self.still >= FRAMES and apart(model, there, pose) <= AWAY:
-            return replace(self, now=world)
-        return Rest(pose, self.now, 0, world)
+            return replace(self, still=self.still + 1, now=world, enough=enough)
+        if there is not None and self.still >= enough and apart(model, there, pose) <= AWAY:
+            return replace(self, now=world, enough=enough)
+        return Rest(pose, self.now, 0, world, enough)
 
     def at(self, world: Array | None = None) -> Array | None:
         """(4, 4) where it was, in the camera of the last frame or of another camera_from_world (4, 4)."""
@@ -60,7 +65,7 @@ class Rest:
         """(4, 4) where it rested, in the last frame's camera, where a pose (4, 4) is elsewhere; None where it is there,
         and where it has not been at rest.
         """
-        there = self.at() if self.still >= FRAMES else None
+        there = self.at() if self.still >= self.enough else None
         return there if there is not None and apart(model, there, pose) > AWAY else None
 
 

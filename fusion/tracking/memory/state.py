@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from fusion.estimation.posterior.verdict import VerdictSettings
 from fusion.estimation.solve.settings import Level
 from fusion.tracking.filter import Belief, Measurement, block
-from fusion.tracking.memory.held import Held
+from fusion.tracking.memory.held import Held, Instant
 from fusion.tracking.memory.hypotheses import Hypotheses, moved
 from fusion.tracking.memory.last_image import LastImage
 from fusion.tracking.memory.last_touch import LastTouch
@@ -34,7 +34,7 @@ from scenes.geometry.cameras import Camera, is_reading
 from scenes.geometry.objects import ObjectModel
 from scenes.recordings.frames import Contacts, Frame
 from touch.contacts import Felt
-from vision.look.hand.hand import HandTold
+from vision.look.hand.hand import HandTold, camera_from_hand
 from vision.tracking.by_image import Marks
 from vision.tracking.by_vision import FASTEST, FASTEST_TURN, VelocitySettings
 
@@ -320,8 +320,13 @@ class TrackState:
         assert self.belief is not None
         self.belief, self.hypotheses = self.belief.moved(motion), moved(self.hypotheses, motion)
 
-    def forget(self, model: ObjectModel, pose: Array, covariance: Array, settings: SizeSettings) -> None:
-        """What looks at an object have taught that begins anew at pose (4, 4), known to a covariance (6, 6)."""
+    def forget(self, model: ObjectModel, frame: Frame, pose: Array, covariance: Array, settings: SizeSettings) -> None:
+        """What looks at an object have taught, which begins anew in a frame, at pose (4, 4), known to a covariance
+        (6, 6).
+        """
+        hand = camera_from_hand(frame)
+        if hand is not None and self.held.last is None:
+            self.held = replace(self.held, last=Instant(frame.index, frame.camera_from_world, hand))
         self.things, self.jumps = Occluders(), Jumps()
         self.untold = Untold(turns=leaves_turn(model, pose, covariance))
         self.touched = self.marks = None

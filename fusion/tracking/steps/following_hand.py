@@ -13,7 +13,7 @@ from fusion.tracking.filter import Belief
 from fusion.tracking.memory import hypotheses as several
 from fusion.tracking.memory.held import ELSEWHERE, Instant, shown
 from fusion.tracking.memory.reach import out_of_reach
-from fusion.tracking.memory.rest import MOVES
+from fusion.tracking.memory.rest import MOVES, TELLS
 from fusion.tracking.memory.state import TrackState
 from fusion.tracking.slip import SlipWatch
 from fusion.tracking.steps.doubts.delays import put_down
@@ -60,7 +60,7 @@ def with_hand_or_not(
     if frame.index > state.index:
         _reaches(model, frame, belief, state, correction)
         alone = state.hand is None and state.unseen == 0
-        state.rest = state.rest.followed(model, belief.pose if alone else None, world)
+        state.rest = state.rest.followed(model, belief.pose if alone else None, world, state.apart)
         put_down(state)
     hand = camera_from_hand(frame)
     if hand is not None and frame.index > state.index and _has_opened(model, frame, state):
@@ -86,14 +86,17 @@ def with_hand_or_not(
 
 
 def resting(model: ObjectModel, solved: JointResult, sensed: Sensed, state: TrackState) -> JointResult:
-    """A frame's solution, where the object has been at rest if nobody says what is not the object's, and the picture of
-    the frame is not better where it was found.
+    """A frame's solution, where the object has been at rest if the picture of the frame is not better where it was
+    found. A hand that is near may push it: then the picture must show enough of it to tell.
     """
-    there = None if sensed.told_apart or sensed.pool is None else state.rest.left(model, solved.pose)
+    there = None if sensed.pool is None else state.rest.left(model, solved.pose)
     if there is None or sensed.pool is None:
         return solved
     there = model.symmetries.nearest(there, solved.pose)
     seen = solved.as_seen @ se3.inverse(solved.pose) @ there
+    near = sensed.told_apart and not state.apart
+    if near and sensed.pool.predictor.predict(seen[None]).agree[0] < TELLS:
+        return solved
     found, rest = sensed.pool.predictor.costs(np.array([solved.as_seen, seen]))
     return solved if rest > found + MOVES else replace(solved, pose=there, as_seen=seen)
 
