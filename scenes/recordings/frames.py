@@ -58,10 +58,10 @@ def _check_places(points: Array, what: str = "contacts") -> None:
 class Contacts:
     """Points that lie on the object's surface, sensed by touch.
 
-    Attributes (one row a contact): points (n, 3) metres, world frame, as are all directions here; normals (n, 3) unit,
-    out of the object, rows of NaN where unknown; sigma_point (n,) metres; sigma_normal (n,) radians; sensors, n names
-    (may repeat); forces (n, 3) newtons, NaN where unknown; sigma_told (n,) whether a sigma_point was given, or the
-    default stands in.
+    Those of a `Frame` are in the world frame, points as directions. Attributes (one row a contact): points (n, 3)
+    metres; normals (n, 3) unit, out of the object, rows of NaN where unknown; sigma_point (n,) metres; sigma_normal
+    (n,) radians; sensors, n names (may repeat); forces (n, 3) newtons, NaN where unknown; sigma_told (n,) whether a
+    sigma_point was given, or the default stands in.
     """
 
     def __init__(

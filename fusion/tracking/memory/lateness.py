@@ -125,8 +125,8 @@ class Lateness:
         return self._anew(len(self.before) - 1)._counted(velocity, seen, centroid)
 
     def _anew(self, first: int) -> Lateness:
-        """The camera has been moved: what looks have told is of another calibration, and so is what was reported before
-        the `first` of the reports that are remembered.
+        """The camera has been moved, or the hand holds it otherwise: what looks have told is of another calibration or
+        hold, and so is what was reported before the `first` of the reports that are remembered.
         """
         return Lateness(self.velocity, self.used, self.was, self.before[first:], seen=self.seen)
 

@@ -45,9 +45,8 @@ def test_the_hand_is_as_near_as_its_nearest_part(lab_frame, drill):
 @pytest.mark.parametrize("what", ["hand", "joints", "touch"])
 def test_of_a_hand_that_nobody_tells_or_that_feels_nothing_is_said(lab_frame, drill, what):
     far = aside(lab_frame.camera_from_object_truth, 0.5)
-    bare = lab_frame if what == "touch" else replace(lab_frame, contacts=NOTHING_FELT)
-    frame = bare if what == "touch" else replace(bare, **{what: None})
-    assert len(lab_frame.contacts.points)
+    frame = lab_frame if what == "touch" else replace(lab_frame, contacts=NOTHING_FELT, **{what: None})
+    assert bool(len(frame.contacts.points)) is (what == "touch")
     assert not out_of_reach(drill, frame, far, camera_from_hand(lab_frame))
 
 
